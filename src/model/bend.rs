@@ -1,0 +1,112 @@
+//! Bend as a vector, so that straight is the ordinary point (0, 0) and not a singular azimuth.
+//!
+//! `b = β (cos δ, sin δ)` with β = θ₀ − θ_l the bend angle and δ the bending plane (paper, Eq. 3).
+//! Eq. 7 reads `R = Rz(−δ) Ry(β) Rz(δ)`, which is the single rotation by β about the axis
+//! `(sin δ, cos δ, 0)`; in terms of `b` the rotation vector is `(b_y, b_x, 0)`.
+
+use crate::frames::{Base, Rotation, Tip};
+use crate::units::Rad;
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
+
+/// Bend vector `β (cos δ, sin δ)` in radians.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bend(pub Vector2<f64>);
+
+impl Default for Bend {
+    fn default() -> Self {
+        Self::STRAIGHT
+    }
+}
+
+impl Bend {
+    /// The tip at rest.
+    pub const STRAIGHT: Self = Self(Vector2::new(0.0, 0.0));
+
+    /// From bend angle β and direction δ.
+    #[must_use]
+    pub fn from_polar(beta: Rad, delta: Rad) -> Self {
+        Self(Vector2::new(beta.0 * delta.0.cos(), beta.0 * delta.0.sin()))
+    }
+    /// From β and δ in degrees.
+    #[must_use]
+    pub fn from_deg(beta_deg: f64, delta_deg: f64) -> Self {
+        Self::from_polar(Rad::from_deg(beta_deg), Rad::from_deg(delta_deg))
+    }
+    /// β ≥ 0, radians.
+    #[must_use]
+    pub fn beta(&self) -> f64 {
+        self.0.norm()
+    }
+    /// δ in (−π, π]; 0 when straight, where every δ is the same tip.
+    #[must_use]
+    pub fn delta(&self) -> f64 {
+        self.0.y.atan2(self.0.x)
+    }
+    /// Rotation vector of Eq. 7, radians, in the base frame (and, being its own axis, in the tip's).
+    #[must_use]
+    pub fn rotation_vector(&self) -> Vector3<f64> {
+        Vector3::new(self.0.y, self.0.x, 0.0)
+    }
+    /// Tip orientation in the base frame, Eq. 7.
+    #[must_use]
+    pub fn rotation(&self) -> Rotation<Base, Tip> {
+        Rotation::assert_frames(UnitQuaternion::from_scaled_axis(self.rotation_vector()))
+    }
+    /// Inverse of [`Bend::rotation`] by the direction of the tip axis alone: a twist about that axis
+    /// is ignored, as constant curvature has none. β in 0..=π.
+    #[must_use]
+    pub fn from_rotation(r: &Rotation<Base, Tip>) -> Self {
+        Self::from_axis(&r.apply(&Vector3::z()))
+    }
+    /// The bend whose tip axis points along `axis` (unit, base frame):
+    /// `axis = (sin β cos δ, −sin β sin δ, cos β)`.
+    #[must_use]
+    pub fn from_axis(axis: &Vector3<f64>) -> Self {
+        let sin_beta = axis.x.hypot(axis.y);
+        let beta = sin_beta.atan2(axis.z);
+        // β / sin β → 1 at rest; straight back (β = π) has no direction and keeps the last digits'
+        let scale = if sin_beta > 1e-9 { beta / sin_beta } else { 1.0 };
+        Self(Vector2::new(axis.x * scale, -axis.y * scale))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Rotation3, Vector3};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn is_equation_7(beta in 0.0..3.1f64, delta in -3.14..3.14f64) {
+            let want = Rotation3::from_axis_angle(&Vector3::z_axis(), -delta)
+                * Rotation3::from_axis_angle(&Vector3::y_axis(), beta)
+                * Rotation3::from_axis_angle(&Vector3::z_axis(), delta);
+            let got = Bend::from_polar(Rad(beta), Rad(delta)).rotation().matrix();
+            prop_assert!((got - want.matrix()).norm() < 1e-12);
+            prop_assert!((got.transpose() * got - nalgebra::Matrix3::identity()).norm() < 1e-12);
+        }
+
+        #[test]
+        fn round_trips(x in -2.0..2.0f64, y in -2.0..2.0f64) {
+            let b = Bend(nalgebra::Vector2::new(x, y));
+            let back = Bend::from_rotation(&b.rotation());
+            prop_assert!((back.0 - b.0).norm() < 1e-9, "{b:?} -> {back:?}");
+        }
+    }
+
+    #[test]
+    fn straight_is_an_ordinary_point() {
+        for eps in [0.0, 1e-300, 1e-12, 1e-9, 1e-8] {
+            let b = Bend(nalgebra::Vector2::new(eps, -eps));
+            assert!((Bend::from_rotation(&b.rotation()).0 - b.0).norm() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn twist_is_ignored() {
+        let b = Bend::from_deg(50.0, 70.0);
+        let twist = Rotation::<Tip, Tip>::assert_frames(UnitQuaternion::from_scaled_axis(Vector3::z() * 0.3));
+        assert!((Bend::from_rotation(&(b.rotation() * twist)).0 - b.0).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,55 @@
+//! Quantities that cross a room's border, as types.
+//!
+//! Inside a formula plain `f64` with the unit as the last word of the name (`travel_max_mm`) reads
+//! better; between rooms a newtype stops a degree from being handed over as a radian. Only
+//! arithmetic that means something is defined: sums and differences of like quantities, scaling by
+//! a number.
+
+use serde::{Deserialize, Serialize};
+use std::ops::{Add, AddAssign, Mul, Neg, Sub};
+
+macro_rules! quantity {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
+        #[serde(transparent)]
+        pub struct $name(pub f64);
+
+        impl Add for $name { type Output = Self; fn add(self, o: Self) -> Self { Self(self.0 + o.0) } }
+        impl AddAssign for $name { fn add_assign(&mut self, o: Self) { self.0 += o.0; } }
+        impl Sub for $name { type Output = Self; fn sub(self, o: Self) -> Self { Self(self.0 - o.0) } }
+        impl Neg for $name { type Output = Self; fn neg(self) -> Self { Self(-self.0) } }
+        impl Mul<f64> for $name { type Output = Self; fn mul(self, k: f64) -> Self { Self(self.0 * k) } }
+    };
+}
+
+quantity!(
+    /// An angle in radians.
+    Rad
+);
+quantity!(
+    /// A length in millimetres: piston displacement, bellow length, backlash.
+    Mm
+);
+quantity!(
+    /// A time or a duration in seconds. Time is always handed in, never fetched, below the edges.
+    Seconds
+);
+
+impl Rad {
+    /// The angle given in degrees, as files and the command line do.
+    #[must_use]
+    pub fn from_deg(deg: f64) -> Self {
+        Self(deg.to_radians())
+    }
+    /// The angle in degrees, for people.
+    #[must_use]
+    pub fn deg(self) -> f64 {
+        self.0.to_degrees()
+    }
+}
+
+/// Absolute microstep counts of the three drive channels since the pistons were at zero.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Steps(pub [i32; 3]);
