@@ -1,0 +1,50 @@
+//! The command line: one file a command, one place for exit codes.
+//!
+//! 0 done · 1 the run finished and the answer is "not good enough" · 2 bad input or usage · 3 hardware
+//! or service not reachable.
+
+pub mod evaluate;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Closed-loop bend control and gap diagnosis for a disposable pneumatic endoscope tip.
+///
+/// For research. Not a medical device.
+#[derive(Debug, Parser)]
+#[command(name = "retroflex", version)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the paper's experiment: three open-loop arms and the closed loop.
+    Evaluate(evaluate::Args),
+}
+
+/// How a command ended, other than by an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Done.
+    Good,
+    /// It ran to its end, and the answer is "not good enough".
+    NotGoodEnough,
+}
+
+/// Runs the command line and turns its end into an exit code.
+#[must_use]
+pub fn run(cli: Cli) -> ExitCode {
+    let end = match cli.command {
+        Command::Evaluate(args) => evaluate::run(&args),
+    };
+    match end {
+        Ok(Outcome::Good) => ExitCode::SUCCESS,
+        Ok(Outcome::NotGoodEnough) => ExitCode::from(1),
+        Err(report) => {
+            eprintln!("{report:?}");
+            ExitCode::from(2)
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! Board files: what the machine is.
+
+use crate::config::check::{Check, Checker};
+use crate::control::follow::Pace;
+use crate::control::limit::Limits;
+use crate::model::arc::Geometry;
+use crate::model::drive::Drive;
+use serde::Deserialize;
+
+/// A board file.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Board {
+    /// The bending section.
+    pub geometry: GeometrySection,
+    /// Motor, rack and pinion.
+    pub drive: DriveSection,
+    /// How fast a piston may go.
+    pub motion: MotionSection,
+    /// How far it may go.
+    pub limits: LimitsSection,
+    /// The built-in plant, on boards that have one.
+    pub plant: Option<PlantSection>,
+}
+
+/// The bending section.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GeometrySection {
+    /// Side T of the triangle whose corners are the bellows, mm. Default 7. Larger: more bellow
+    /// stroke per degree of bend.
+    pub triangle_side_mm: f64,
+    /// Bellow length at atmospheric pressure l₀, mm. Default 20.
+    pub rest_length_mm: f64,
+    /// Shortest bellow, mm. Default 14. Larger forbids tighter bends.
+    pub bellow_min_mm: f64,
+    /// Longest bellow, mm. Default 29. Smaller forbids tighter bends.
+    pub bellow_max_mm: f64,
+}
+
+impl Default for GeometrySection {
+    fn default() -> Self {
+        Self { triangle_side_mm: 7.0, rest_length_mm: 20.0, bellow_min_mm: 14.0, bellow_max_mm: 29.0 }
+    }
+}
+
+impl GeometrySection {
+    /// The kinematic law of this section.
+    #[must_use]
+    pub fn law(&self) -> Geometry {
+        Geometry { r_mm: self.triangle_side_mm / 3f64.sqrt(), rest_length_mm: self.rest_length_mm }
+    }
+}
+
+/// Motor, rack and pinion.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DriveSection {
+    /// Pitch diameter of the pinion, mm. Default 30. Larger moves the piston further per step.
+    pub pinion_pitch_diameter_mm: f64,
+    /// Full steps of the motor per turn. Default 200.
+    pub full_steps: u32,
+    /// Microsteps per full step as the driver is strapped. Default 16.
+    pub microsteps: u32,
+}
+
+impl Default for DriveSection {
+    fn default() -> Self {
+        Self { pinion_pitch_diameter_mm: 30.0, full_steps: 200, microsteps: 16 }
+    }
+}
+
+impl DriveSection {
+    /// The drive law of this section.
+    #[must_use]
+    pub fn law(&self) -> Drive {
+        Drive::rack_and_pinion(self.pinion_pitch_diameter_mm, self.full_steps, self.microsteps)
+    }
+}
+
+/// How fast a piston may go.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MotionSection {
+    /// Largest piston speed, mm/s. Default 30 (about 1,000 microsteps a second). Larger settles
+    /// sooner until the motor loses steps.
+    pub speed_max_mm_s: f64,
+    /// Largest piston acceleration, mm/s². Default 600. Larger crosses the backlash sooner until the
+    /// motor loses steps.
+    pub acceleration_max_mm_s2: f64,
+}
+
+impl Default for MotionSection {
+    fn default() -> Self {
+        Self { speed_max_mm_s: 30.0, acceleration_max_mm_s2: 600.0 }
+    }
+}
+
+impl MotionSection {
+    /// The pace of one piston.
+    #[must_use]
+    pub fn pace(&self) -> Pace {
+        Pace { speed: self.speed_max_mm_s, acceleration: self.acceleration_max_mm_s2 }
+    }
+}
+
+/// How far a piston may go.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LimitsSection {
+    /// Piston travel either way from rest, mm. Default 30 (half the rack). Larger than the rack runs
+    /// the pinion off it.
+    pub travel_mm: f64,
+    /// Gauge pressure per mm of piston that compresses air, kPa/mm. Default 1.4: 17.5 kPa at the
+    /// paper's largest bend. Larger stops the piston sooner.
+    pub pressure_kpa_per_mm: f64,
+    /// Largest gauge pressure of either sign, kPa. Default 41.3 (the paper's 6 PSI). Larger risks the
+    /// bellow.
+    pub pressure_max_kpa: f64,
+}
+
+impl Default for LimitsSection {
+    fn default() -> Self {
+        Self { travel_mm: 30.0, pressure_kpa_per_mm: 1.4, pressure_max_kpa: 41.3 }
+    }
+}
+
+/// The built-in plant.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PlantSection {}
+
+impl Board {
+    /// The static limits of this board.
+    #[must_use]
+    pub fn limits(&self) -> Limits {
+        Limits {
+            travel_mm: self.limits.travel_mm,
+            pressure_kpa_per_mm: self.limits.pressure_kpa_per_mm,
+            pressure_max_kpa: self.limits.pressure_max_kpa,
+            bellow_min_mm: self.geometry.bellow_min_mm,
+            bellow_max_mm: self.geometry.bellow_max_mm,
+        }
+    }
+}
+
+impl Check for Board {
+    fn check(&self, to: &mut Checker) {
+        let g = &self.geometry;
+        to.range("geometry.triangle_side_mm", g.triangle_side_mm, 2.0..=30.0, "mm", "measure between two bellow axes");
+        to.range("geometry.rest_length_mm", g.rest_length_mm, 5.0..=100.0, "mm", "measure a bellow at atmospheric pressure");
+        to.range("geometry.bellow_min_mm", g.bellow_min_mm, 1.0..=g.rest_length_mm, "mm", "the shortest bellow is shorter than the resting one");
+        to.range("geometry.bellow_max_mm", g.bellow_max_mm, g.rest_length_mm..=200.0, "mm", "the longest bellow is longer than the resting one");
+        let d = &self.drive;
+        to.range("drive.pinion_pitch_diameter_mm", d.pinion_pitch_diameter_mm, 2.0..=100.0, "mm", "module times number of teeth");
+        to.range("drive.full_steps", f64::from(d.full_steps), 20.0..=800.0, "", "200 for a 1.8° motor");
+        let powers = [1, 2, 4, 8, 16, 32];
+        to.holds("drive.microsteps", powers.contains(&d.microsteps), &format!("{} is not a microstep divider", d.microsteps), "use 1, 2, 4, 8, 16 or 32, as the driver is strapped");
+        let m = &self.motion;
+        to.range("motion.speed_max_mm_s", m.speed_max_mm_s, 0.1..=200.0, "mm/s", "30 is the paper's motor at about 1,000 microsteps a second");
+        to.range("motion.acceleration_max_mm_s2", m.acceleration_max_mm_s2, 1.0..=20_000.0, "mm/s²", "600 is gentle on a small stepper");
+        let l = &self.limits;
+        to.range("limits.travel_mm", l.travel_mm, 1.0..=100.0, "mm", "half the rack's length");
+        to.range("limits.pressure_kpa_per_mm", l.pressure_kpa_per_mm, 0.01..=100.0, "kPa/mm", "read a gauge while the piston moves by 1 mm against a blocked bellow");
+        to.range("limits.pressure_max_kpa", l.pressure_max_kpa, 1.0..=200.0, "kPa", "the paper stays under 6 PSI = 41.4 kPa");
+    }
+}

@@ -1,0 +1,35 @@
+//! TOML in, validated domain types out.
+//!
+//! Three kinds of file: a *board* (what the machine is), a *calibration* (what this tip is) and
+//! *gains* (how the loop behaves). Unknown keys are errors; every number has a range; an error shows
+//! the file, the line, the key, the value and how to mend it.
+
+pub mod board;
+pub mod calib;
+pub mod check;
+pub mod gains;
+pub mod source;
+
+use crate::config::board::Board;
+use crate::config::calib::Calibration;
+use crate::config::gains::Gains;
+use crate::tick::Config;
+
+/// Puts the three files together into what [`crate::tick::tick`] runs on.
+#[must_use]
+pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Config {
+    Config {
+        geometry: board.geometry.law(),
+        drive: board.drive.law(),
+        lines: calibration.lines(),
+        dynamics: calibration.dynamics.law(),
+        side: gains.side(),
+        bend_pace: gains.pace.bend(),
+        length_pace: gains.pace.length(),
+        piston_pace: board.motion.pace(),
+        limits: board.limits(),
+        feedback: Some(gains.feedback()),
+        refine: gains.refine,
+        fuse: gains.fuse,
+    }
+}

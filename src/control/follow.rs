@@ -1,0 +1,105 @@
+//! Moving a point to a target under a speed and an acceleration limit.
+//!
+//! The law is the braking parabola: the fastest speed from which the point can still stop is
+//! `√(2 a d)`, so that is the speed wanted at distance `d`, and the speed itself may change by `a dt`
+//! a tick. Re-targeting at any moment is nothing special. Used for the bend set-point (a point in the
+//! bend plane), for the centre length and for each piston.
+
+use nalgebra::SVector;
+
+/// Speed and acceleration limits, in the point's own unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pace {
+    /// Largest speed, unit/s.
+    pub speed: f64,
+    /// Largest acceleration, unit/s².
+    pub acceleration: f64,
+}
+
+/// A moving point: where it is and how fast it goes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Follower<const D: usize> {
+    /// Position.
+    pub at: SVector<f64, D>,
+    /// Velocity, unit/s.
+    pub velocity: SVector<f64, D>,
+}
+
+impl<const D: usize> Follower<D> {
+    /// At rest at `at`.
+    #[must_use]
+    pub fn resting(at: SVector<f64, D>) -> Self {
+        Self { at, velocity: SVector::zeros() }
+    }
+
+    /// One tick towards `target`; the position then.
+    pub fn step(&mut self, target: &SVector<f64, D>, pace: &Pace, dt_s: f64) -> SVector<f64, D> {
+        let to_go = target - self.at;
+        let distance = to_go.norm();
+        let change_max = pace.acceleration * dt_s;
+        if distance <= change_max * dt_s && self.velocity.norm() <= 2.0 * change_max {
+            *self = Self::resting(*target);
+            return self.at;
+        }
+        // brake one tick early: the parabola is continuous, the ticks are not
+        let braking = (2.0 * pace.acceleration * distance).sqrt() - 0.5 * change_max;
+        let speed = braking.max(0.0).min(pace.speed).min(distance / dt_s);
+        let mut change = to_go * (speed / distance) - self.velocity;
+        let size = change.norm();
+        if size > change_max {
+            change *= change_max / size;
+        }
+        self.velocity += change;
+        self.at += self.velocity * dt_s;
+        self.at
+    }
+
+    /// True once the point rests on `target`.
+    #[must_use]
+    pub fn arrived(&self, target: &SVector<f64, D>) -> bool {
+        self.at == *target
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector2;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn keeps_limits_and_arrives(
+            targets in prop::collection::vec((-2.0..2.0f64, -2.0..2.0f64), 1..8),
+            dt_s in 0.0005..0.01f64,
+        ) {
+            let pace = Pace { speed: 1.5, acceleration: 10.0 };
+            let mut f = Follower::<2>::resting(Vector2::zeros());
+            let mut target = Vector2::zeros();
+            for (x, y) in targets {
+                target = Vector2::new(x, y);
+                for _ in 0..40 {
+                    let before = f;
+                    f.step(&target, &pace, dt_s);
+                    prop_assert!(f.velocity.norm() <= pace.speed + 1e-9);
+                    prop_assert!((f.at - before.at).norm() <= pace.speed * dt_s + 1e-9);
+                    prop_assert!((f.velocity - before.velocity).norm() <= 2.0 * pace.acceleration * dt_s + 1e-9);
+                }
+            }
+            for _ in 0..(8.0 / dt_s) as usize {
+                f.step(&target, &pace, dt_s);
+            }
+            prop_assert!(f.arrived(&target), "{f:?} {target:?}");
+        }
+    }
+
+    #[test]
+    fn takes_about_the_time_of_a_trapezoid() {
+        let pace = Pace { speed: 1.0, acceleration: 10.0 };
+        let mut f = Follower::<1>::resting(nalgebra::Vector1::zeros());
+        let target = nalgebra::Vector1::new(1.0);
+        let ticks = (1..).find(|_| { f.step(&target, &pace, 0.001); f.arrived(&target) }).unwrap_or(0);
+        // 1 / 1 + 1 / 10 = 1.1 s
+        assert!((1050..1200).contains(&ticks), "{ticks}");
+    }
+}

@@ -1,0 +1,106 @@
+//! What the pistons may be asked for, and what the answer was cut by.
+//!
+//! The bellow's 14-29 mm is a limit on the *estimated bellow*, not on the command: feedback must be
+//! free to over-drive a lossy line. Travel and pressure bound the piston itself.
+
+use nalgebra::Vector3;
+
+/// Static limits of a board and its tip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Piston travel either way from rest, mm (rack of 60 mm: 30).
+    pub travel_mm: f64,
+    /// Gauge pressure per mm of air that the piston compresses, kPa/mm.
+    pub pressure_kpa_per_mm: f64,
+    /// Largest gauge pressure, either sign, kPa (the paper stays under 6 PSI = 41.4 kPa).
+    pub pressure_max_kpa: f64,
+    /// Shortest bellow, mm.
+    pub bellow_min_mm: f64,
+    /// Longest bellow, mm.
+    pub bellow_max_mm: f64,
+}
+
+/// The limit that cut a request, if any; several at once show the last stage that cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Cut {
+    /// Nothing was cut.
+    #[default]
+    None,
+    /// The wanted shape needs a bellow shorter or longer than it can be.
+    Bellow,
+    /// The piston would leave its rack.
+    Travel,
+    /// The line would exceed its pressure.
+    Pressure,
+}
+
+impl Limits {
+    /// Scales a wanted length change q (mm) towards rest until every bellow is within its range.
+    #[must_use]
+    pub fn bellows(&self, q_mm: &Vector3<f64>, rest_length_mm: f64) -> (Vector3<f64>, Cut) {
+        let (shortest, longest) = (self.bellow_min_mm - rest_length_mm, self.bellow_max_mm - rest_length_mm);
+        let scale = q_mm.iter().fold(1.0f64, |s, &q| {
+            let bound = if q < 0.0 { shortest } else { longest };
+            if q == 0.0 { s } else { s.min((bound / q).max(0.0)) }
+        });
+        if scale < 1.0 { (q_mm * scale, Cut::Bellow) } else { (*q_mm, Cut::None) }
+    }
+
+    /// Bounds piston targets (mm) by travel and by pressure; `q_mm` is the bellow change they go with,
+    /// so `piston − q` is the air that is compressed.
+    #[must_use]
+    pub fn pistons(&self, piston_mm: &Vector3<f64>, q_mm: &Vector3<f64>) -> (Vector3<f64>, Cut) {
+        let mut cut = Cut::None;
+        let squeeze_max_mm = self.pressure_max_kpa / self.pressure_kpa_per_mm;
+        let bounded = Vector3::from_fn(|i, _| {
+            let by_pressure = piston_mm[i].clamp(q_mm[i] - squeeze_max_mm, q_mm[i] + squeeze_max_mm);
+            let by_travel = by_pressure.clamp(-self.travel_mm, self.travel_mm);
+            if by_travel != by_pressure {
+                cut = Cut::Travel;
+            } else if by_pressure != piston_mm[i] {
+                cut = Cut::Pressure;
+            }
+            by_travel
+        });
+        (bounded, cut)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const LIMITS: Limits = Limits {
+        travel_mm: 30.0,
+        pressure_kpa_per_mm: 2.0,
+        pressure_max_kpa: 41.0,
+        bellow_min_mm: 14.0,
+        bellow_max_mm: 29.0,
+    };
+
+    proptest! {
+        #[test]
+        fn nothing_leaves_its_range(
+            q in prop::array::uniform3(-40.0..40.0f64),
+            u in prop::array::uniform3(-80.0..80.0f64),
+        ) {
+            let (q, cut) = LIMITS.bellows(&Vector3::from(q), 20.0);
+            prop_assert!(q.iter().all(|&x| (14.0 - 1e-9..=29.0 + 1e-9).contains(&(20.0 + x))));
+            prop_assert!(cut == Cut::None || q.amax() > 5.9);
+            let (u, _) = LIMITS.pistons(&Vector3::from(u), &q);
+            for i in 0..3 {
+                prop_assert!(u[i].abs() <= 30.0);
+                prop_assert!((u[i] - q[i]).abs() <= 20.5 + 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_allowed_is_left_alone() {
+        let q = Vector3::new(-5.3, 2.6, 2.6);
+        assert_eq!(LIMITS.bellows(&q, 20.0), (q, Cut::None));
+        let u = q * 3.2;
+        assert_eq!(LIMITS.pistons(&u, &q), (u, Cut::None));
+    }
+}

@@ -1,0 +1,7 @@
+//! From a wanted bend to piston targets: set-point profile, feedback, limits, mode.
+
+pub mod follow;
+pub mod limit;
+pub mod pi;
+pub mod rest;
+pub mod wall;

@@ -1,0 +1,81 @@
+//! A loop and a world in lockstep.
+
+use crate::tick::{Command, Config, Frame, Input, State, tick};
+use crate::units::{Seconds, Steps};
+use crate::world::{Reply, World, WorldError};
+use thiserror::Error;
+
+/// Longest wait for a still tip, s.
+const ALIGN_MAX_S: f64 = 20.0;
+
+/// What can stop an experiment.
+#[derive(Debug, Error)]
+pub enum RigError {
+    /// The world ended.
+    #[error(transparent)]
+    World(#[from] WorldError),
+    /// The tip never came to rest.
+    #[error("the tip was not still within {0} s of the start ({1}); alignment needs 2 s of rest with pistons at zero")]
+    NotStill(f64, String),
+    /// The judge has nothing to judge by.
+    #[error("the plant gives no `ref`; an evaluation is scored against the true orientation, so the plant must answer with \"ref\":{{\"quat\":[w,x,y,z]}}")]
+    NoReference,
+}
+
+/// One loop living in one world.
+pub struct Rig<'w> {
+    /// The loop's settings.
+    pub config: Config,
+    /// The loop's memory.
+    pub state: State,
+    world: &'w mut dyn World,
+    input: Input,
+}
+
+impl<'w> Rig<'w> {
+    /// A fresh loop at rest; nothing has moved yet.
+    pub fn new(config: Config, world: &'w mut dyn World) -> Self {
+        let state = State::new(&config);
+        let dt_s = world.nature().period_s;
+        let input = Input { t: Seconds(0.0), dt_s, imu: None, command: None, steps: Steps::default() };
+        Self { config, state, world, input }
+    }
+
+    /// One tick and one period of the world.
+    ///
+    /// # Errors
+    /// The world's.
+    pub fn advance(&mut self, command: Option<Command>) -> Result<(Frame, Reply), RigError> {
+        self.input.command = command;
+        let frame = tick(&self.config, &mut self.state, &self.input);
+        let reply = self.world.step(&frame.steps)?;
+        self.input = Input { t: reply.t, imu: reply.imu, steps: frame.steps, command: None, ..self.input };
+        Ok((frame, reply))
+    }
+
+    /// Lets time pass until the rest is found.
+    ///
+    /// # Errors
+    /// [`RigError::NotStill`] after 20 s, or the world's.
+    pub fn align(&mut self) -> Result<(), RigError> {
+        while self.state.fusion.felt().is_none() {
+            let (frame, _) = self.advance(None)?;
+            if frame.t.0 > ALIGN_MAX_S {
+                return Err(RigError::NotStill(ALIGN_MAX_S, self.state.fusion.waiting_for()));
+            }
+        }
+        Ok(())
+    }
+
+    /// Goes on with other transmission gains; where the pistons stand is kept.
+    pub fn relearn(&mut self, lines: [crate::model::transmission::Line; 3]) {
+        self.config.lines = lines;
+        self.state.set_lines(lines);
+    }
+
+    /// Period of the world, s.
+    #[must_use]
+    pub fn period_s(&self) -> f64 {
+        self.input.dt_s
+    }
+}

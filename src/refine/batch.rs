@@ -1,0 +1,219 @@
+//! Weighted least squares for the transmission gains (paper, Eq. 18-26) with a prior.
+//!
+//! A measurement j of channel i says `q̃ − q = q k_ε + s k_λ` (Eq. 18-21) with `s = sgn(q̇)` the side
+//! pushed to. `Γ` (Eq. 22-23) is block diagonal by channel, so Eq. 25 falls into three systems of two
+//! unknowns; nothing is lost by solving them so. A row whose side is not known (the piston has not yet
+//! crossed the gap since it turned) has weight 0 (Eq. 26). A prior from earlier units enters as one
+//! more pair of rows per channel.
+
+use crate::model::transmission::Line;
+use nalgebra::{Matrix2, Vector2, Vector3};
+use thiserror::Error;
+
+/// One held pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measurement {
+    /// Piston displacement q̃, mm.
+    pub piston_mm: Vector3<f64>,
+    /// Bellow length change q from the measured bend, mm.
+    pub bellow_mm: Vector3<f64>,
+    /// Side pushed to, −1 or 1, per channel.
+    pub side: Vector3<f64>,
+    /// Weight w of each channel's row (Eq. 26); 0 leaves it out.
+    pub weight: Vector3<f64>,
+}
+
+/// What is known of a channel beforehand: mean and standard deviation of both gains.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Prior {
+    /// Expected gains.
+    pub line: Line,
+    /// 1 σ of k_ε.
+    pub k_epsilon_sigma: f64,
+    /// 1 σ of k_λ, mm.
+    pub k_lambda_sigma_mm: f64,
+}
+
+/// Gains of one channel with what the data say of their worth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// The gains.
+    pub line: Line,
+    /// Covariance of (k_ε, k_λ in mm).
+    pub covariance: Matrix2<f64>,
+    /// Condition number of the channel's normal matrix, columns scaled to unit length.
+    pub condition: f64,
+    /// Root mean square of the weighted residual, mm.
+    pub residual_mm: f64,
+    /// Rows with weight.
+    pub rows: usize,
+}
+
+/// The data do not fix a gain.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum Unidentifiable {
+    /// Too few rows.
+    #[error("channel {channel}: {rows} usable poses, at least {needed} are needed; hold more poses whose last motion crosses the backlash")]
+    TooFew {
+        /// Channel, 1 to 3.
+        channel: usize,
+        /// Rows with weight.
+        rows: usize,
+        /// Rows needed.
+        needed: usize,
+    },
+    /// Extension and backlash cannot be told apart.
+    #[error("channel {channel}: extension and backlash cannot be told apart (condition number {condition:.0}, at most {max:.0}); hold poses of different size, approached from both sides")]
+    Condition {
+        /// Channel, 1 to 3.
+        channel: usize,
+        /// Condition number.
+        condition: f64,
+        /// Largest accepted.
+        max: f64,
+    },
+}
+
+/// Fewest rows a channel needs without a prior.
+pub const ROWS_MIN: usize = 8;
+/// Largest accepted condition number of the scaled normal matrix.
+pub const CONDITION_MAX: f64 = 100.0;
+/// Standard deviation of one row assumed where a prior needs a scale, mm of piston.
+pub const ROW_SIGMA_MM: f64 = 0.6;
+
+/// Solves Eq. 25 for the three channels, each with its prior if one is given.
+///
+/// # Errors
+/// Without a prior, [`Unidentifiable`] when a channel has too few rows or an ill-conditioned system.
+pub fn solve(data: &[Measurement], prior: Option<&[Prior; 3]>) -> Result<[Estimate; 3], Unidentifiable> {
+    let channel = |i: usize| solve_channel(data, i, prior.map(|p| &p[i]));
+    Ok([channel(0)?, channel(1)?, channel(2)?])
+}
+
+fn solve_channel(data: &[Measurement], i: usize, prior: Option<&Prior>) -> Result<Estimate, Unidentifiable> {
+    let (mut normal, mut rhs, mut rows) = (Matrix2::zeros(), Vector2::zeros(), 0);
+    for (a, b, w) in data.iter().map(|m| row(m, i)).filter(|r| r.2 > 0.0) {
+        normal += a * a.transpose() * w;
+        rhs += a * (b * w);
+        rows += 1;
+    }
+    if prior.is_none() && rows < ROWS_MIN {
+        return Err(Unidentifiable::TooFew { channel: i + 1, rows, needed: ROWS_MIN });
+    }
+    if let Some(p) = prior {
+        let variance = ROW_SIGMA_MM * ROW_SIGMA_MM;
+        let information = Matrix2::from_diagonal(&Vector2::new(
+            variance / (p.k_epsilon_sigma * p.k_epsilon_sigma),
+            variance / (p.k_lambda_sigma_mm * p.k_lambda_sigma_mm),
+        ));
+        normal += information;
+        rhs += information * Vector2::new(p.line.k_epsilon, p.line.k_lambda_mm);
+    }
+    let condition = condition(&normal);
+    let inverse = normal.try_inverse().filter(|_| condition < CONDITION_MAX);
+    let Some(inverse) = inverse else {
+        return Err(Unidentifiable::Condition { channel: i + 1, condition, max: CONDITION_MAX });
+    };
+    let k = inverse * rhs;
+    let squares: f64 = data.iter().map(|m| row(m, i)).map(|(a, b, w)| w * (b - a.dot(&k)).powi(2)).sum();
+    let variance = if rows > 2 { squares / (rows - 2) as f64 } else { ROW_SIGMA_MM * ROW_SIGMA_MM };
+    Ok(Estimate {
+        line: Line { k_epsilon: k.x, k_lambda_mm: k.y },
+        covariance: inverse * variance,
+        condition,
+        residual_mm: variance.sqrt(),
+        rows,
+    })
+}
+
+/// Eq. 21 for channel `i`: row of A, entry of b, weight.
+fn row(m: &Measurement, i: usize) -> (Vector2<f64>, f64, f64) {
+    (Vector2::new(m.bellow_mm[i], m.side[i]), m.piston_mm[i] - m.bellow_mm[i], m.weight[i])
+}
+
+/// Condition number after both columns are scaled to unit length.
+fn condition(normal: &Matrix2<f64>) -> f64 {
+    let scale = (normal[(0, 0)] * normal[(1, 1)]).sqrt();
+    if scale <= 0.0 {
+        return f64::INFINITY;
+    }
+    let correlation = (normal[(0, 1)] / scale).abs().min(1.0);
+    (1.0 + correlation) / (1.0 - correlation)
+}
+
+/// Relative step of Algorithm 1, line 2: ‖k_i − k_{i−1}‖ / ‖k_{i−1}‖ over all six gains; infinite from
+/// zero, so that the first pass never ends the iteration.
+#[must_use]
+pub fn relative_step(new: &[Line; 3], old: &[Line; 3]) -> f64 {
+    let six = |l: &[Line; 3]| nalgebra::Vector6::from_fn(|i, _| if i < 3 { l[i].k_epsilon } else { l[i - 3].k_lambda_mm });
+    let size = six(old).norm();
+    if size == 0.0 { f64::INFINITY } else { (six(new) - six(old)).norm() / size }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn poses(line: Line, qs: &[(f64, bool)], noise: f64) -> Vec<Measurement> {
+        qs.iter()
+            .enumerate()
+            .map(|(n, &(q, up))| {
+                let side = if up { 1.0 } else { -1.0 };
+                let wiggle = noise * ((n as f64 * 12.9898).sin() * 43758.5453).fract();
+                Measurement {
+                    piston_mm: Vector3::repeat(line.piston_mm(q, side) + wiggle),
+                    bellow_mm: Vector3::repeat(q),
+                    side: Vector3::repeat(side),
+                    weight: Vector3::repeat(1.0),
+                }
+            })
+            .collect()
+    }
+
+    proptest! {
+        #[test]
+        fn exact_data_give_the_gains_back(k_epsilon in 0.5..4.0f64, k_lambda_mm in 0.1..1.5f64, seed in prop::collection::vec((-5.0..5.0f64, any::<bool>()), 12..40)) {
+            let line = Line { k_epsilon, k_lambda_mm };
+            match solve(&poses(line, &seed, 0.0), None) {
+                Ok(e) => for x in e {
+                    prop_assert!((x.line.k_epsilon - k_epsilon).abs() < 1e-9 && (x.line.k_lambda_mm - k_lambda_mm).abs() < 1e-9);
+                },
+                Err(why) => prop_assert!(matches!(why, Unidentifiable::Condition { .. })),
+            }
+        }
+    }
+
+    #[test]
+    fn the_covariance_covers_the_error() {
+        let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
+        let qs: Vec<_> = (0..60).map(|i| (f64::from(i % 11) - 5.0, i % 3 != 0)).collect();
+        let e = solve(&poses(line, &qs, 0.1), None).unwrap()[0];
+        assert!((e.line.k_epsilon - 2.2).abs() < 4.0 * e.covariance[(0, 0)].sqrt());
+        assert!(e.covariance[(0, 0)].sqrt() < 0.02, "{}", e.covariance);
+    }
+
+    #[test]
+    fn one_sided_poses_of_one_size_are_refused() {
+        let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
+        let qs = vec![(3.0, true); 20];
+        let why = solve(&poses(line, &qs, 0.0), None).unwrap_err();
+        assert!(matches!(why, Unidentifiable::Condition { channel: 1, .. }), "{why}");
+        let few = solve(&poses(line, &qs[..3], 0.0), None).unwrap_err();
+        assert!(few.to_string().contains("3 usable poses"));
+    }
+
+    #[test]
+    fn a_prior_carries_what_the_data_do_not() {
+        let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
+        let prior = Prior { line, k_epsilon_sigma: 0.2, k_lambda_sigma_mm: 0.05 };
+        let e = solve(&poses(line, &[(3.0, true)], 0.0), Some(&[prior; 3])).unwrap();
+        assert!((e[1].line.k_lambda_mm - 0.9).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_first_pass_never_ends_the_iteration() {
+        let zero = [Line { k_epsilon: 0.0, k_lambda_mm: 0.0 }; 3];
+        assert!(relative_step(&zero, &zero).is_infinite());
+    }
+}

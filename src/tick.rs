@@ -1,0 +1,391 @@
+//! ★ The whole loop on one page: `tick(&Config, &mut State, &Input) -> Frame`.
+//!
+//! ```text
+//! ImuSample ─ fuse ─▶ felt bend ─┐
+//! set-point ─ profile ─▶ wanted bend ─▶ error ─ PI ─▶ bend command ─ arc ─▶ bellow lengths
+//!                                                   ─ transmission⁻¹ ─▶ piston targets ─ limits, pace ─▶ microsteps
+//! microsteps ─ play, 1/(1+k_ε) ─▶ bend the pistons should give ─▶ reference for the error, rows for k_ε
+//! ```
+//!
+//! Nothing here allocates, locks, blocks or asks for the time: the same function runs on hardware, in
+//! simulation and in replay, bit for bit.
+
+use crate::control::follow::{Follower, Pace};
+use crate::control::limit::{Cut, Limits};
+use crate::control::pi::{Dynamics, PiGains, PiState, ReferenceModel};
+use crate::control::rest::{RestConfig, RestState};
+use crate::control::wall::{WallConfig, WallState};
+use crate::fuse::{Felt, FuseConfig, Fusion};
+use crate::model::arc::{Geometry, Shape};
+use crate::model::bend::Bend;
+use crate::model::drive::Drive;
+use crate::model::transmission::{Line, Side, SideState};
+use crate::refine::dynamics::DynamicsBank;
+use crate::refine::online::{RefineConfig, RefineState};
+use crate::sample::ImuSample;
+use crate::units::{Mm, Seconds, Steps};
+use nalgebra::{Vector1, Vector2, Vector3};
+
+/// Everything that does not change while the loop runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Config {
+    /// Bellows and backbone.
+    pub geometry: Geometry,
+    /// Rack and pinion.
+    pub drive: Drive,
+    /// Calibrated transmission: feedforward at start and prior of the refinement.
+    pub lines: [Line; 3],
+    /// Lag and dead time at start.
+    pub dynamics: Dynamics,
+    /// How the backlash compensation changes sides.
+    pub side: Side,
+    /// Pace of the bend set-point, rad/s and rad/s².
+    pub bend_pace: Pace,
+    /// Pace of the centre length, mm/s and mm/s².
+    pub length_pace: Pace,
+    /// Pace of each piston, mm/s and mm/s².
+    pub piston_pace: Pace,
+    /// Static limits.
+    pub limits: Limits,
+    /// The outer loop; `None` runs open loop.
+    pub feedback: Option<FeedbackConfig>,
+    /// Online refinement of k_ε.
+    pub refine: RefineConfig,
+    /// Orientation estimation.
+    pub fuse: FuseConfig,
+}
+
+/// The outer loop's settings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FeedbackConfig {
+    /// Closed-loop time constant τ_c, s.
+    pub tau_c_s: f64,
+    /// Cap of K_p.
+    pub kp_max: f64,
+    /// Bound of the integrator, rad.
+    pub integral_max_rad: f64,
+    /// Share of the lag that the feedforward leads by, 0..=1.
+    pub lead: f64,
+    /// Learn lag and dead time while running.
+    pub learn_dynamics: bool,
+    /// The rest latch.
+    pub rest: RestConfig,
+    /// The watch for a tip that is held.
+    pub wall: WallConfig,
+}
+
+/// Where the tip shall go.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Command {
+    /// Wanted bend.
+    pub bend: Bend,
+    /// Wanted centre length.
+    pub length: Mm,
+}
+
+/// What one tick is told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Input {
+    /// Time of the tick.
+    pub t: Seconds,
+    /// Time since the last tick, s.
+    pub dt_s: f64,
+    /// A sample, if one came.
+    pub imu: Option<ImuSample>,
+    /// A new target, if one came.
+    pub command: Option<Command>,
+    /// Microsteps that were pulsed by now.
+    pub steps: Steps,
+}
+
+/// What the loop is doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// Waiting for a still tip; pistons stay.
+    Aligning,
+    /// The set-point moves.
+    Tracking,
+    /// The set-point rests.
+    Holding,
+}
+
+/// Every intermediate of one tick: the tick's output, the log record, the gap engine's input.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    /// Time of the tick.
+    pub t: Seconds,
+    /// What the loop was doing.
+    pub mode: Mode,
+    /// The target as commanded.
+    pub target: Shape,
+    /// The set-point on its way to the target.
+    pub setpoint: Shape,
+    /// Felt orientation, once aligned.
+    pub felt: Option<Felt>,
+    /// Bend that the pistons as they stand should give, rad.
+    pub pistons_give: Bend,
+    /// Error that the PI acted on, rad.
+    pub error: Vector2<f64>,
+    /// Feedback in the command, rad.
+    pub feedback: Vector2<f64>,
+    /// Commanded bellow length change q, mm.
+    pub bellow_mm: Vector3<f64>,
+    /// Piston targets q̃ after limits, mm.
+    pub piston_target_mm: Vector3<f64>,
+    /// Microsteps to pulse until the next tick.
+    pub steps: Steps,
+    /// k_ε in use.
+    pub k_epsilon: [f64; 3],
+    /// Lag and dead time in use.
+    pub dynamics: Dynamics,
+    /// What cut the request.
+    pub cut: Cut,
+    /// Held by the rest latch.
+    pub at_rest: bool,
+    /// Pushed without coming.
+    pub blocked: bool,
+}
+
+/// What the loop remembers from tick to tick.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// Orientation estimation.
+    pub fusion: Fusion,
+    target: Shape,
+    bend: Follower<2>,
+    length: Follower<1>,
+    pistons: [Follower<1>; 3],
+    lines: [Line; 3],
+    dynamics: Dynamics,
+    sides: [SideState; 3],
+    slack_mm: Vector3<f64>,
+    model: ReferenceModel,
+    pi: PiState,
+    rest: RestState,
+    rested_s: f64,
+    wall: WallState,
+    refine: RefineState,
+    bank: DynamicsBank,
+    last_steps: Steps,
+    still_s: f64,
+    since_imu_s: f64,
+}
+
+/// Pistons must have rested this long before the tip counts as still, s.
+const STILL_AFTER_S: f64 = 0.5;
+/// The rest latch must have been closed this long before a pose teaches k_ε, s.
+const LEARN_AFTER_S: f64 = 0.15;
+
+impl State {
+    /// At rest, pistons at zero, straight, not aligned.
+    #[must_use]
+    pub fn new(config: &Config) -> Self {
+        let rest = Shape { bend: Bend::STRAIGHT, length: Mm(config.geometry.rest_length_mm) };
+        Self {
+            fusion: Fusion::default(),
+            target: rest,
+            bend: Follower::resting(Vector2::zeros()),
+            length: Follower::resting(Vector1::new(config.geometry.rest_length_mm)),
+            pistons: [Follower::resting(Vector1::zeros()); 3],
+            lines: config.lines,
+            dynamics: config.dynamics,
+            sides: [SideState::default(); 3],
+            slack_mm: Vector3::zeros(),
+            model: ReferenceModel::default(),
+            pi: PiState::default(),
+            rest: RestState::default(),
+            rested_s: 0.0,
+            wall: WallState::default(),
+            refine: RefineState::new(&config.refine, &config.lines),
+            bank: DynamicsBank::default(),
+            last_steps: Steps::default(),
+            still_s: 0.0,
+            since_imu_s: 0.0,
+        }
+    }
+
+    /// Transmission gains in use.
+    #[must_use]
+    pub fn lines(&self) -> &[Line; 3] {
+        &self.lines
+    }
+
+    /// Replaces the transmission gains, as a new calibration does.
+    pub fn set_lines(&mut self, lines: [Line; 3]) {
+        self.lines = lines;
+    }
+}
+
+/// One turn of the loop.
+pub fn tick(config: &Config, state: &mut State, input: &Input) -> Frame {
+    feel(config, state, input);
+    let given = pistons_give(config, state, input);
+    let felt = state.fusion.felt();
+    let Some(felt_bend) = felt.map(|f| f.bend) else {
+        return frame(config, state, input, None, given, Outcome::resting(state));
+    };
+    if let Some(command) = input.command {
+        state.target = Shape { bend: command.bend, length: command.length };
+    }
+    let cut_setpoint = advance_setpoint(config, state, input.dt_s);
+    let moving = !state.bend.arrived(&state.target.bend.0);
+    let error = feed_back(config, state, given, felt_bend, moving, input.dt_s);
+    if config.feedback.is_some() {
+        learn(config, state, given, felt_bend, input.dt_s);
+    }
+    let mut outcome = command_pistons(config, state, felt_bend, input.dt_s);
+    outcome.error = error;
+    if outcome.cut == Cut::None {
+        outcome.cut = cut_setpoint;
+    }
+    frame(config, state, input, felt, given, outcome)
+}
+
+/// Fusion, told whether the pistons have rested.
+fn feel(config: &Config, state: &mut State, input: &Input) {
+    state.still_s = if input.steps == state.last_steps { state.still_s + input.dt_s } else { 0.0 };
+    state.last_steps = input.steps;
+    state.since_imu_s += input.dt_s;
+    if let Some(sample) = &input.imu {
+        state.fusion.update(&config.fuse, sample, state.since_imu_s, state.still_s >= STILL_AFTER_S);
+        state.since_imu_s = 0.0;
+    }
+}
+
+/// The forward model from the pulses: play, extension, arc.
+fn pistons_give(config: &Config, state: &mut State, input: &Input) -> Bend {
+    let piston_mm = config.drive.piston_mm(&input.steps);
+    for i in 0..3 {
+        state.slack_mm[i] = state.lines[i].play(state.slack_mm[i], piston_mm[i]);
+    }
+    config.geometry.shape(&bellows_of(&state.lines, &state.slack_mm)).bend
+}
+
+fn bellows_of(lines: &[Line; 3], slack_mm: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::from_fn(|i, _| lines[i].bellow_mm(slack_mm[i]))
+}
+
+/// Moves the set-point towards the target, both kept within what the bellows can be.
+fn advance_setpoint(config: &Config, state: &mut State, dt_s: f64) -> Cut {
+    let (q, cut) = config.limits.bellows(&config.geometry.lengths(&state.target), config.geometry.rest_length_mm);
+    if cut != Cut::None {
+        state.target = config.geometry.shape(&q);
+    }
+    let mut pace = config.bend_pace;
+    if let Some(f) = &config.feedback {
+        // a slow line must be led by τ r̈; softer starts keep that within the pistons' pace
+        pace.acceleration = pace.acceleration.min(pace.speed / (f.lead * state.dynamics.lag_s).max(1e-3));
+    }
+    state.bend.step(&state.target.bend.0, &pace, dt_s);
+    state.length.step(&Vector1::new(state.target.length.0), &config.length_pace, dt_s);
+    cut
+}
+
+/// PI on the bend vector against what the model says should be felt by now.
+fn feed_back(config: &Config, state: &mut State, given: Bend, felt: Bend, moving: bool, dt_s: f64) -> Vector2<f64> {
+    let should = state.model.step(given.0 - state.pi.feedback, &state.dynamics, dt_s);
+    let error = should - felt.0;
+    let Some(f) = &config.feedback else {
+        return error;
+    };
+    let to_go = state.target.bend.0 - felt.0;
+    state.rest.step(&f.rest, to_go, moving, dt_s);
+    state.rested_s = if state.rest.closed { state.rested_s + dt_s } else { 0.0 };
+    let feedback = state.pi.feedback;
+    state.wall.step(&f.wall, moving, &feedback, &felt.0, &to_go);
+    if !state.rest.closed && !state.wall.blocked {
+        let gains = PiGains::skogestad(&state.dynamics, f.tau_c_s, f.kp_max);
+        state.pi.step(error, &gains, f.integral_max_rad, dt_s);
+    }
+    error
+}
+
+/// Online learners: dynamics while it moves, k_ε from every new held pose.
+fn learn(config: &Config, state: &mut State, given: Bend, felt: Bend, dt_s: f64) {
+    let learns_dynamics = config.feedback.is_some_and(|f| f.learn_dynamics);
+    if learns_dynamics {
+        state.bank.step(given.0, felt.0, dt_s);
+    }
+    let just_settled = state.rested_s >= LEARN_AFTER_S && state.rested_s - dt_s < LEARN_AFTER_S;
+    if !just_settled {
+        return;
+    }
+    if let (true, Some(better)) = (learns_dynamics, state.bank.best(&state.dynamics)) {
+        state.dynamics = better;
+    }
+    let q = config.geometry.lengths(&Shape { bend: felt, length: Mm(state.length.at.x) });
+    let learned = state.refine.learn(&config.refine, &state.lines, &felt.0, &state.slack_mm, &q);
+    if let Some(next) = learned {
+        // bumpless: the pistons stay, so the same slack now means another bend command
+        let was = config.geometry.shape(&bellows_of(&state.lines, &state.slack_mm)).bend;
+        let is = config.geometry.shape(&bellows_of(&next, &state.slack_mm)).bend;
+        state.pi.hand_over(is.0 - was.0);
+        state.lines = next;
+    }
+}
+
+/// What the command path of one tick came to.
+struct Outcome {
+    error: Vector2<f64>,
+    bellow_mm: Vector3<f64>,
+    piston_target_mm: Vector3<f64>,
+    cut: Cut,
+}
+
+impl Outcome {
+    fn resting(state: &State) -> Self {
+        Self {
+            error: Vector2::zeros(),
+            bellow_mm: Vector3::zeros(),
+            piston_target_mm: Vector3::from_fn(|i, _| state.pistons[i].at.x),
+            cut: Cut::None,
+        }
+    }
+}
+
+/// Bend command → bellow lengths → transmission inverse → limits → paced pistons.
+fn command_pistons(config: &Config, state: &mut State, felt: Bend, dt_s: f64) -> Outcome {
+    let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.lag_s);
+    let bend = Bend(state.bend.at + state.bend.velocity * lead_s + state.pi.feedback);
+    let length = Mm(state.length.at.x);
+    let bellow_mm = config.geometry.lengths(&Shape { bend, length });
+    let mut piston_mm = Vector3::from_fn(|i, _| state.pistons[i].at.x);
+    if !state.rest.closed {
+        for i in 0..3 {
+            let (u, next) = config.side.invert(&state.lines[i], state.sides[i], bellow_mm[i], dt_s);
+            (piston_mm[i], state.sides[i]) = (u, next);
+        }
+    }
+    let felt_mm = config.geometry.lengths(&Shape { bend: felt, length });
+    let (piston_target_mm, cut) = config.limits.pistons(&piston_mm, &felt_mm);
+    for i in 0..3 {
+        state.pistons[i].step(&Vector1::new(piston_target_mm[i]), &config.piston_pace, dt_s);
+    }
+    Outcome { error: Vector2::zeros(), bellow_mm, piston_target_mm, cut }
+}
+
+fn frame(config: &Config, state: &State, input: &Input, felt: Option<Felt>, given: Bend, outcome: Outcome) -> Frame {
+    let mode = match felt {
+        None => Mode::Aligning,
+        Some(_) if state.bend.arrived(&state.target.bend.0) => Mode::Holding,
+        Some(_) => Mode::Tracking,
+    };
+    Frame {
+        t: input.t,
+        mode,
+        target: state.target,
+        setpoint: Shape { bend: Bend(state.bend.at), length: Mm(state.length.at.x) },
+        felt,
+        pistons_give: given,
+        error: outcome.error,
+        feedback: state.pi.feedback,
+        bellow_mm: outcome.bellow_mm,
+        piston_target_mm: outcome.piston_target_mm,
+        steps: config.drive.steps(&Vector3::from_fn(|i, _| state.pistons[i].at.x)),
+        k_epsilon: state.lines.map(|l| l.k_epsilon),
+        dynamics: state.dynamics,
+        cut: outcome.cut,
+        at_rest: state.rest.closed,
+        blocked: state.wall.blocked,
+    }
+}
