@@ -204,12 +204,13 @@ fn progress() -> ProgressBar {
 fn table(report: &Report) -> Table {
     let mut table = Table::new();
     table.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    table.set_header(["arm", "bend RMSE", "orientation RMSE", "settled (median)", "moves at most", "states", "held by a wall"]);
+    table.set_header(["arm", "bend RMSE", "orientation RMSE", "felt − true", "settled (median)", "moves at most", "states", "held by a wall"]);
     for a in &report.arms {
         table.add_row([
             a.name.clone(),
             format!("{:.2}°", a.bend_rmse_deg),
             format!("{:.2}°", a.orientation_rmse_deg),
+            format!("{:.2}°", a.felt_rmse_deg),
             format!("{:.2} s", a.settle_s_median),
             format!("{:.2}°", a.peak_to_peak_max_deg),
             a.states.to_string(),

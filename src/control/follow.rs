@@ -44,7 +44,9 @@ impl<const D: usize> Follower<D> {
         // brake one tick early: the parabola is continuous, the ticks are not
         let braking = (2.0 * pace.acceleration * distance).sqrt() - 0.5 * change_max;
         let speed = braking.max(0.0).min(pace.speed).min(distance / dt_s);
-        let mut change = to_go * (speed / distance) - self.velocity;
+        // passing exactly over the target at speed, no direction is left: brake
+        let wanted = if distance > 0.0 { to_go * (speed / distance) } else { SVector::zeros() };
+        let mut change = wanted - self.velocity;
         let size = change.norm();
         if size > change_max {
             change *= change_max / size;
@@ -91,6 +93,13 @@ mod tests {
             }
             prop_assert!(f.arrived(&target), "{f:?} {target:?}");
         }
+    }
+
+    #[test]
+    fn passing_over_the_target_is_no_division_by_zero() {
+        let mut f = Follower::<1> { at: nalgebra::Vector1::new(1.0), velocity: nalgebra::Vector1::new(0.5) };
+        f.step(&nalgebra::Vector1::new(1.0), &Pace { speed: 1.0, acceleration: 10.0 }, 0.001);
+        assert!(f.at.x.is_finite() && f.velocity.x < 0.5);
     }
 
     #[test]

@@ -22,6 +22,8 @@ pub struct Held {
     pub bend_error_sq: f64,
     /// Mean square of the angle between desired and true tip, degrees².
     pub orientation_error_sq: f64,
+    /// Mean square of the angle between felt and true bend vector, degrees².
+    pub felt_error_sq: f64,
     /// Time after which the bend error stays within 1°, s; the whole hold if it never does.
     pub settle_s: f64,
     /// Largest less smallest true bend over the scored part, degrees.
@@ -39,6 +41,8 @@ pub struct ArmResult {
     pub bend_rmse_deg: f64,
     /// RMSE of the tip orientation, degrees.
     pub orientation_rmse_deg: f64,
+    /// RMSE of the felt bend vector against the true one, degrees: what the sensing alone errs by.
+    pub felt_rmse_deg: f64,
     /// Median time to stay within 1°, s.
     pub settle_s_median: f64,
     /// Largest movement within a scored part, degrees.
@@ -76,12 +80,13 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
     let scored_from = ticks - (SCORED_S / dt_s).round() as usize;
     let want = pose.bend().rotation();
     let mut command = Some(Command { bend: pose.bend(), length: Mm(rig.config.geometry.rest_length_mm) });
-    let (mut sum, mut sum_sq, mut turn_sq, mut low, mut high) = (0.0, 0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
+    let (mut sum, mut sum_sq, mut turn_sq, mut felt_sq, mut low, mut high) = (0.0, 0.0, 0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
     let (mut settled_since, mut blocked) = (0, false);
     for k in 0..ticks {
         let (frame, reply) = rig.advance(command.take())?;
         let truth = reply.truth.ok_or(RigError::NoReference)?;
-        let error_deg = pose.bend_deg - Bend::from_rotation(&truth).beta().to_degrees();
+        let true_bend = Bend::from_rotation(&truth);
+        let error_deg = pose.bend_deg - true_bend.beta().to_degrees();
         blocked |= frame.blocked;
         if error_deg.abs() > SETTLED_DEG {
             settled_since = k + 1;
@@ -90,6 +95,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
             sum += error_deg;
             sum_sq += error_deg * error_deg;
             turn_sq += want.angle_to(&truth).to_degrees().powi(2);
+            felt_sq += frame.felt.map_or(0.0, |f| (f.bend.0 - true_bend.0).norm().to_degrees().powi(2));
             (low, high) = (low.min(error_deg), high.max(error_deg));
         }
     }
@@ -101,6 +107,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
         bend_error_deg: sum / n,
         bend_error_sq: sum_sq / n,
         orientation_error_sq: turn_sq / n,
+        felt_error_sq: felt_sq / n,
         settle_s: settled_since as f64 * dt_s,
         peak_to_peak_deg: high - low,
         blocked,
@@ -115,6 +122,7 @@ fn summary(name: &str, held: Vec<Held>, k_eps_end: [f64; 3]) -> ArmResult {
         name: name.to_owned(),
         bend_rmse_deg: rms(|h| h.bend_error_sq),
         orientation_rmse_deg: rms(|h| h.orientation_error_sq),
+        felt_rmse_deg: rms(|h| h.felt_error_sq),
         settle_s_median: settle.get(settle.len() / 2).copied().unwrap_or(0.0),
         peak_to_peak_max_deg: held.iter().map(|h| h.peak_to_peak_deg).fold(0.0, f64::max),
         states: held.len(),
