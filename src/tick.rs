@@ -13,13 +13,14 @@
 use crate::control::follow::{Follower, Pace};
 use crate::control::limit::{Cut, Limits};
 use crate::control::pi::{Dynamics, PiGains, PiState, ReferenceModel};
+use crate::control::reach::Reach;
 use crate::control::rest::{RestConfig, RestState};
 use crate::control::wall::{WallConfig, WallState};
 use crate::fuse::{Felt, FuseConfig, Fusion};
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
 use crate::model::drive::Drive;
-use crate::model::transmission::{Line, Side, SideState};
+use crate::model::transmission::{Line, Side, SideState, Wanted};
 use crate::refine::dynamics::DynamicsBank;
 use crate::refine::online::{RefineConfig, RefineState};
 use crate::sample::ImuSample;
@@ -164,6 +165,7 @@ pub struct State {
     rest: RestState,
     rested_s: f64,
     wall: WallState,
+    reach: Reach,
     refine: RefineState,
     bank: DynamicsBank,
     last_steps: Steps,
@@ -196,6 +198,7 @@ impl State {
             rest: RestState::default(),
             rested_s: 0.0,
             wall: WallState::default(),
+            reach: Reach::default(),
             refine: RefineState::new(&config.refine, &config.lines),
             bank: DynamicsBank::default(),
             last_steps: Steps::default(),
@@ -233,7 +236,7 @@ pub fn tick(config: &Config, state: &mut State, input: &Input) -> Frame {
     if config.feedback.is_some() {
         learn(config, state, given, felt_bend, input.dt_s);
     }
-    let mut outcome = command_pistons(config, state, felt_bend, input.dt_s);
+    let mut outcome = command_pistons(config, state, felt_bend, moving, input.dt_s);
     outcome.error = error;
     if outcome.cut == Cut::None {
         outcome.cut = cut_setpoint;
@@ -344,24 +347,43 @@ impl Outcome {
 }
 
 /// Bend command → bellow lengths → transmission inverse → limits → paced pistons.
-fn command_pistons(config: &Config, state: &mut State, felt: Bend, dt_s: f64) -> Outcome {
+fn command_pistons(config: &Config, state: &mut State, felt: Bend, moving: bool, dt_s: f64) -> Outcome {
     let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.lag_s);
     let bend = Bend(state.bend.at + state.bend.velocity * lead_s + state.pi.feedback);
     let length = Mm(state.length.at.x);
     let bellow_mm = config.geometry.lengths(&Shape { bend, length });
-    let mut piston_mm = Vector3::from_fn(|i, _| state.pistons[i].at.x);
-    if !state.rest.closed {
-        for i in 0..3 {
-            let (u, next) = config.side.invert(&state.lines[i], state.sides[i], bellow_mm[i], dt_s);
-            (piston_mm[i], state.sides[i]) = (u, next);
-        }
-    }
+    let piston_mm = if state.rest.closed {
+        Vector3::from_fn(|i, _| state.pistons[i].at.x)
+    } else {
+        invert_transmission(config, state, &bellow_mm, felt, moving, dt_s)
+    };
     let felt_mm = config.geometry.lengths(&Shape { bend: felt, length });
     let (piston_target_mm, cut) = config.limits.pistons(&piston_mm, &felt_mm);
     for i in 0..3 {
         state.pistons[i].step(&Vector1::new(piston_target_mm[i]), &config.piston_pace, dt_s);
     }
     Outcome { error: Vector2::zeros(), bellow_mm, piston_target_mm, cut }
+}
+
+/// Eq. 16 per channel; a reversal asked for by feedback alone jumps the learned share of the gap.
+fn invert_transmission(config: &Config, state: &mut State, bellow_mm: &Vector3<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector3<f64> {
+    let nudging = config.feedback.is_some() && !moving;
+    let reach = if nudging { state.reach.share } else { 1.0 };
+    let mut turned = false;
+    let piston_mm = Vector3::from_fn(|i, _| {
+        let wanted = Wanted { q_mm: bellow_mm[i], dt_s, reach };
+        let (u, next) = config.side.invert(&state.lines[i], state.sides[i], &wanted);
+        turned |= next.way != state.sides[i].way;
+        state.sides[i] = next;
+        u
+    });
+    if nudging {
+        let answer_s = state.dynamics.delay_s + 3.0 * state.dynamics.lag_s + 0.08;
+        state.reach.step(turned, &(state.target.bend.0 - felt.0), answer_s, dt_s);
+    } else {
+        state.reach.forget();
+    }
+    piston_mm
 }
 
 fn frame(config: &Config, state: &State, input: &Input, felt: Option<Felt>, given: Bend, outcome: Outcome) -> Frame {

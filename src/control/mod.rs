@@ -3,5 +3,6 @@
 pub mod follow;
 pub mod limit;
 pub mod pi;
+pub mod reach;
 pub mod rest;
 pub mod wall;

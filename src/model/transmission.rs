@@ -63,35 +63,52 @@ pub enum Side {
 pub struct SideState {
     /// Slack position last commanded, mm.
     pub w_mm: f64,
-    /// Side pushed to: −1..=1, 0 before the first motion (play starts centred).
+    /// Where the piston stands in its gap: −1..=1, 0 before the first motion (play starts centred).
     pub side: f64,
+    /// Way of the last motion: −1, 0 before the first, 1.
+    pub way: f64,
+}
+
+/// One tick of wanted motion for [`Side::invert`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wanted {
+    /// Bellow length change, mm.
+    pub q_mm: f64,
+    /// Time since the last, s; used by the smooth form only.
+    pub dt_s: f64,
+    /// Share of the gap that a reversal jumps at once, 0..=1. A reversal asked for by the set-point
+    /// jumps all of it; one asked for by feedback, which only nudges, may jump less: a gap believed
+    /// too wide then costs a moment of standing still in place of a limit cycle.
+    pub reach: f64,
 }
 
 impl Side {
     /// The inverse with memory: wanted bellow change in, piston position and new state out.
-    ///
-    /// `dt_s` is used by the smooth form only.
     #[must_use]
-    pub fn invert(&self, line: &Line, state: SideState, q_mm: f64, dt_s: f64) -> (f64, SideState) {
-        let want = line.slack_mm(q_mm);
+    pub fn invert(&self, line: &Line, state: SideState, wanted: &Wanted) -> (f64, SideState) {
+        let want = line.slack_mm(wanted.q_mm);
         let next = match *self {
-            Side::Band { band_mm } => band(state, want, band_mm),
-            Side::Smooth { rate_mm_s } => {
-                let rate = (want - state.w_mm) / dt_s;
-                SideState { w_mm: want, side: (rate / rate_mm_s).tanh() }
+            Self::Band { band_mm } => band(state, want, band_mm, wanted.reach),
+            Self::Smooth { rate_mm_s } => {
+                let rate = (want - state.w_mm) / wanted.dt_s;
+                SideState { w_mm: want, side: (rate / rate_mm_s).tanh(), way: rate.signum() }
             }
         };
         (next.w_mm + line.k_lambda_mm * next.side, next)
     }
 }
 
-/// Follow on in the direction of the side; ignore a reversal up to the band; else change sides.
-fn band(state: SideState, want: f64, band_mm: f64) -> SideState {
+/// Follow on in the way of the last motion; ignore a reversal up to the band; else turn round.
+fn band(state: SideState, want: f64, band_mm: f64, reach: f64) -> SideState {
     let ahead = want - state.w_mm;
-    if ahead * state.side > 0.0 {
-        SideState { w_mm: want, ..state }
+    if ahead * state.way > 0.0 {
+        // a set-point that moves on takes the rest of the gap with it
+        let side = if reach >= 1.0 { state.way } else { state.side };
+        SideState { w_mm: want, side, ..state }
     } else if ahead.abs() > band_mm {
-        SideState { w_mm: want, side: ahead.signum() }
+        let way = ahead.signum();
+        let side = (state.side + 2.0 * reach * way).clamp(-1.0, 1.0);
+        SideState { w_mm: want, side: if reach >= 1.0 { way } else { side }, way }
     } else {
         state
     }
@@ -101,6 +118,21 @@ fn band(state: SideState, want: f64, band_mm: f64) -> SideState {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    fn wanted(q_mm: f64) -> Wanted {
+        Wanted { q_mm, dt_s: 1e-3, reach: 1.0 }
+    }
+
+    #[test]
+    fn a_nudge_jumps_only_its_share_of_the_gap() {
+        let l = Line { k_epsilon: 2.0, k_lambda_mm: 1.0 };
+        let side = Side::Band { band_mm: 0.03 };
+        let (_, up) = side.invert(&l, SideState::default(), &wanted(1.0));
+        let (u, down) = side.invert(&l, up, &Wanted { reach: 0.25, ..wanted(0.9) });
+        assert!((u - (2.7 + 0.5)).abs() < 1e-12 && down.way == -1.0);
+        let (u, _) = side.invert(&l, down, &wanted(0.8));
+        assert!((u - (2.4 - 1.0)).abs() < 1e-12, "the set-point takes the rest of it");
+    }
 
     fn line() -> impl Strategy<Value = Line> {
         (0.0..5.0f64, 0.0..2.0f64).prop_map(|(k_epsilon, k_lambda_mm)| Line { k_epsilon, k_lambda_mm })
@@ -113,7 +145,7 @@ mod tests {
             let mut inv = SideState::default();
             let mut w = 0.0;
             for q in path {
-                let (u, next) = Side::Band { band_mm: 0.0 }.invert(&l, inv, q, 1e-3);
+                let (u, next) = Side::Band { band_mm: 0.0 }.invert(&l, inv, &wanted(q));
                 inv = next;
                 w = l.play(w, u);
                 prop_assert!((l.bellow_mm(w) - q).abs() < 1e-9);
@@ -127,8 +159,8 @@ mod tests {
             let mut inv = SideState::default();
             let mut w = 0.0;
             for q in path {
-                let (u, next) = Side::Band { band_mm }.invert(&l, inv, q, 1e-3);
-                let (again, _) = Side::Band { band_mm }.invert(&l, next, l.bellow_mm(next.w_mm) - next.side * 0.9 * l.bellow_mm(band_mm), 1e-3);
+                let (u, next) = Side::Band { band_mm }.invert(&l, inv, &wanted(q));
+                let (again, _) = Side::Band { band_mm }.invert(&l, next, &wanted(l.bellow_mm(next.w_mm) - next.side * 0.9 * l.bellow_mm(band_mm)));
                 prop_assert!((again - u).abs() < 1e-12);
                 inv = next;
                 w = l.play(w, u);
@@ -148,10 +180,10 @@ mod tests {
         #[test]
         fn tanh_tends_to_the_sign(l in line(), q in 0.5..6.0f64) {
             let smooth = Side::Smooth { rate_mm_s: 1e-3 };
-            let (u, _) = smooth.invert(&l, SideState::default(), q, 1e-3);
+            let (u, _) = smooth.invert(&l, SideState::default(), &wanted(q));
             prop_assert!((u - l.piston_mm(q, 1.0)).abs() < 1e-9);
-            let held = SideState { w_mm: l.slack_mm(q), side: 1.0 };
-            let (u, _) = smooth.invert(&l, held, q, 1e-3);
+            let held = SideState { w_mm: l.slack_mm(q), side: 1.0, way: 1.0 };
+            let (u, _) = smooth.invert(&l, held, &wanted(q));
             prop_assert!((u - l.slack_mm(q)).abs() < 1e-9);
         }
     }
