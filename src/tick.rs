@@ -20,7 +20,7 @@ use crate::fuse::{Felt, FuseConfig, Fusion};
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
 use crate::model::drive::Drive;
-use crate::model::transmission::{Line, Side, SideState, Wanted};
+use crate::model::transmission::{Line, Side, SideState, Wanted, realised};
 use crate::refine::dynamics::DynamicsBank;
 use crate::refine::online::{RefineConfig, RefineState};
 use crate::sample::ImuSample;
@@ -160,6 +160,7 @@ pub struct State {
     dynamics: Dynamics,
     sides: [SideState; 3],
     slack_mm: Vector3<f64>,
+    realised_mm: Vector3<f64>,
     model: ReferenceModel,
     pi: PiState,
     rest: RestState,
@@ -193,6 +194,7 @@ impl State {
             dynamics: config.dynamics,
             sides: [SideState::default(); 3],
             slack_mm: Vector3::zeros(),
+            realised_mm: Vector3::zeros(),
             model: ReferenceModel::default(),
             pi: PiState::default(),
             rest: RestState::default(),
@@ -255,13 +257,16 @@ fn feel(config: &Config, state: &mut State, input: &Input) {
     }
 }
 
-/// The forward model from the pulses: play, extension, arc.
+/// What the pulses so far have done: the slack by the play operator, which teaches k_ε, and the slack
+/// as the inverse meant it, which the error is taken against. They differ while a nudge has jumped
+/// only a share of the gap, and then it is the meant one that the integrator must push on.
 fn pistons_give(config: &Config, state: &mut State, input: &Input) -> Bend {
     let piston_mm = config.drive.piston_mm(&input.steps);
     for i in 0..3 {
         state.slack_mm[i] = state.lines[i].play(state.slack_mm[i], piston_mm[i]);
+        state.realised_mm[i] = realised(&state.lines[i], &state.sides[i], state.realised_mm[i], piston_mm[i]);
     }
-    config.geometry.shape(&bellows_of(&state.lines, &state.slack_mm)).bend
+    config.geometry.shape(&bellows_of(&state.lines, &state.realised_mm)).bend
 }
 
 fn bellows_of(lines: &[Line; 3], slack_mm: &Vector3<f64>) -> Vector3<f64> {
@@ -320,8 +325,8 @@ fn learn(config: &Config, state: &mut State, given: Bend, felt: Bend, dt_s: f64)
     let learned = state.refine.learn(&config.refine, &state.lines, &felt.0, &state.slack_mm, &q);
     if let Some(next) = learned {
         // bumpless: the pistons stay, so the same slack now means another bend command
-        let was = config.geometry.shape(&bellows_of(&state.lines, &state.slack_mm)).bend;
-        let is = config.geometry.shape(&bellows_of(&next, &state.slack_mm)).bend;
+        let was = config.geometry.shape(&bellows_of(&state.lines, &state.realised_mm)).bend;
+        let is = config.geometry.shape(&bellows_of(&next, &state.realised_mm)).bend;
         state.pi.hand_over(is.0 - was.0);
         state.lines = next;
     }
@@ -351,7 +356,8 @@ fn command_pistons(config: &Config, state: &mut State, felt: Bend, moving: bool,
     let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.lag_s);
     let bend = Bend(state.bend.at + state.bend.velocity * lead_s + state.pi.feedback);
     let length = Mm(state.length.at.x);
-    let bellow_mm = config.geometry.lengths(&Shape { bend, length });
+    let wanted_mm = config.geometry.lengths(&Shape { bend, length });
+    let bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.lines));
     let piston_mm = if state.rest.closed {
         Vector3::from_fn(|i, _| state.pistons[i].at.x)
     } else {

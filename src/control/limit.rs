@@ -3,6 +3,7 @@
 //! The bellow's 14-29 mm is a limit on the *estimated bellow*, not on the command: feedback must be
 //! free to over-drive a lossy line. Travel and pressure bound the piston itself.
 
+use crate::model::transmission::Line;
 use nalgebra::Vector3;
 
 /// Static limits of a board and its tip.
@@ -44,6 +45,20 @@ impl Limits {
             if q == 0.0 { s } else { s.min((bound / q).max(0.0)) }
         });
         if scale < 1.0 { (q_mm * scale, Cut::Bellow) } else { (*q_mm, Cut::None) }
+    }
+
+    /// Length that all bellows must take or give (mm) so that no piston leaves its travel. Bending needs
+    /// differences only, so a channel that runs out of rack is helped by the other two; where even that
+    /// is not enough the excess is shared.
+    #[must_use]
+    pub fn relief(&self, q_mm: &Vector3<f64>, lines: &[Line; 3]) -> f64 {
+        let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
+        for i in 0..3 {
+            let room = lines[i].bellow_mm((self.travel_mm - lines[i].k_lambda_mm).max(0.0));
+            low = low.max(-room - q_mm[i]);
+            high = high.min(room - q_mm[i]);
+        }
+        if low > high { (low + high) / 2.0 } else { 0.0f64.clamp(low, high) }
     }
 
     /// Bounds piston targets (mm) by travel and by pressure; `q_mm` is the bellow change they go with,
@@ -94,6 +109,19 @@ mod tests {
                 prop_assert!((u[i] - q[i]).abs() <= 20.5 + 1e-9);
             }
         }
+    }
+
+    #[test]
+    fn a_channel_out_of_rack_is_helped_by_the_others() {
+        let lossy = |k_epsilon| Line { k_epsilon, k_lambda_mm: 1.0 };
+        let lines = [lossy(2.2), lossy(5.0), lossy(2.2)];
+        let q = Vector3::new(-2.65, 5.29, -2.65);
+        let s = LIMITS.relief(&q, &lines);
+        assert!(s < 0.0);
+        for i in 0..3 {
+            assert!(lines[i].slack_mm(q[i] + s).abs() + 1.0 <= 30.0 + 1e-9);
+        }
+        assert_eq!(LIMITS.relief(&(q * 0.5), &lines), 0.0);
     }
 
     #[test]

@@ -98,6 +98,18 @@ impl Side {
     }
 }
 
+/// Where the slack stands when the piston has only got to `piston_mm` on its way to `state`: it goes
+/// from `realised_mm` towards `state.w_mm` and never back, so a gap being crossed is no motion.
+#[must_use]
+pub fn realised(line: &Line, state: &SideState, realised_mm: f64, piston_mm: f64) -> f64 {
+    let reached = piston_mm - line.k_lambda_mm * state.side;
+    if state.way >= 0.0 {
+        realised_mm.max(reached.min(state.w_mm))
+    } else {
+        realised_mm.min(reached.max(state.w_mm))
+    }
+}
+
 /// Follow on in the way of the last motion; ignore a reversal up to the band; else turn round.
 fn band(state: SideState, want: f64, band_mm: f64, reach: f64) -> SideState {
     let ahead = want - state.w_mm;
@@ -132,6 +144,15 @@ mod tests {
         assert!((u - (2.7 + 0.5)).abs() < 1e-12 && down.way == -1.0);
         let (u, _) = side.invert(&l, down, &wanted(0.8));
         assert!((u - (2.4 - 1.0)).abs() < 1e-12, "the set-point takes the rest of it");
+    }
+
+    #[test]
+    fn a_gap_being_crossed_is_no_motion() {
+        let l = Line { k_epsilon: 2.0, k_lambda_mm: 1.0 };
+        let down = SideState { w_mm: 2.0, side: -1.0, way: -1.0 };
+        assert_eq!(realised(&l, &down, 3.0, 4.0), 3.0, "the piston has not turned yet");
+        assert_eq!(realised(&l, &down, 3.0, 1.5), 2.5, "half of the way is done");
+        assert_eq!(realised(&l, &down, 2.5, 1.0), 2.0);
     }
 
     fn line() -> impl Strategy<Value = Line> {
