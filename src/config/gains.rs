@@ -135,9 +135,9 @@ impl Default for RestSection {
 #[serde(deny_unknown_fields, default)]
 pub struct WallSection {
     /// Feedback added at a resting set-point before a tip that does not follow is called held,
-    /// degrees. Default 8. Larger pushes harder against a wall.
+    /// degrees. Default 15. Larger pushes harder against a wall.
     pub push_deg: f64,
-    /// Fraction of the push that a free tip follows at the least. Default 0.25. Larger calls a soft
+    /// Fraction of the push that a free tip follows at the least. Default 0.08. Larger calls a soft
     /// line a wall.
     pub follow_min: f64,
     /// Error that is not worth a word, degrees. Default 1.
@@ -146,7 +146,7 @@ pub struct WallSection {
 
 impl Default for WallSection {
     fn default() -> Self {
-        Self { push_deg: 8.0, follow_min: 0.25, error_deg: 1.0 }
+        Self { push_deg: 15.0, follow_min: 0.08, error_deg: 1.0 }
     }
 }
 
@@ -202,8 +202,8 @@ impl Check for Gains {
         to.range("rest.open_deg", r.open_deg, r.close_deg..=20.0, "deg", "it opens further out than it closes");
         to.range("rest.smooth_s", r.smooth_s, 1e-3..=5.0, "s", "0.04");
         let w = &self.wall;
-        to.range("wall.push_deg", w.push_deg, 0.5..=90.0, "deg", "8");
-        to.range("wall.follow_min", w.follow_min, 0.0..=0.9, "", "0.25");
+        to.range("wall.push_deg", w.push_deg, 0.5..=90.0, "deg", "15");
+        to.range("wall.follow_min", w.follow_min, 0.0..=0.9, "", "0.08");
         to.range("wall.error_deg", w.error_deg, 0.05..=45.0, "deg", "1");
         self.check_refine(to);
         self.check_fuse(to);

@@ -5,6 +5,7 @@ use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::bend::Bend;
 use crate::tick::Command;
 use crate::units::Mm;
+use nalgebra::Vector2;
 use serde::Serialize;
 
 /// What one held state came to.
@@ -30,6 +31,12 @@ pub struct Held {
     pub peak_to_peak_deg: f64,
     /// The loop said that the tip is held by something.
     pub blocked: bool,
+    /// Lag in use at the end, s.
+    pub lag_s: f64,
+    /// Dead time in use at the end, s.
+    pub delay_s: f64,
+    /// Feedback in the command at the end, degrees.
+    pub feedback_deg: f64,
 }
 
 /// An arm's figures.
@@ -81,13 +88,14 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
     let want = pose.bend().rotation();
     let mut command = Some(Command { bend: pose.bend(), length: Mm(rig.config.geometry.rest_length_mm) });
     let (mut sum, mut sum_sq, mut turn_sq, mut felt_sq, mut low, mut high) = (0.0, 0.0, 0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
-    let (mut settled_since, mut blocked) = (0, false);
+    let (mut settled_since, mut blocked, mut last) = (0, false, None);
     for k in 0..ticks {
         let (frame, reply) = rig.advance(command.take())?;
         let truth = reply.truth.ok_or(RigError::NoReference)?;
         let true_bend = Bend::from_rotation(&truth);
         let error_deg = pose.bend_deg - true_bend.beta().to_degrees();
         blocked |= frame.blocked;
+        last = Some((frame.dynamics, frame.feedback));
         if error_deg.abs() > SETTLED_DEG {
             settled_since = k + 1;
         }
@@ -100,6 +108,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
         }
     }
     let n = (ticks - scored_from) as f64;
+    let (dynamics, feedback) = last.unwrap_or((rig.config.dynamics, Vector2::zeros()));
     Ok(Held {
         bend_deg: pose.bend_deg,
         dir_deg: pose.dir_deg,
@@ -111,6 +120,9 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
         settle_s: settled_since as f64 * dt_s,
         peak_to_peak_deg: high - low,
         blocked,
+        lag_s: dynamics.lag_s,
+        delay_s: dynamics.delay_s,
+        feedback_deg: feedback.norm().to_degrees(),
     })
 }
 

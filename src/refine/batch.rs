@@ -3,7 +3,8 @@
 //! A measurement j of channel i says `q̃ − q = q k_ε + s k_λ` (Eq. 18-21) with `s = sgn(q̇)` the side
 //! pushed to. `Γ` (Eq. 22-23) is block diagonal by channel, so Eq. 25 falls into three systems of two
 //! unknowns; nothing is lost by solving them so. A row whose side is not known (the piston has not yet
-//! crossed the gap since it turned) has weight 0 (Eq. 26). A prior from earlier units enters as one
+//! crossed the gap since it turned) has weight 0 (Eq. 26), and a row that stands far off the others (a
+//! pose against a wall) is weighted down by Huber's rule (1964), iterated. A prior from earlier units enters as one
 //! more pair of rows per channel.
 
 use crate::model::transmission::Line;
@@ -90,15 +91,55 @@ pub fn solve(data: &[Measurement], prior: Option<&[Prior; 3]>) -> Result<[Estima
     Ok([channel(0)?, channel(1)?, channel(2)?])
 }
 
+/// Normal equations of one channel.
+struct Normal {
+    matrix: Matrix2<f64>,
+    rhs: Vector2<f64>,
+}
+
+/// Rows beyond this many robust spreads are weighted down (Huber's constant).
+const HUBER: f64 = 1.5;
+/// Rounds of reweighting.
+const ROUNDS: usize = 8;
+
 fn solve_channel(data: &[Measurement], i: usize, prior: Option<&Prior>) -> Result<Estimate, Unidentifiable> {
-    let (mut normal, mut rhs, mut rows) = (Matrix2::zeros(), Vector2::zeros(), 0);
-    for (a, b, w) in data.iter().map(|m| row(m, i)).filter(|r| r.2 > 0.0) {
-        normal += a * a.transpose() * w;
-        rhs += a * (b * w);
-        rows += 1;
+    let rows: Vec<_> = data.iter().map(|m| row(m, i)).filter(|r| r.2 > 0.0).collect();
+    if prior.is_none() && rows.len() < ROWS_MIN {
+        return Err(Unidentifiable::TooFew { channel: i + 1, rows: rows.len(), needed: ROWS_MIN });
     }
-    if prior.is_none() && rows < ROWS_MIN {
-        return Err(Unidentifiable::TooFew { channel: i + 1, rows, needed: ROWS_MIN });
+    let mut weights: Vec<f64> = rows.iter().map(|r| r.2).collect();
+    let (mut k, mut inverse) = invert(&normal(&rows, &weights, prior), i)?;
+    for _ in 0..ROUNDS {
+        let off: Vec<f64> = rows.iter().map(|(a, b, _)| (b - a.dot(&k)).abs()).collect();
+        let bar = HUBER * robust_spread(&off);
+        for ((w, r), e) in weights.iter_mut().zip(&rows).zip(&off) {
+            *w = r.2 * (bar / e.max(1e-12)).min(1.0);
+        }
+        (k, inverse) = invert(&normal(&rows, &weights, prior), i)?;
+    }
+    let squares: f64 = rows.iter().zip(&weights).map(|((a, b, _), w)| w * (b - a.dot(&k)).powi(2)).sum();
+    let variance = if rows.len() > 2 { squares / (rows.len() - 2) as f64 } else { ROW_SIGMA_MM * ROW_SIGMA_MM };
+    Ok(Estimate {
+        line: Line { k_epsilon: k.x, k_lambda_mm: k.y },
+        covariance: inverse * variance,
+        condition: condition(&normal(&rows, &weights, prior).matrix),
+        residual_mm: variance.sqrt(),
+        rows: rows.len(),
+    })
+}
+
+/// Median absolute value as a standard deviation; never so small that exact data divide by zero.
+fn robust_spread(off: &[f64]) -> f64 {
+    let mut sorted = off.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    (1.4826 * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)).max(1e-9)
+}
+
+fn normal(rows: &[(Vector2<f64>, f64, f64)], weights: &[f64], prior: Option<&Prior>) -> Normal {
+    let mut n = Normal { matrix: Matrix2::zeros(), rhs: Vector2::zeros() };
+    for ((a, b, _), w) in rows.iter().zip(weights) {
+        n.matrix += a * a.transpose() * *w;
+        n.rhs += a * (b * w);
     }
     if let Some(p) = prior {
         let variance = ROW_SIGMA_MM * ROW_SIGMA_MM;
@@ -106,24 +147,18 @@ fn solve_channel(data: &[Measurement], i: usize, prior: Option<&Prior>) -> Resul
             variance / (p.k_epsilon_sigma * p.k_epsilon_sigma),
             variance / (p.k_lambda_sigma_mm * p.k_lambda_sigma_mm),
         ));
-        normal += information;
-        rhs += information * Vector2::new(p.line.k_epsilon, p.line.k_lambda_mm);
+        n.matrix += information;
+        n.rhs += information * Vector2::new(p.line.k_epsilon, p.line.k_lambda_mm);
     }
-    let condition = condition(&normal);
-    let inverse = normal.try_inverse().filter(|_| condition < CONDITION_MAX);
-    let Some(inverse) = inverse else {
-        return Err(Unidentifiable::Condition { channel: i + 1, condition, max: CONDITION_MAX });
-    };
-    let k = inverse * rhs;
-    let squares: f64 = data.iter().map(|m| row(m, i)).map(|(a, b, w)| w * (b - a.dot(&k)).powi(2)).sum();
-    let variance = if rows > 2 { squares / (rows - 2) as f64 } else { ROW_SIGMA_MM * ROW_SIGMA_MM };
-    Ok(Estimate {
-        line: Line { k_epsilon: k.x, k_lambda_mm: k.y },
-        covariance: inverse * variance,
-        condition,
-        residual_mm: variance.sqrt(),
-        rows,
-    })
+    n
+}
+
+fn invert(normal: &Normal, i: usize) -> Result<(Vector2<f64>, Matrix2<f64>), Unidentifiable> {
+    let condition = condition(&normal.matrix);
+    let inverse = normal.matrix.try_inverse().filter(|_| condition < CONDITION_MAX);
+    inverse
+        .map(|inverse| (inverse * normal.rhs, inverse))
+        .ok_or(Unidentifiable::Condition { channel: i + 1, condition, max: CONDITION_MAX })
 }
 
 /// Eq. 21 for channel `i`: row of A, entry of b, weight.
@@ -191,6 +226,18 @@ mod tests {
         let e = solve(&poses(line, &qs, 0.1), None).unwrap()[0];
         assert!((e.line.k_epsilon - 2.2).abs() < 4.0 * e.covariance[(0, 0)].sqrt());
         assert!(e.covariance[(0, 0)].sqrt() < 0.02, "{}", e.covariance);
+    }
+
+    #[test]
+    fn a_few_poses_against_a_wall_do_not_count_for_much() {
+        let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
+        let qs: Vec<_> = (0..60).map(|i| (f64::from(i % 11) - 5.0, i % 3 != 0)).collect();
+        let mut data = poses(line, &qs, 0.1);
+        for m in data.iter_mut().filter(|m| m.bellow_mm.x > 4.5) {
+            m.bellow_mm = Vector3::repeat(3.0);
+        }
+        let e = solve(&data, None).unwrap()[0];
+        assert!((e.line.k_epsilon - 2.2).abs() < 0.05, "{e:?}");
     }
 
     #[test]

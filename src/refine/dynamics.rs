@@ -1,10 +1,12 @@
 //! Which lag and which dead time lie between piston and felt bend: a bank of models that race.
 //!
-//! Each candidate (τ, T) predicts the felt bend from the bend the pistons should give. Prediction and
-//! measurement pass the same high-pass, so that gain errors, creep and drift do not count, only the
-//! shape of motion does; the squared difference is summed with slow forgetting while there is motion.
-//! The best candidate is believed once enough motion was seen and it beats the one in use clearly.
-//! Multiple-model estimation after Magill (1965), with energies in place of likelihoods.
+//! Each candidate (τ, T) predicts the felt bend from the bend the pistons should give. Prediction `x`
+//! and measurement `y` pass the same high-pass, so that creep and drift do not count, and are compared
+//! up to a factor, so that a wrong gain does not either: only the shape of motion does. What is left
+//! unexplained, `1 − (Σx·y)² / (Σx² Σy²)`, is gathered with slow forgetting while there is motion. The
+//! best candidate is believed once enough motion was seen, it explains the motion well in itself (a tip
+//! against a wall is explained by none), and it clearly beats the one in use. Multiple-model estimation
+//! after Magill (1965), with unexplained energy in place of likelihoods.
 
 use crate::control::pi::Dynamics;
 use nalgebra::Vector2;
@@ -24,15 +26,27 @@ const HIGH_PASS_S: f64 = 0.5;
 const MEMORY_S: f64 = 30.0;
 /// Motion (path of the high-passed prediction, rad) before anything is believed.
 const COVERAGE_RAD: f64 = 2.0;
+/// Unexplained share above which no candidate is believed.
+const UNEXPLAINED_MAX: f64 = 0.08;
+/// A candidate must leave less than this fraction of what the one in use leaves.
+const BETTER: f64 = 0.8;
+
+/// One candidate's prediction and what was gathered about it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Candidate {
+    lagged: Vector2<f64>,
+    slow: Vector2<f64>,
+    xx: f64,
+    xy: f64,
+}
 
 /// The race so far.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DynamicsBank {
     history: [Vector2<f64>; HISTORY],
     head: usize,
-    lagged: [[Vector2<f64>; DELAYS_S.len()]; LAGS_S.len()],
-    slow: [[Vector2<f64>; DELAYS_S.len()]; LAGS_S.len()],
-    energy: [[f64; DELAYS_S.len()]; LAGS_S.len()],
+    candidates: [[Candidate; DELAYS_S.len()]; LAGS_S.len()],
+    yy: f64,
     slow_felt: Vector2<f64>,
     last_felt: Vector2<f64>,
     motion_rad: f64,
@@ -44,9 +58,8 @@ impl Default for DynamicsBank {
         Self {
             history: [Vector2::zeros(); HISTORY],
             head: 0,
-            lagged: Default::default(),
-            slow: Default::default(),
-            energy: Default::default(),
+            candidates: Default::default(),
+            yy: 0.0,
             slow_felt: Vector2::zeros(),
             last_felt: Vector2::zeros(),
             motion_rad: 0.0,
@@ -75,34 +88,40 @@ impl DynamicsBank {
         let moving = path > 0.02 * dt_s.max(PERIOD_S);
         self.motion_rad += if moving { path } else { 0.0 };
         let forget = if moving { (-dt_s / MEMORY_S).exp() } else { 1.0 };
-        for (li, &lag_s) in LAGS_S.iter().enumerate() {
+        self.yy = self.yy * forget + fast_felt.norm_squared() * dt_s;
+        for (row, &lag_s) in self.candidates.iter_mut().zip(&LAGS_S) {
             let keep = (-dt_s / lag_s).exp();
-            for (di, &delay_s) in DELAYS_S.iter().enumerate() {
+            for (c, &delay_s) in row.iter_mut().zip(&DELAYS_S) {
                 let back = ((delay_s / dt_s).round() as usize).min(HISTORY - 1);
                 let delayed = self.history[(self.head + HISTORY - back) % HISTORY];
-                let lagged = delayed + (self.lagged[li][di] - delayed) * keep;
-                let slow = lagged + (self.slow[li][di] - lagged) * slow_keep;
-                self.lagged[li][di] = lagged;
-                self.slow[li][di] = slow;
-                let miss = (lagged - slow - fast_felt).norm_squared();
-                self.energy[li][di] = self.energy[li][di] * forget + miss * dt_s;
+                c.lagged = delayed + (c.lagged - delayed) * keep;
+                c.slow = c.lagged + (c.slow - c.lagged) * slow_keep;
+                let fast = c.lagged - c.slow;
+                c.xx = c.xx * forget + fast.norm_squared() * dt_s;
+                c.xy = c.xy * forget + fast.dot(&fast_felt) * dt_s;
             }
         }
     }
 
-    /// The winner, once enough motion was seen; it must beat the candidate nearest to `now` by a
-    /// tenth of the energy, else `now` stays.
+    /// The winner, if it is to be believed rather than `now`.
     #[must_use]
     pub fn best(&self, now: &Dynamics) -> Option<Dynamics> {
         if self.motion_rad < COVERAGE_RAD {
             return None;
         }
         let all = || (0..LAGS_S.len()).flat_map(|l| (0..DELAYS_S.len()).map(move |d| (l, d)));
-        let (l, d) = all().min_by(|a, b| self.energy[a.0][a.1].total_cmp(&self.energy[b.0][b.1]))?;
+        let (l, d) = all().min_by(|a, b| self.unexplained(*a).total_cmp(&self.unexplained(*b)))?;
         let gap = |x: &(usize, usize)| (LAGS_S[x.0] - now.lag_s).abs() / (0.02 + now.lag_s) + (DELAYS_S[x.1] - now.delay_s).abs() / 0.02;
-        let (nl, nd) = all().min_by(|a, b| gap(a).total_cmp(&gap(b)))?;
-        let better = self.energy[l][d] < 0.9 * self.energy[nl][nd];
+        let near = all().min_by(|a, b| gap(a).total_cmp(&gap(b)))?;
+        let left = self.unexplained((l, d));
+        let better = left < UNEXPLAINED_MAX && left < BETTER * self.unexplained(near);
         better.then_some(Dynamics { lag_s: LAGS_S[l], delay_s: DELAYS_S[d] })
+    }
+
+    fn unexplained(&self, (l, d): (usize, usize)) -> f64 {
+        let c = &self.candidates[l][d];
+        let scale = c.xx * self.yy;
+        if scale > 0.0 && c.xy > 0.0 { 1.0 - c.xy * c.xy / scale } else { 1.0 }
     }
 }
 
@@ -136,6 +155,21 @@ mod tests {
             let late = race(Dynamics { lag_s: 0.03, delay_s: 0.16 }, dt_s).unwrap();
             assert!((late.delay_s - 0.16).abs() < 0.03, "{late:?}");
         }
+    }
+
+    #[test]
+    fn a_tip_that_does_not_follow_teaches_nothing() {
+        let mut bank = DynamicsBank::default();
+        let mut at = Vector2::zeros();
+        for k in 0..8000 {
+            let phase = (f64::from(k) * 0.005 / 1.5).floor();
+            let target = Vector2::new((phase * 1.3).cos(), (phase * 2.1).sin()) * 0.9;
+            at += (target - at) * 0.02;
+            // a wall takes all that is beyond it
+            bank.step(at, at.map(|x: f64| x.clamp(-0.9, 0.1)), 0.005);
+        }
+        let believed = bank.best(&Dynamics { lag_s: 0.03, delay_s: 0.0 });
+        assert!(believed.is_none_or(|d| d.lag_s <= 0.12), "{believed:?}");
     }
 
     #[test]
