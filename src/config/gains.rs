@@ -238,7 +238,9 @@ impl Gains {
         to.range("fuse.bend.acc_walk_m_s2_rts", b.acc_walk_m_s2_rts, 0.0..=1.0, "m/s²/√s", "0.002");
         to.range("fuse.bend.mag_walk_ut_rts", b.mag_walk_ut_rts, 0.0..=50.0, "µT/√s", "0.05");
         to.range("fuse.bend.acc_motion_m_s2_per_rad_s", b.acc_motion_m_s2_per_rad_s, 0.0..=20.0, "m/s² per rad/s", "0.15");
-        to.range("fuse.bend.direction_error", b.direction_error, 1e-4..=1.0, "", "0.02");
+        to.range("fuse.bend.direction_error", b.direction_error, 1e-5..=1.0, "", "0.004");
+        to.range("fuse.bend.direction_time_s", b.direction_time_s, 0.0..=100.0, "s", "1");
+        to.range("fuse.bend.twist_walk", b.twist_walk, 0.0..=1.0, "rad/rad/√rad", "0.02");
         to.range("fuse.bend.still_rate_sigma_rad_s", b.still_rate_sigma_rad_s, 1e-5..=1.0, "rad/s", "0.005");
     }
 }

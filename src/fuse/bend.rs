@@ -56,7 +56,7 @@ pub struct BendFilterConfig {
     pub twist_sigma: f64,
     /// Expected tilt of the IMU against the tip plate, rad, 1 σ. Default 0.03 (1.7°).
     pub mount_sigma_rad: f64,
-    /// Wander of the gyroscope bias, rad/s per √s. Default 1e-4. Larger follows a warming part sooner
+    /// Wander of the gyroscope bias, rad/s per √s. Default 5e-4. Larger follows a warming part sooner
     /// and forgets the rest's mean sooner.
     pub gyro_walk_rad_s_rts: f64,
     /// Wander of the accelerometer bias, m/s² per √s. Default 0.002.
@@ -66,9 +66,14 @@ pub struct BendFilterConfig {
     /// Error of gravity as a direction while the tip turns, m/s² per rad/s. Default 0.15. Larger lets
     /// the gyroscope alone carry fast motion.
     pub acc_motion_m_s2_per_rad_s: f64,
-    /// What no noise figure holds: scale, axes, tracking of the field, as a fraction of the vector,
-    /// 1 σ per correction. Default 0.02. Larger averages gravity and field over a longer time.
+    /// What no noise figure holds: scale, axes, a field that is not uniform, as a fraction of the
+    /// vector, 1 σ. Default 0.004. Larger leans on the gyroscope for longer.
     pub direction_error: f64,
+    /// How long such an error stays the same, s: it does not average out within that time. Default 1.
+    pub direction_time_s: f64,
+    /// Wander of the twist per radian of bending motion, rad/rad per √rad. Default 0.02. Larger lets
+    /// torsion that is not proportional to bend be followed.
+    pub twist_walk: f64,
     /// Rate that a still tip may really have (creep, leak), rad/s, 1 σ over a second of rest.
     /// Default 0.005. Smaller trusts stillness more as a gyroscope calibration.
     pub still_rate_sigma_rad_s: f64,
@@ -84,11 +89,13 @@ impl Default for BendFilterConfig {
             mag_bias_sigma_ut: 6.0,
             twist_sigma: 0.05,
             mount_sigma_rad: 0.03,
-            gyro_walk_rad_s_rts: 1e-4,
+            gyro_walk_rad_s_rts: 5e-4,
             acc_walk_m_s2_rts: 0.002,
             mag_walk_ut_rts: 0.05,
             acc_motion_m_s2_per_rad_s: 0.15,
-            direction_error: 0.02,
+            direction_error: 0.004,
+            direction_time_s: 1.0,
+            twist_walk: 0.02,
             still_rate_sigma_rad_s: 0.005,
             use_mag: true,
         }
@@ -110,6 +117,20 @@ impl Innovation {
         self.sum += v;
         self.n += 1;
     }
+    fn mean(&self) -> Vector3<f64> {
+        self.sum / f64::from(self.n.max(1))
+    }
+}
+
+/// Gravity is never doubted by more than this many times its direction variance: when it contradicts
+/// the gyroscope for long, it is the gyroscope that has drifted. The field may lie without bound.
+const GRAVITY_EXCESS_MAX: f64 = 8.0;
+
+/// Noise of one averaged reading: variances, and for how many corrections the direction error stays.
+struct Noise {
+    white: f64,
+    direction: f64,
+    repeats: f64,
 }
 
 /// The filter: what it believes and how firmly.
@@ -264,6 +285,7 @@ impl BendFilter {
         let walks = [(GYRO, c.gyro_walk_rad_s_rts), (ACC, c.acc_walk_m_s2_rts), (MAG, c.mag_walk_ut_rts)];
         self.p[(0, 0)] += q_bend;
         self.p[(1, 1)] += q_bend;
+        self.p[(TWIST, TWIST)] += c.twist_walk * c.twist_walk * self.turning_rad_s * dt_s;
         for (at, walk) in walks {
             for i in at..at + 3 {
                 self.p[(i, i)] += walk * walk * dt_s;
@@ -273,21 +295,17 @@ impl BendFilter {
 
     fn correct(&mut self, turn: &Turn) {
         if self.acc.n > 0 {
-            let mean = self.acc.sum / f64::from(self.acc.n);
-            let spread = self.rest.acc_sigma_m_s2.max(0.005);
             let motion = self.config.acc_motion_m_s2_per_rad_s * self.turning_rad_s;
-            let direction = self.config.direction_error * self.rest.acc_rest_m_s2.norm();
-            let r = spread * spread / f64::from(self.acc.n) + motion * motion + direction * direction;
+            let white = (self.rest.acc_sigma_m_s2.max(0.005).powi(2)) / f64::from(self.acc.n) + motion * motion;
             let h = turn.rows(self, ACC, &self.rest.acc_rest_m_s2);
-            self.acc.surprise = self.correct_vector(&h, &mean, r, self.acc.surprise, 4.0);
+            let noise = self.noise(white, self.rest.acc_rest_m_s2.norm());
+            self.acc.surprise = self.correct_vector(&h, &self.acc.mean(), &noise, self.acc.surprise, GRAVITY_EXCESS_MAX);
         }
         if let (true, Some(rest)) = (self.mag.n > 0, self.rest.mag_rest_ut) {
-            let mean = self.mag.sum / f64::from(self.mag.n);
-            let spread = self.rest.mag_sigma_ut.max(0.05);
-            let direction = self.config.direction_error * rest.norm();
-            let r = spread * spread / f64::from(self.mag.n) + direction * direction;
+            let white = self.rest.mag_sigma_ut.max(0.05).powi(2) / f64::from(self.mag.n);
             let h = turn.rows(self, MAG, &rest);
-            self.mag.surprise = self.correct_vector(&h, &mean, r, self.mag.surprise, 1e4);
+            let noise = self.noise(white, rest.norm());
+            self.mag.surprise = self.correct_vector(&h, &self.mag.mean(), &noise, self.mag.surprise, f64::INFINITY);
         }
         if self.rate.n > 0 {
             self.correct_stillness();
@@ -295,6 +313,11 @@ impl BendFilter {
         (self.acc.sum, self.acc.n) = (Vector3::zeros(), 0);
         (self.mag.sum, self.mag.n) = (Vector3::zeros(), 0);
         (self.rate.sum, self.rate.n) = (Vector3::zeros(), 0);
+    }
+
+    fn noise(&self, white: f64, size: f64) -> Noise {
+        let direction = (self.config.direction_error * size).powi(2);
+        Noise { white, direction, repeats: (self.config.direction_time_s / self.config.correction_period_s).max(1.0) }
     }
 
     /// A tip whose pistons rest reads its bias: the whole second of rest counts once.
@@ -311,15 +334,18 @@ impl BendFilter {
         }
     }
 
-    /// Three scalar corrections with noise variance `r`, inflated while the readings keep exceeding
-    /// it (up to `inflation_max`); returns the new running surprise.
-    fn correct_vector(&mut self, h: &[[f64; N]; 3], mean: &Vector3<f64>, r: f64, surprise: f64, inflation_max: f64) -> f64 {
-        let expected: f64 = h.iter().map(|row| self.variance(row) + r).sum();
+    /// Three scalar corrections; returns the new running surprise. While readings keep exceeding their
+    /// noise, the excess is taken for a direction error, which lasts, not for white noise.
+    fn correct_vector(&mut self, h: &[[f64; N]; 3], mean: &Vector3<f64>, noise: &Noise, surprise: f64, excess_max: f64) -> f64 {
+        let single = noise.white + noise.direction;
+        let expected: f64 = h.iter().map(|row| self.variance(row) + single).sum();
         let now = mean.norm_squared() / expected;
         // quick to doubt, slow to trust again
         let k = if now > surprise { 0.1 } else { 0.01 };
         let surprise = surprise + k * (now.min(100.0 * surprise) - surprise);
-        let r = r * surprise.clamp(1.0, inflation_max) * if now > 16.0 { now / 4.0 } else { 1.0 };
+        let excess = expected / 3.0 * (surprise.max(1.0) - 1.0).max(if now > 16.0 { now / 4.0 } else { 0.0 });
+        let excess = excess.min(excess_max * noise.direction);
+        let r = noise.white + (noise.direction + excess) * noise.repeats;
         let before = self.x;
         for axis in 0..3 {
             // rows were linearised at `before`: what earlier axes already moved is taken off
