@@ -12,6 +12,7 @@
 pub mod cli;
 pub mod config;
 pub mod control;
+pub mod effects;
 pub mod experiment;
 pub mod frames;
 pub mod fuse;

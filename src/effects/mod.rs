@@ -1,0 +1,173 @@
+//! The catalogue: physical effects that the nominal model leaves out, one cause a file.
+//!
+//! An effect is a pure law with memory: parameters and a [`Memory`] go in, a signal is changed on its
+//! way through the chain `pistons → play → slack → extension → bellows → lag → shape → sensor`. The
+//! same functions serve the simulator, the fit of the diagnosis and the controller's feedforward; none
+//! of them knows which of the three is calling. A stage that an effect does not touch keeps the
+//! default method, which does nothing.
+
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
+
+/// Where in the machine an effect lives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Stage {
+    /// Motor, rack and pinion.
+    Drive,
+    /// Air line from syringe to bellow.
+    Transmission,
+    /// Rubber.
+    Bellows,
+    /// From bellow lengths to tip orientation.
+    Shape,
+    /// IMU.
+    Sensor,
+    /// Dead times.
+    Timing,
+    /// What the base stands on.
+    Base,
+}
+
+impl Stage {
+    /// All stages, in the order of the signal.
+    pub const ALL: [Self; 7] = [Self::Drive, Self::Transmission, Self::Bellows, Self::Shape, Self::Sensor, Self::Timing, Self::Base];
+
+    /// Name as files and reports write it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Drive => "drive",
+            Self::Transmission => "transmission",
+            Self::Bellows => "bellows",
+            Self::Shape => "shape",
+            Self::Sensor => "sensor",
+            Self::Timing => "timing",
+            Self::Base => "base",
+        }
+    }
+}
+
+/// One parameter of an effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Param {
+    /// Name in reports and files.
+    pub name: &'static str,
+    /// Unit; empty for a plain number.
+    pub unit: &'static str,
+    /// Channel 1 to 3 it belongs to; 0 if to none.
+    pub channel: u8,
+    /// Value at which the effect does nothing (or, for a parameter that only shapes it, a usual one).
+    pub start: f64,
+    /// Typical size: the fit's unit step and the standard deviation of its prior around `start`.
+    pub scale: f64,
+    /// Least physical value.
+    pub low: f64,
+    /// Largest physical value.
+    pub high: f64,
+}
+
+/// Starting points for a fit: several, where the error surface has several valleys.
+pub type Starts = Vec<Vec<f64>>;
+
+/// Room for an effect's state; all zero at the pistons' rest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Memory(pub [f64; 64]);
+
+impl Default for Memory {
+    fn default() -> Self {
+        Self([0.0; 64])
+    }
+}
+
+/// What is known at one instant besides the signal itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moment {
+    /// Time since the log or the service began, s.
+    pub t_s: f64,
+    /// Time since the last instant, s.
+    pub dt_s: f64,
+    /// Piston displacement as counted, mm.
+    pub counted_mm: Vector3<f64>,
+    /// Direction of up in the base frame, unit vector.
+    pub up_base: Vector3<f64>,
+    /// Extension gains k_ε in use, for laws that need the pressure behind a bellow.
+    pub k_epsilon: Vector3<f64>,
+    /// Distance of the bellows from the backbone, mm.
+    pub r_mm: f64,
+    /// Seconds since any piston last moved.
+    pub idle_s: f64,
+}
+
+/// Tip shape on its way from bellow lengths to orientation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Bend vector, rad.
+    pub bend: Vector2<f64>,
+    /// Turn of the tip about its own axis, rad.
+    pub twist: f64,
+    /// Bellow length changes it came from, mm.
+    pub bellow_mm: Vector3<f64>,
+}
+
+/// What the tip IMU should read, sensor frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reading {
+    /// Specific force, m/s².
+    pub acc_m_s2: Vector3<f64>,
+    /// Rate, rad/s.
+    pub gyro_rad_s: Vector3<f64>,
+    /// Field, µT.
+    pub mag_ut: Vector3<f64>,
+    /// Sensor in the base, for fields that stand still in the world.
+    pub r_base_sensor: UnitQuaternion<f64>,
+}
+
+/// One physical cause.
+pub trait Effect: Send + Sync {
+    /// Name, as in files and reports.
+    fn name(&self) -> &'static str;
+    /// Where it lives.
+    fn stage(&self) -> Stage;
+    /// One sentence: the signature it leaves.
+    fn signature(&self) -> &'static str;
+    /// Names of the effects it is easily taken for.
+    fn confused_with(&self) -> &'static [&'static str];
+    /// The manoeuvre that separates it from them.
+    fn separated_by(&self) -> &'static str;
+    /// Its parameters.
+    fn params(&self) -> Vec<Param>;
+    /// Points a fit should start from; by default one, half a scale from nothing in each parameter.
+    fn starts(&self) -> Starts {
+        vec![self.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect()]
+    }
+    /// Piston positions as they really are, mm.
+    fn pistons(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _u_mm: &mut Vector3<f64>) {}
+    /// Slack positions after the play and before the extension, mm: `w = (1 + k_ε) q` in the nominal
+    /// model.
+    fn slack(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _w_mm: &mut Vector3<f64>) {}
+    /// Bellow length changes after the extension, mm.
+    fn bellows(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _q_mm: &mut Vector3<f64>) {}
+    /// Shape after constant curvature.
+    fn shape(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _pose: &mut Pose) {}
+    /// Turn of the base away from how it stood at rest: base now → base at rest.
+    fn base(&self, _p: &[f64], _at: &Moment) -> Option<UnitQuaternion<f64>> {
+        None
+    }
+    /// Constant turn from sensor to tip.
+    fn mount(&self, _p: &[f64]) -> Option<UnitQuaternion<f64>> {
+        None
+    }
+    /// What the sensor makes of the truth.
+    fn sensor(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _reading: &mut Reading) {}
+    /// Dead time from command to motion, s.
+    fn transport_s(&self, _p: &[f64]) -> f64 {
+        0.0
+    }
+    /// Dead time from motion to sample, s.
+    fn latency_s(&self, _p: &[f64]) -> f64 {
+        0.0
+    }
+    /// True when the effect leaves the tip's motion as it is (a fit then need not simulate it again).
+    fn sensing_only(&self) -> bool {
+        matches!(self.stage(), Stage::Sensor | Stage::Base)
+    }
+}
