@@ -15,6 +15,7 @@ pub mod control;
 pub mod effects;
 pub mod experiment;
 pub mod frames;
+pub mod gap;
 pub mod fuse;
 pub mod link;
 pub mod log;
