@@ -6,8 +6,13 @@
 //! |---|---|
 //! | F0 words | [`units`], [`frames`], [`sample`] |
 //! | F1 laws | [`model`] |
+//! | F2 behaviour | [`fuse`], [`calib_imu`] |
+//! | F4 edges | [`io`] |
 
+pub mod calib_imu;
 pub mod frames;
+pub mod fuse;
+pub mod io;
 pub mod model;
 pub mod sample;
 pub mod units;
