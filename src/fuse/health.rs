@@ -16,101 +16,26 @@
 //!
 //! Limits rest on physics: between two samples dt apart the rate can change by at most α_max·dt
 //! (largest angular acceleration), and a still accelerometer reads |a| = g; the field at rest gives
-//! the norm and the dip δ, sin δ = −m·a / (|m| |a|), that every later sample must show.
+//! the norm and the dip δ, sin δ = −m·u / (|m| |u|), that every later sample must show (u: up, carried
+//! along by the gyroscope).
 //! Time comes in with the reading; nothing here fetches it, allocates or locks.
 
 mod cause;
 mod config;
+mod reading;
 #[cfg(test)]
 mod tests;
+mod verdict;
 
 pub use cause::{Cause, CauseSet};
 pub use config::{Config, ConfigError, Policies, Policy};
+pub use reading::{Fault, FieldReference, Outcome, Quality, Reading};
+pub use verdict::{Action, Recovered, Verdict};
 
 use crate::sample::ImuSample;
 use crate::units::Seconds;
-use nalgebra::Vector3;
-
-/// How a transfer failed, as the sensor edge reports it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Fault {
-    /// Not acknowledged.
-    Nack,
-    /// Broke off early.
-    ShortRead,
-    /// The bus itself misbehaved: arbitration, timeout, a line held down.
-    Bus,
-    /// Another chip answers.
-    WrongId,
-    /// The chip is back at its defaults.
-    BrownOut,
-}
-
-/// What is known of a sample besides its values.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Quality {
-    /// Largest gyroscope count as a share of the full scale, 0 to 1; 0 if unknown.
-    pub gyro_load: f64,
-    /// Largest accelerometer count as a share of the full scale, 0 to 1; 0 if unknown.
-    pub acc_load: f64,
-    /// The magnetometer flagged an overflow.
-    pub mag_overflow: bool,
-    /// The source has noise, so identical samples mean a frozen sensor. True for chips; false for a
-    /// plant or a log that may be noiseless.
-    pub expect_noise: bool,
-}
-
-impl Default for Quality {
-    fn default() -> Self {
-        Self { gyro_load: 0.0, acc_load: 0.0, mag_overflow: false, expect_noise: true }
-    }
-}
-
-/// What came from the sensor at one tick.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Outcome {
-    /// A sample, in the sensor frame.
-    Sample(ImuSample, Quality),
-    /// The transfer failed.
-    Failed(Fault),
-    /// Nothing was due, or nothing came.
-    Nothing,
-}
-
-/// One question to the judge.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reading {
-    /// Time of asking, on the clock of the sample stamps, s.
-    pub now: Seconds,
-    /// What came.
-    pub outcome: Outcome,
-}
-
-/// The earth's field and gravity as found at rest, for later comparison.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FieldReference {
-    /// |m|, µT.
-    pub norm_ut: f64,
-    /// Angle of the field below the horizontal, rad.
-    pub dip_rad: f64,
-    /// |a| of the still accelerometer, m/s².
-    pub gravity_m_s2: f64,
-}
-
-impl FieldReference {
-    /// From the means over a rest; `None` when either is zero or not finite.
-    #[must_use]
-    pub fn from_rest(acc_m_s2: &Vector3<f64>, mag_ut: &Vector3<f64>) -> Option<Self> {
-        let dip_rad = dip(acc_m_s2, mag_ut)?;
-        Some(Self { norm_ut: mag_ut.norm(), dip_rad, gravity_m_s2: acc_m_s2.norm() })
-    }
-}
-
-/// Angle of `mag` below the plane across `acc`, rad; `None` for a zero or non-finite vector.
-fn dip(acc: &Vector3<f64>, mag: &Vector3<f64>) -> Option<f64> {
-    let norms = acc.norm() * mag.norm();
-    (norms.is_finite() && norms > 1e-9).then(|| (-acc.dot(mag) / norms).clamp(-1.0, 1.0).asin())
-}
+use nalgebra::{Rotation3, Vector3};
+use reading::dip;
 
 /// The past of one cause.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -133,6 +58,7 @@ pub struct State {
     bus_failures: u32,
     used_s: Option<f64>,
     mag_s: Option<f64>,
+    up: Option<Vector3<f64>>,
 }
 
 impl State {
@@ -169,72 +95,6 @@ impl State {
 
     fn track(&self, cause: Cause) -> &Track {
         &self.tracks[cause as usize]
-    }
-}
-
-/// The harshest thing a verdict asks for, in rising order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Action {
-    /// Use everything there is.
-    Use,
-    /// Gyroscope and accelerometer only.
-    GravityOnly,
-    /// Gyroscope only.
-    CoastOnGyro,
-    /// Nothing of this reading.
-    Skip,
-    /// Nothing may move.
-    Hold,
-}
-
-/// A fault that is over.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Recovered {
-    /// The causes that were cleared by this reading.
-    pub causes: CauseSet,
-    /// The longest any of them was in force, s.
-    pub after_s: f64,
-}
-
-/// What may be done with one reading.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Verdict {
-    /// The filter may integrate the gyroscope.
-    pub gyro: bool,
-    /// The filter may correct with the accelerometer.
-    pub acc: bool,
-    /// The filter may correct with the magnetometer (there is a new value and it is sound).
-    pub mag: bool,
-    /// The pistons must be held.
-    pub hold: bool,
-    /// No usable gyroscope sample for longer than [`Config::blind_max_s`].
-    pub blind: bool,
-    /// What is wrong with this very reading.
-    pub faults: CauseSet,
-    /// What is still counted against the sensor, recovering causes included.
-    pub in_force: CauseSet,
-    /// Causes that came into force with this reading.
-    pub raised: CauseSet,
-    /// Causes that this reading cleared, if any.
-    pub recovered: Option<Recovered>,
-}
-
-impl Verdict {
-    /// The verdict in one word.
-    #[must_use]
-    pub fn action(&self) -> Action {
-        let shut_out = |c: &Cause| matches!(c, Cause::MagOverflow | Cause::MagSilent | Cause::FieldDisturbed);
-        if self.hold {
-            Action::Hold
-        } else if !self.gyro {
-            Action::Skip
-        } else if !self.acc {
-            Action::CoastOnGyro
-        } else if !self.mag && self.in_force.iter().any(|c| shut_out(&c)) {
-            Action::GravityOnly
-        } else {
-            Action::Use
-        }
     }
 }
 
@@ -315,6 +175,8 @@ fn inspect(config: &Config, state: &mut State, now: f64, sample: &ImuSample, qua
     let gravity = state.reference.map_or(9.81, |r| r.gravity_m_s2);
     let shaken = (sample.acc_m_s2.norm() - gravity).abs() > config.acc_norm_tolerance_m_s2;
     found.test(Cause::AccelDisturbed, shaken || quality.acc_load >= config.saturated_at);
+    let calm = !shaken && state.since(Cause::AccelDisturbed).is_none();
+    vertical(config, state, sample, calm);
     magnet(config, state, now, sample, quality, &mut found);
     state.seen = Some(*sample);
     found
@@ -367,17 +229,31 @@ fn magnet(config: &Config, state: &mut State, now: f64, sample: &ImuSample, qual
         found.test(Cause::MagSilent, true);
     }
     if let (Some(mag), Some(reference)) = (&sample.mag_ut, &state.reference) {
-        let acc_ok = !found.faults.contains(Cause::AccelDisturbed);
-        found.test(Cause::FieldDisturbed, bent(config, reference, &sample.acc_m_s2, mag, acc_ok));
+        found.test(Cause::FieldDisturbed, bent(config, reference, state.up.as_ref(), mag));
     }
 }
 
-/// True when the field is not the one at rest; the dip counts only while the accelerometer is calm.
-fn bent(config: &Config, reference: &FieldReference, acc: &Vector3<f64>, mag: &Vector3<f64>, acc_ok: bool) -> bool {
+/// Carries the vertical along with the gyroscope and draws it slowly to a calm accelerometer, so
+/// that the dip can be judged while the tip is shaken.
+fn vertical(config: &Config, state: &mut State, sample: &ImuSample, calm: bool) {
+    let dt = state.seen.map_or(0.0, |seen| sample.t.0 - seen.t.0);
+    let bridged = (0.0..=config.jump_max_s).contains(&dt);
+    state.up = match state.up.filter(|_| bridged) {
+        Some(up) => {
+            let turned = Rotation3::new(-sample.gyro_rad_s * dt) * up;
+            let pull = if calm { (dt / config.vertical_memory_s).min(1.0) } else { 0.0 };
+            Some(turned * (1.0 - pull) + sample.acc_m_s2 * pull)
+        }
+        None => calm.then_some(sample.acc_m_s2),
+    };
+}
+
+/// True when the field is not the one at rest: its strength, or its dip where the vertical is known.
+fn bent(config: &Config, reference: &FieldReference, up: Option<&Vector3<f64>>, mag: &Vector3<f64>) -> bool {
     let norm_off = (mag.norm() / reference.norm_ut - 1.0).abs() > config.field_norm_tolerance;
     let dip_max = config.field_dip_tolerance_deg.to_radians();
-    let dip_off = dip(acc, mag).is_none_or(|d| (d - reference.dip_rad).abs() > dip_max);
-    norm_off || (acc_ok && dip_off)
+    let off = |up| dip(up, mag).is_none_or(|d| (d - reference.dip_rad).abs() > dip_max);
+    norm_off || up.is_some_and(off)
 }
 
 /// Moves every cause's track by one reading.
@@ -409,6 +285,7 @@ fn count(config: &Config, state: &mut State, now: f64, found: Found) -> (CauseSe
 fn needed(config: &Config, cause: Cause) -> u32 {
     match cause {
         Cause::MagOverflow | Cause::MagSilent | Cause::FieldDisturbed => config.recover_mag_samples,
+        Cause::AccelDisturbed => config.recover_acc_samples,
         _ => config.recover_samples,
     }
 }

@@ -55,8 +55,8 @@ pub struct Policies {
     pub mag_silent: Policy,
     /// A field that is not the earth's alone. Default `gravity_only`.
     pub field_disturbed: Policy,
-    /// An accelerometer that feels more than gravity. Default `coast_on_gyro` for 2 s: a push or a
-    /// knock passes, and within 2 s a corrected gyroscope drifts by well under a degree.
+    /// An accelerometer that feels more than gravity. Default `coast_on_gyro` for 5 s: a push or a
+    /// knock passes, and within 5 s a corrected gyroscope drifts by well under a degree.
     pub accel_disturbed: Policy,
 }
 
@@ -77,7 +77,7 @@ impl Default for Policies {
             mag_overflow: Policy::GravityOnly,
             mag_silent: Policy::GravityOnly,
             field_disturbed: Policy::GravityOnly,
-            accel_disturbed: Policy::CoastOnGyro { for_s: 2.0 },
+            accel_disturbed: Policy::CoastOnGyro { for_s: 5.0 },
         }
     }
 }
@@ -172,6 +172,11 @@ pub struct Config {
     /// tilt error of 6° at worst. A bigger value trusts a shaken accelerometer more.
     pub acc_norm_tolerance_m_s2: f64,
 
+    /// Time constant with which the remembered vertical follows the accelerometer, s. Default 5. It
+    /// turns with the gyroscope and serves the dip test alone. A bigger value resists shaking better
+    /// and a gyroscope bias worse.
+    pub vertical_memory_s: f64,
+
     /// Good samples in a row after which a fault is over. Default 25 (50 ms at 500 Hz). A bigger
     /// value returns later but does not flap.
     pub recover_samples: u32,
@@ -179,6 +184,10 @@ pub struct Config {
     /// Good magnetometer values in a row after which a magnetic fault is over. Default 10 (0.1 s at
     /// 100 Hz).
     pub recover_mag_samples: u32,
+
+    /// Good accelerometer samples in a row after which a disturbance is over. Default 5. While the
+    /// tip is shaken the norm passes through g time and again; a bigger value trusts fewer of these.
+    pub recover_acc_samples: u32,
 
     /// What to do about each cause.
     pub policy: Policies,
@@ -202,8 +211,10 @@ impl Default for Config {
             field_norm_tolerance: 0.15,
             field_dip_tolerance_deg: 10.0,
             acc_norm_tolerance_m_s2: 1.0,
+            vertical_memory_s: 5.0,
             recover_samples: 25,
             recover_mag_samples: 10,
+            recover_acc_samples: 5,
             policy: Policies::default(),
         }
     }
@@ -238,6 +249,7 @@ impl Config {
             ("field_norm_tolerance", self.field_norm_tolerance),
             ("field_dip_tolerance_deg", self.field_dip_tolerance_deg),
             ("acc_norm_tolerance_m_s2", self.acc_norm_tolerance_m_s2),
+            ("vertical_memory_s", self.vertical_memory_s),
         ];
         for (field, value) in positive {
             within(field, value, value > 0.0 && value.is_finite(), "a number above 0")?;
@@ -247,6 +259,7 @@ impl Config {
             ("spike_confirm", self.spike_confirm),
             ("recover_samples", self.recover_samples),
             ("recover_mag_samples", self.recover_mag_samples),
+            ("recover_acc_samples", self.recover_acc_samples),
         ];
         for (field, value) in counts {
             within(field, f64::from(value), value > 0, "1 or more")?;

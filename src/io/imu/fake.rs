@@ -301,7 +301,6 @@ impl FakeBus {
         Self::default()
     }
     /// The machine behind the handle.
-    #[must_use]
     pub fn machine(&self) -> MutexGuard<'_, Machine> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -5,6 +5,11 @@
 //! `embedded_hal::i2c::ErrorKind::Other`, so a driver above could not tell a pulled plug from a
 //! short. [`Classified`] wraps either bus and restores the distinction (Linux fault codes,
 //! Documentation/i2c/fault-codes.rst).
+//!
+//! `linux-embedded-hal` sends a register read as one I2C_RDWR with a repeated start, and opens the
+//! bus file anew whenever the address changes: give each driver a handle of its own. `rppal` sends a
+//! write and a read with a stop between; the parts keep their register pointer over it, but another
+//! program on the same chip could slip in.
 
 use embedded_hal::i2c::{Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 

@@ -26,6 +26,9 @@ mod raw;
 pub use error::{ConfigError, ImuError};
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
 
+use crate::calib_imu::Correction;
+use crate::fuse::health::Outcome;
+use crate::units::Seconds;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 use serde::{Deserialize, Serialize};
@@ -124,4 +127,13 @@ pub fn open<I: I2c + Send + 'static>(config: &ImuConfig, bus: I) -> Result<Box<d
         ImuConfig::Icm20948(c) => Box::new(icm20948::Icm20948::new(bus, c)?),
         ImuConfig::Lsm6dsoLis2mdl(c) => Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus, c)?),
     })
+}
+
+/// A reading as the health judge wants it: scaled, corrected and stamped, or the fault.
+#[must_use]
+pub fn outcome(result: &Result<RawImu, ImuError>, scale: &Scale, correction: &Correction, t: Seconds) -> Outcome {
+    match result {
+        Ok(raw) => Outcome::Sample(correction.apply(&scale.sample(raw, t)), raw.quality()),
+        Err(error) => Outcome::Failed(error.fault()),
+    }
 }
