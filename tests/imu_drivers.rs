@@ -12,9 +12,7 @@ use retroflex::fuse::health::{Cause, Fault, FieldReference, Health, Reading, Sta
 use retroflex::io::imu::fake::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, Motion, Noise};
 use retroflex::io::imu::icm20948::{self, Icm20948};
 use retroflex::io::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
-use retroflex::io::imu::{
-    Axes, Axis, Imu, ImuConfig, ImuError, Part, RawImu, STANDARD_GRAVITY_M_S2, open, outcome,
-};
+use retroflex::io::imu::{Axes, Axis, Imu, ImuConfig, ImuError, Part, RawImu, STANDARD_GRAVITY_M_S2, open, outcome};
 use retroflex::units::Seconds;
 
 const ICM: u8 = 0x68;
@@ -123,12 +121,10 @@ fn icm_reads_nine_axes_in_one_burst() {
     ];
     let r: Vec<_> = scripted_icm(tail, 0, 4).into_iter().map(|r| r.unwrap()).collect();
     assert_eq!((r[0].acc, r[0].gyro, r[0].temp), ([1, -2, 8192], [100, -200, 300], 1335));
-    assert_eq!(r.iter().map(|r| r.mag).collect::<Vec<_>>(), [
-        Some([10, 20, -30]),
-        None,
-        Some([10, 21, -30]),
-        Some([10, 20, -30])
-    ]);
+    assert_eq!(
+        r.iter().map(|r| r.mag).collect::<Vec<_>>(),
+        [Some([10, 20, -30]), None, Some([10, 21, -30]), Some([10, 20, -30])]
+    );
     assert_eq!(r.iter().map(|r| r.fresh).collect::<Vec<_>>(), [true, false, false, false]);
     assert!(r[3].mag_overflow && !r[0].mag_overflow);
     let mut unused = Icm20948::new(Mock::new(&[]), &icm20948::Config::default()).unwrap();
@@ -352,11 +348,8 @@ fn a_second_sensor_shares_the_bus() {
 fn the_magnetometer_misses_nothing_and_repeats_nothing_at_500_hz() {
     for part in 0..2 {
         let bus = if part == 0 { icm_bus(Noise::TYPICAL) } else { lsm_bus(Noise::TYPICAL, Axes::ALIGNED) };
-        let config = if part == 0 {
-            ImuConfig::default()
-        } else {
-            ImuConfig::Lsm6dsoLis2mdl(lsm6dso::Config::default())
-        };
+        let config =
+            if part == 0 { ImuConfig::default() } else { ImuConfig::Lsm6dsoLis2mdl(lsm6dso::Config::default()) };
         let mut imu = open(&config, bus.clone()).unwrap();
         imu.init(&mut bus.delay()).unwrap();
         let mut fresh = 0;
@@ -642,8 +635,7 @@ fn a_published_driver_reads_the_same_numbers() {
         MagConfig,
     };
     let acc_ranges = [AccelFullScale::G2, AccelFullScale::G4, AccelFullScale::G8, AccelFullScale::G16];
-    let gyro_ranges =
-        [GyroFullScale::Dps250, GyroFullScale::Dps500, GyroFullScale::Dps1000, GyroFullScale::Dps2000];
+    let gyro_ranges = [GyroFullScale::Dps250, GyroFullScale::Dps500, GyroFullScale::Dps1000, GyroFullScale::Dps2000];
     let motion = odd_motion();
     for i in 0..4 {
         let bus = icm_bus(Noise::NONE);
@@ -661,11 +653,7 @@ fn a_published_driver_reads_the_same_numbers() {
 
         let bus = icm_bus(Noise::NONE);
         bus.machine().set_motion(&motion);
-        let config = icm20948::Config {
-            acc_range_g: 2 << i,
-            gyro_range_dps: 250 << i,
-            ..Default::default()
-        };
+        let config = icm20948::Config { acc_range_g: 2 << i, gyro_range_dps: 250 << i, ..Default::default() };
         let mut ours = Icm20948::new(bus.clone(), &config).unwrap();
         ours.init(&mut bus.delay()).unwrap();
         bus.machine().advance(0.1);

@@ -178,8 +178,8 @@ mod tests {
     use crate::sample::ImuSample;
     use crate::units::Seconds;
     use nalgebra::Rotation3;
-    use rand::rngs::StdRng;
     use rand::SeedableRng;
+    use rand::rngs::StdRng;
     use rand_distr::{Distribution, StandardNormal};
 
     fn normal(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
@@ -245,8 +245,12 @@ mod tests {
         let mut worst: f64 = 0.0;
         for seed in 0..10 {
             let mut rng = StdRng::seed_from_u64(seed);
-            let rests: Vec<Rest> =
-                (0..60).map(|_| { let up = normal(&mut rng, 1.0); measured(up, bias, &matrix, &mut rng) }).collect();
+            let rests: Vec<Rest> = (0..60)
+                .map(|_| {
+                    let up = normal(&mut rng, 1.0);
+                    measured(up, bias, &matrix, &mut rng)
+                })
+                .collect();
             let fit = ellipsoid(&rests, &Limits::default()).expect("covered");
             worst = worst.max((fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2).amax());
             worst = worst.max((fit.matrix - matrix).component_div(&fit.matrix_sigma).amax());
@@ -275,7 +279,13 @@ mod tests {
         for k in 0..6000_u32 {
             let t = f64::from(k) * 0.002;
             let moving = (2.5..4.0).contains(&t) || (7.0..8.0).contains(&t);
-            let up = if t < 3.0 { Vector3::z() } else if t < 7.5 { Vector3::x() } else { -Vector3::z() };
+            let up = if t < 3.0 {
+                Vector3::z()
+            } else if t < 7.5 {
+                Vector3::x()
+            } else {
+                -Vector3::z()
+            };
             samples.push(ImuSample {
                 t: Seconds(t),
                 gyro_rad_s: normal(&mut rng, if moving { 1.0 } else { 0.004 }),

@@ -215,12 +215,7 @@ fn report(
         let limit = limits.motor_sigma_ut;
         return Err(Refusal::TooUncertain { what: "a motor's field", sigma: worst, limit, unit: "µT" });
     }
-    Ok(MotorFit {
-        field,
-        ambient_ut: p.fixed_rows::<3>(0).into_owned(),
-        residual_ut: variance.sqrt(),
-        coverage,
-    })
+    Ok(MotorFit { field, ambient_ut: p.fixed_rows::<3>(0).into_owned(), residual_ut: variance.sqrt(), coverage })
 }
 
 #[cfg(test)]

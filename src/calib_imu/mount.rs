@@ -81,7 +81,12 @@ pub fn from_bends(bends: &[BendTurn], limits: &Limits) -> Result<Mount, Refusal>
     let spread = eigen.eigenvalues[order[1]];
     if spread < limits.bend_spread {
         let advice = "bend in directions all round, 90° apart or less";
-        return Err(Refusal::PoorCoverage { what: "the plane of bends", have: spread, want: limits.bend_spread, advice });
+        return Err(Refusal::PoorCoverage {
+            what: "the plane of bends",
+            have: spread,
+            want: limits.bend_spread,
+            advice,
+        });
     }
     let (q, yaw_known) = match directed(&used) {
         Some(q) => (q, true),
@@ -129,8 +134,7 @@ fn judged(
         return Err(Refusal::PoorFit { rms, limit, unit: "deg" });
     }
     // a rotation ε of the frame lifts a turn t by (ε × t)·z = ε_x t_y − ε_y t_x
-    let information: Matrix2<f64> =
-        turned.iter().map(|t| Vector2::new(t.y, -t.x)).map(|d| d * d.transpose()).sum();
+    let information: Matrix2<f64> = turned.iter().map(|t| Vector2::new(t.y, -t.x)).map(|d| d * d.transpose()).sum();
     let spare = (bends.len() as f64 - 3.0).max(1.0);
     let tilt = information.try_inverse().ok_or(Refusal::NotAnEllipsoid)?.diagonal().map(|v| v * squares / spare);
     let yaw = yaw_sigma(bends, &turned, weight).filter(|_| yaw_known);

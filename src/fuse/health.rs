@@ -300,8 +300,7 @@ fn decide(
 ) -> Verdict {
     let now = reading.now.0;
     let sample = if let Outcome::Sample(sample, _) = reading.outcome { Some(sample) } else { None };
-    let (mut gyro, mut acc, mut mag) =
-        (sample.is_some(), sample.is_some(), sample.is_some_and(|s| s.mag_ut.is_some()));
+    let (mut gyro, mut acc, mut mag) = (sample.is_some(), sample.is_some(), sample.is_some_and(|s| s.mag_ut.is_some()));
     let mut hold = false;
     let in_force = state.in_force();
     for cause in in_force.iter() {

@@ -57,9 +57,7 @@ impl Error for BusError {
 /// The meaning of an error number on an I²C transfer; `None` for one that says nothing.
 fn meaning(errno: i32) -> Option<ErrorKind> {
     match errno {
-        libc::EREMOTEIO | libc::ENXIO | libc::ENODEV => {
-            Some(ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown))
-        }
+        libc::EREMOTEIO | libc::ENXIO | libc::ENODEV => Some(ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown)),
         libc::ETIMEDOUT | libc::EIO | libc::EBUSY | libc::EPROTO => Some(ErrorKind::Bus),
         libc::EAGAIN => Some(ErrorKind::ArbitrationLoss),
         libc::EOVERFLOW | libc::EMSGSIZE => Some(ErrorKind::Overrun),

@@ -104,14 +104,16 @@ impl Config {
         if !matches!(self.address, 0x6A | 0x6B) {
             return Err(no("address", f64::from(self.address), "106 (0x6A) or 107 (0x6B)"));
         }
-        let (_, fs_g) = GYRO
-            .into_iter()
-            .find(|(r, _)| *r == self.gyro_range_dps)
-            .ok_or(no("gyro_range_dps", f64::from(self.gyro_range_dps), "125, 250, 500, 1000 or 2000"))?;
-        let (_, fs_xl) = ACC
-            .into_iter()
-            .find(|(r, _)| *r == self.acc_range_g)
-            .ok_or(no("acc_range_g", f64::from(self.acc_range_g), "2, 4, 8 or 16"))?;
+        let (_, fs_g) = GYRO.into_iter().find(|(r, _)| *r == self.gyro_range_dps).ok_or(no(
+            "gyro_range_dps",
+            f64::from(self.gyro_range_dps),
+            "125, 250, 500, 1000 or 2000",
+        ))?;
+        let (_, fs_xl) = ACC.into_iter().find(|(r, _)| *r == self.acc_range_g).ok_or(no(
+            "acc_range_g",
+            f64::from(self.acc_range_g),
+            "2, 4, 8 or 16",
+        ))?;
         let (odr, rate_hz) = (1_u8..)
             .zip(RATES_HZ)
             .find(|(_, r)| *r >= self.rate_hz && self.rate_hz >= 1.0)
