@@ -7,16 +7,20 @@
 //! |---|---|
 //! | F0 words | [`units`], [`frames`], [`sample`] |
 //! | F1 laws: pure, stateless | [`model`] |
-//! | F2 behaviour: config + state → output | [`fuse`], [`control`], [`refine`], [`tick`] |
+//! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`refine`], [`tick`] |
+//! | F3 worlds and judges, no hardware | [`log`], [`world`], [`experiment`], [`gap`] |
+//! | F4 edges | [`config`], [`io`], [`link`], [`cli`] |
 
+pub mod calib_imu;
 pub mod cli;
 pub mod config;
 pub mod control;
 pub mod effects;
 pub mod experiment;
 pub mod frames;
-pub mod gap;
 pub mod fuse;
+pub mod gap;
+pub mod io;
 pub mod link;
 pub mod log;
 pub mod model;

@@ -2,6 +2,7 @@
 
 pub mod align;
 pub mod bend;
+pub mod health;
 
 use crate::fuse::align::{AlignConfig, AlignState, Alignment};
 use crate::fuse::bend::{BendFilter, BendFilterConfig};
