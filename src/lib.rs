@@ -8,6 +8,9 @@
 //! | F1 laws | [`model`] |
 
 pub mod frames;
+pub mod fuse;
+pub mod imu_score;
+pub mod log;
 pub mod model;
 pub mod sample;
 pub mod units;

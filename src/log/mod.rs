@@ -1,0 +1,3 @@
+//! Logs on disk, read into the types of the lower floors.
+
+pub mod recording;
