@@ -59,7 +59,9 @@ pub enum ScoreError {
     #[error(transparent)]
     Read(#[from] ReadError),
     /// A recording has nothing to compare with.
-    #[error("{file}: no row has moving = 1 and a reference (ref_qw … ref_qz): there is no truth to score against")]
+    #[error(
+        "{file}: no row has moving = 1 and a reference (ref_qw … ref_qz): there is no truth to score against"
+    )]
     NoTruth {
         /// Name of the file.
         file: String,
@@ -162,15 +164,133 @@ pub fn table(rows: &[Row]) -> String {
     let mut table = Table::new();
     table.load_style(comfy_table::presets::ASCII_MARKDOWN);
     table.set_header(
-        std::iter::once("total / heading / inclination, ° RMS".to_owned()).chain(filters.iter().map(ToString::to_string)),
+        std::iter::once("total / heading / inclination, ° RMS".to_owned())
+            .chain(filters.iter().map(ToString::to_string)),
     );
     for file in files {
         let of_file: Vec<Row> = rows.iter().filter(|r| r.file == file).cloned().collect();
-        table.add_row(std::iter::once(file.to_owned()).chain(filters.iter().map(|&f| cell(mean(&of_file, f)))));
+        table.add_row(
+            std::iter::once(file.to_owned()).chain(filters.iter().map(|&f| cell(mean(&of_file, f)))),
+        );
     }
     table.add_row(std::iter::once("mean".to_owned()).chain(filters.iter().map(|&f| cell(mean(rows, f)))));
     for column in table.column_iter_mut().skip(1) {
         column.set_cell_alignment(CellAlignment::Right);
     }
     table.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::recording;
+    use crate::sample::ImuSample;
+    use crate::units::Seconds;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    fn rotation(roll_deg: f64, pitch_deg: f64, yaw_deg: f64) -> Rotation<World, Sensor> {
+        let [r, p, y] = [roll_deg, pitch_deg, yaw_deg].map(f64::to_radians);
+        Rotation::assert_frames(UnitQuaternion::from_euler_angles(r, p, y))
+    }
+
+    fn angles_deg(estimate: &Rotation<World, Sensor>, truth: &Rotation<World, Sensor>) -> [f64; 3] {
+        error_angles(estimate, truth).map(f64::to_degrees)
+    }
+
+    #[test]
+    fn a_turn_about_the_vertical_is_heading_only() {
+        for yaw in [-170.0, -30.0, 0.0, 1e-6, 45.0, 179.0] {
+            let truth = rotation(20.0, -50.0, 130.0);
+            let [total, heading, inclination] = angles_deg(&(rotation_world(0.0, yaw) * truth), &truth);
+            assert!((total - f64::abs(yaw)).abs() < 1e-5, "{yaw}: {total}");
+            assert!((heading - f64::abs(yaw)).abs() < 1e-5, "{yaw}: {heading}");
+            assert!(inclination < 1e-5, "{yaw}: {inclination}");
+        }
+    }
+
+    #[test]
+    fn a_tilt_is_inclination_only_and_both_add_as_half_angles() {
+        let truth = rotation(20.0, -50.0, 130.0);
+        let [total, heading, inclination] = angles_deg(&(rotation_world(25.0, 0.0) * truth), &truth);
+        assert!((total - 25.0).abs() < 1e-9 && heading < 1e-9 && (inclination - 25.0).abs() < 1e-9);
+        let [total, heading, inclination] = angles_deg(&(rotation_world(25.0, 60.0) * truth), &truth);
+        let both = 2.0 * (12.5_f64.to_radians().cos() * 30.0_f64.to_radians().cos()).acos().to_degrees();
+        assert!(
+            (total - both).abs() < 1e-9 && (heading - 60.0).abs() < 1e-9 && (inclination - 25.0).abs() < 1e-9
+        );
+    }
+
+    #[test]
+    fn the_sign_of_a_quaternion_does_not_matter_and_half_a_turn_is_finite() {
+        let truth = rotation(10.0, 20.0, 30.0);
+        let flipped = Rotation::assert_frames(UnitQuaternion::new_unchecked(-truth.quat().into_inner()));
+        assert!(angles_deg(&flipped, &truth).iter().all(|a| *a < 1e-5));
+        let [total, heading, _] = angles_deg(&(rotation_world(0.0, 180.0) * truth), &truth);
+        assert!((total - 180.0).abs() < 1e-5 && (heading - 180.0).abs() < 1e-5);
+    }
+
+    /// A turn about the world's x by `tilt_deg`, after one about its z by `yaw_deg`.
+    fn rotation_world(tilt_deg: f64, yaw_deg: f64) -> Rotation<World, World> {
+        let tilt = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), tilt_deg.to_radians());
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians());
+        Rotation::assert_frames(yaw * tilt)
+    }
+
+    /// A sensor lying still, level and facing north, whose reference is off by `yaw_deg` of heading.
+    fn lying_still(yaw_deg: f64, moving: impl Fn(usize) -> bool, seen: impl Fn(usize) -> bool) -> Recording {
+        let reference = rotation(0.0, 0.0, yaw_deg);
+        let row = |k: usize| recording::Row {
+            sample: ImuSample {
+                t: Seconds(k as f64 * 0.01),
+                gyro_rad_s: Vector3::zeros(),
+                acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
+                mag_ut: Some(Vector3::new(16.0, 0.0, -41.0)),
+            },
+            reference: seen(k).then_some(reference),
+            moving: moving(k),
+        };
+        Recording { name: "still.csv".into(), rows: (0..2000).map(row).collect() }
+    }
+
+    #[test]
+    fn every_filter_scores_a_constant_error_as_itself() {
+        for filter in FilterName::ALL {
+            let s = score(&lying_still(7.0, |k| k > 500, |k| k % 3 == 0), filter).unwrap();
+            assert!(
+                (s.total_deg - 7.0).abs() < 0.01 && (s.heading_deg - 7.0).abs() < 0.01,
+                "{filter}: {s:?}"
+            );
+            assert!(s.inclination_deg < 0.01, "{filter}: {s:?}");
+        }
+    }
+
+    #[test]
+    fn a_recording_without_truth_is_refused() {
+        for (moving, seen) in [(false, true), (true, false)] {
+            let error = score(&lying_still(0.0, |_| moving, |_| seen), FilterName::Vqf).unwrap_err();
+            assert!(error.to_string().contains("still.csv"), "{error}");
+        }
+        assert!(matches!(run(&[], None, true), Err(ScoreError::NoFiles)));
+    }
+
+    #[test]
+    fn rows_are_the_promised_json_and_the_table_ends_in_means() {
+        let row = |file: &str, filter, total_deg| Row {
+            file: file.into(),
+            filter,
+            total_deg,
+            heading_deg: 1.0,
+            inclination_deg: 0.5,
+        };
+        let rows = [row("a", FilterName::VqfLong, 1.0), row("b", FilterName::VqfLong, 4.0)];
+        assert_eq!(
+            serde_json::to_string(&rows[0]).unwrap(),
+            r#"{"file":"a","filter":"vqf-long","total_deg":1.0,"heading_deg":1.0,"inclination_deg":0.5}"#
+        );
+        assert_eq!(mean(&rows, FilterName::VqfLong).unwrap().total_deg, 2.5);
+        assert_eq!(mean(&rows, FilterName::Mekf), None);
+        let table = table(&rows);
+        let last = table.lines().last().unwrap();
+        assert!(last.contains("mean") && last.contains("2.50 / 1.00 / 0.50"), "{table}");
+    }
 }

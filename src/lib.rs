@@ -6,6 +6,8 @@
 //! |---|---|
 //! | F0 words | [`units`], [`frames`], [`sample`] |
 //! | F1 laws | [`model`] |
+//! | F2 behaviour | [`fuse`] |
+//! | F3 judges | [`log`], [`imu_score`] |
 
 pub mod frames;
 pub mod fuse;

@@ -1,156 +1,13 @@
-//! What may be believed: usable numbers, rest, and the magnetic field.
+//! The magnetic field: when to believe it.
 //!
-//! * [`usable`] keeps what is not a number, or not a possible one, out of every filter.
-//! * [`RestDetector`] says when the gyroscope reads nothing but its bias: both sensors stay close to
-//!   their own slow mean for a while (after Laidig & Seel 2023, section 3.4.1).
-//! * [`FieldGate`] compares strength and dip of the magnetic field with a slow reference and refuses
-//!   a field that differs, for a bounded time; a different field that stays the same while the sensor
-//!   turns becomes the new reference (after Laidig & Seel 2023, section 3.6).
+//! Strength and dip are compared with a slow reference, and a field that differs is refused, for a
+//! bounded time; a different field that stays the same while the sensor turns becomes the new
+//! reference (after Laidig & Seel 2023, section 3.6). Strength and dip can be told without knowing
+//! the heading, which is what is at stake.
 
-use crate::sample::ImuSample;
+use super::intake::share;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
-
-/// Longest step that is still integrated, seconds; after a longer one a filter levels itself anew.
-pub const GAP_MAX_S: f64 = 1.0;
-/// Largest believable angular rate, rad/s: beyond every MEMS part's range (4000 °/s), with margin.
-const GYRO_MAX_RAD_S: f64 = 100.0;
-/// Largest believable specific force, m/s²: 400 g, beyond every part's range.
-const ACC_MAX_M_S2: f64 = 4000.0;
-/// Smallest specific force that has a direction, m/s²; all zeros is a dead bus, less than this free fall.
-const ACC_MIN_M_S2: f64 = 0.1;
-/// Largest believable field, µT: the full range of the AK09916 is 4900.
-const MAG_MAX_UT: f64 = 50_000.0;
-/// Smallest field that has a direction, µT.
-const MAG_MIN_UT: f64 = 0.1;
-
-/// The parts of a sample that a filter may use.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Usable {
-    /// Angular rate, rad/s, unless lost.
-    pub gyro_rad_s: Option<Vector3<f64>>,
-    /// Specific force, m/s², unless lost or without direction.
-    pub acc_m_s2: Option<Vector3<f64>>,
-    /// Magnetic field, µT, unless lost, without direction or not sampled.
-    pub mag_ut: Option<Vector3<f64>>,
-}
-
-/// Leaves out of a sample what no sensor can have meant.
-#[must_use]
-pub fn usable(sample: &ImuSample) -> Usable {
-    let within = |v: &Vector3<f64>, min: f64, max: f64| {
-        let norm = v.norm();
-        norm.is_finite() && norm >= min && norm <= max
-    };
-    Usable {
-        gyro_rad_s: Some(sample.gyro_rad_s).filter(|v| within(v, 0.0, GYRO_MAX_RAD_S)),
-        acc_m_s2: Some(sample.acc_m_s2).filter(|v| within(v, ACC_MIN_M_S2, ACC_MAX_M_S2)),
-        mag_ut: sample.mag_ut.filter(|v| within(v, MAG_MIN_UT, MAG_MAX_UT)),
-    }
-}
-
-/// What a filter should make of the time since the last sample.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Step {
-    /// Integrate over this many seconds.
-    Go(f64),
-    /// Too long to bridge: level anew.
-    Gap,
-    /// No time has passed, or the clock is broken: ignore the sample.
-    Ignore,
-}
-
-/// Judges a time step in seconds.
-#[must_use]
-pub fn step(dt_s: f64) -> Step {
-    if !dt_s.is_finite() || dt_s <= 0.0 {
-        Step::Ignore
-    } else if dt_s > GAP_MAX_S {
-        Step::Gap
-    } else {
-        Step::Go(dt_s)
-    }
-}
-
-/// Share by which a first-order low-pass of time constant `tau_s` moves in `dt_s`.
-#[must_use]
-pub fn share(dt_s: f64, tau_s: f64) -> f64 {
-    1.0 - (-dt_s / tau_s).exp()
-}
-
-/// When is the sensor still?
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RestConfig {
-    /// Time constant of the slow mean both sensors are compared with, seconds. Default 0.5. Bigger:
-    /// slow turning is told from rest more surely, rest is noticed later.
-    pub mean_tau_s: f64,
-    /// How long both must stay close to their mean before it counts as rest, seconds. Default 1.5.
-    /// Bigger: fewer false rests, fewer true ones.
-    pub min_s: f64,
-    /// Largest deviation of the angular rate from its mean at rest, °/s. Default 2. Bigger: a shaking
-    /// bench still counts as rest, and so does gentle motion.
-    pub gyro_deviation_deg_s: f64,
-    /// Largest deviation of the specific force from its mean at rest, m/s². Default 0.5. Bigger: as above.
-    pub acc_deviation_m_s2: f64,
-    /// Largest mean rate that can still be bias, °/s on one axis. Default 3. Bigger: worse gyroscopes
-    /// are served, and steady slow turning is taken for bias.
-    pub bias_max_deg_s: f64,
-}
-
-impl Default for RestConfig {
-    fn default() -> Self {
-        Self {
-            mean_tau_s: 0.5,
-            min_s: 1.5,
-            gyro_deviation_deg_s: 2.0,
-            acc_deviation_m_s2: 0.5,
-            bias_max_deg_s: 3.0,
-        }
-    }
-}
-
-/// Tells rest from motion.
-#[derive(Debug, Clone, Copy)]
-pub struct RestDetector {
-    config: RestConfig,
-    means: Option<(Vector3<f64>, Vector3<f64>)>,
-    still_s: f64,
-}
-
-impl RestDetector {
-    /// A detector that has seen nothing yet.
-    #[must_use]
-    pub fn new(config: RestConfig) -> Self {
-        Self { config, means: None, still_s: 0.0 }
-    }
-    /// Takes one pair of samples (rad/s, m/s²); true at rest.
-    pub fn update(&mut self, gyro: &Vector3<f64>, acc: &Vector3<f64>, dt_s: f64) -> bool {
-        let share = share(dt_s, self.config.mean_tau_s);
-        let (gyro_mean, acc_mean) = self.means.get_or_insert((*gyro, *acc));
-        *gyro_mean += share * (gyro - *gyro_mean);
-        *acc_mean += share * (acc - *acc_mean);
-        let still = (gyro - *gyro_mean).norm() < self.config.gyro_deviation_deg_s.to_radians()
-            && (acc - *acc_mean).norm() < self.config.acc_deviation_m_s2
-            && gyro_mean.amax() < self.config.bias_max_deg_s.to_radians();
-        self.still_s = if still { self.still_s + dt_s } else { 0.0 };
-        self.at_rest()
-    }
-    /// A sample was lost: nobody knows whether the sensor moved.
-    pub fn interrupt(&mut self) {
-        self.still_s = 0.0;
-    }
-    /// True when the sensor has been still for long enough.
-    #[must_use]
-    pub fn at_rest(&self) -> bool {
-        self.still_s >= self.config.min_s
-    }
-    /// Slow mean of the angular rate, rad/s: the bias, when at rest.
-    #[must_use]
-    pub fn gyro_mean_rad_s(&self) -> Vector3<f64> {
-        self.means.map_or_else(Vector3::zeros, |(gyro, _)| gyro)
-    }
-}
 
 /// When is the magnetic field the Earth's?
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -306,47 +163,8 @@ impl FieldGate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::units::Seconds;
 
     const EARTH: Vector3<f64> = Vector3::new(16.0, 0.0, -41.0);
-
-    #[test]
-    fn numbers_no_sensor_can_mean_are_left_out() {
-        let sample = |gyro: f64, acc: f64, mag: f64| ImuSample {
-            t: Seconds(0.0),
-            gyro_rad_s: Vector3::new(gyro, 0.0, 0.0),
-            acc_m_s2: Vector3::new(0.0, acc, 0.0),
-            mag_ut: Some(Vector3::new(0.0, 0.0, mag)),
-        };
-        let good = usable(&sample(0.0, 9.81, 40.0));
-        assert!(good.gyro_rad_s.is_some() && good.acc_m_s2.is_some() && good.mag_ut.is_some());
-        for bad in [f64::NAN, f64::INFINITY, -1e30] {
-            let u = usable(&sample(bad, bad, bad));
-            assert_eq!((u.gyro_rad_s, u.acc_m_s2, u.mag_ut), (None, None, None), "{bad}");
-        }
-        assert_eq!(usable(&sample(0.0, 0.0, 40.0)).acc_m_s2, None);
-        assert_eq!(usable(&sample(0.0, 9.81, 0.0)).mag_ut, None);
-    }
-
-    #[test]
-    fn rest_needs_time_and_yields_the_bias() {
-        let bias = Vector3::new(0.01, -0.02, 0.005);
-        let up = Vector3::new(0.0, 0.0, 9.81);
-        let mut rest = RestDetector::new(RestConfig::default());
-        for k in 0..149 {
-            assert!(!rest.update(&bias, &up, 0.01), "rest after {k} samples");
-        }
-        assert!((0..2).any(|_| rest.update(&bias, &up, 0.01)));
-        assert!((rest.gyro_mean_rad_s() - bias).norm() < 1e-12);
-        assert!(!rest.update(&Vector3::new(0.5, 0.0, 0.0), &up, 0.01));
-    }
-
-    #[test]
-    fn steady_fast_turning_is_not_rest() {
-        let mut rest = RestDetector::new(RestConfig::default());
-        let (rate, up) = (Vector3::new(0.0, 0.0, 0.3), Vector3::new(0.0, 0.0, 9.81));
-        assert!((0..1000).all(|_| !rest.update(&rate, &up, 0.01)));
-    }
 
     #[test]
     fn a_magnet_is_refused_then_tolerated_then_forgotten() {

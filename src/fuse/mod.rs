@@ -9,11 +9,13 @@
 //!
 //! All of them are causal and online, take time as an argument, allocate nothing in `update`, and
 //! outlive every sample: a number that is missing, not finite or absurd is left out of the update
-//! ([`gate::usable`]), never passed on.
+//! ([`intake::usable`]), never passed on.
 
 pub mod gate;
+pub mod intake;
 pub mod madgwick;
 pub mod mekf;
+pub mod rest;
 pub mod vqf;
 
 use crate::frames::{Rotation, Sensor, World};
@@ -41,7 +43,7 @@ pub trait OrientationFilter {
     /// Takes one sample, `dt_s` seconds after the one before.
     ///
     /// `dt_s` may vary. A step that is not positive and finite is ignored; one longer than
-    /// [`gate::GAP_MAX_S`] re-levels the filter from the sample and keeps what was learnt of the sensor.
+    /// [`intake::GAP_MAX_S`] re-levels the filter from the sample and keeps what was learnt of the sensor.
     fn update(&mut self, sample: &ImuSample, dt_s: f64);
     /// Orientation of the sensor after the last sample (world: z up, x to magnetic north).
     fn orientation(&self) -> Rotation<World, Sensor>;
@@ -118,7 +120,10 @@ impl fmt::Display for FilterName {
 impl FromStr for FilterName {
     type Err = UnknownFilter;
     fn from_str(name: &str) -> Result<Self, UnknownFilter> {
-        Self::ALL.into_iter().find(|f| f.as_str() == name).ok_or_else(|| UnknownFilter { name: name.to_owned() })
+        Self::ALL
+            .into_iter()
+            .find(|f| f.as_str() == name)
+            .ok_or_else(|| UnknownFilter { name: name.to_owned() })
     }
 }
 
@@ -152,7 +157,9 @@ mod tests {
             assert_eq!(f.as_str().parse(), Ok(f));
             assert_eq!(serde_json::to_string(&f).unwrap(), format!("\"{f}\""));
         }
-        assert!("kalman".parse::<FilterName>().unwrap_err().to_string().contains("madgwick, vqf, vqf-long, mekf"));
+        assert!(
+            "kalman".parse::<FilterName>().unwrap_err().to_string().contains("madgwick, vqf, vqf-long, mekf")
+        );
     }
 
     #[test]

@@ -14,7 +14,7 @@
 //! known to 0.03 °/s needs a minute to drift as far. The authors' 9 s fits a worse gyroscope; how
 //! [`TAU_MAG_LONG_S`] was chosen is told in `docs/fusion.md`.
 
-use super::gate::{self, Step};
+use super::intake::{self, Step};
 use super::{Flags, OrientationFilter, Periods};
 use crate::frames::{Rotation, Sensor, World};
 use crate::sample::ImuSample;
@@ -22,7 +22,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Magnetometer time constant of `vqf-long`, seconds.
-pub const TAU_MAG_LONG_S: f64 = 25.0;
+pub const TAU_MAG_LONG_S: f64 = 20.0;
 /// Tilt by which a first sample that is exactly upside down is nudged, as a share of its length.
 const NUDGE_SHARE: f64 = 1e-3;
 
@@ -108,8 +108,8 @@ impl Vqf {
 
 impl OrientationFilter for Vqf {
     fn update(&mut self, sample: &ImuSample, dt_s: f64) {
-        let seen = gate::usable(sample);
-        let dt_s = match gate::step(dt_s) {
+        let seen = intake::usable(sample);
+        let dt_s = match intake::step(dt_s) {
             Step::Go(dt_s) => dt_s,
             Step::Gap => {
                 self.restart();

@@ -142,8 +142,11 @@ pub fn read(path: &Path) -> Result<Recording, ReadError> {
 /// # Errors
 /// See [`ReadError`].
 pub fn parse(path: &Path, text: impl Read) -> Result<Recording, ReadError> {
-    let mut reader =
-        csv::ReaderBuilder::new().flexible(true).buffer_capacity(1 << 16).trim(csv::Trim::All).from_reader(text);
+    let mut reader = csv::ReaderBuilder::new()
+        .flexible(true)
+        .buffer_capacity(1 << 16)
+        .trim(csv::Trim::All)
+        .from_reader(text);
     let header = reader.byte_headers().map_err(|e| broken(path, 1, e))?.clone();
     let columns = Columns::find(path, &header)?;
     let mut rows: Vec<Row> = Vec::new();
@@ -163,7 +166,8 @@ pub fn parse(path: &Path, text: impl Read) -> Result<Recording, ReadError> {
     if rows.len() < 2 {
         return Err(ReadError::Empty { file: path.to_owned() });
     }
-    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    let name =
+        path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     Ok(Recording { name, rows })
 }
 
@@ -193,8 +197,9 @@ const REF: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
 impl Columns {
     fn find(path: &Path, header: &csv::ByteRecord) -> Result<Self, ReadError> {
         let place = |name: &str| header.iter().position(|h| h.trim_ascii() == name.as_bytes());
-        let need =
-            |column: &'static str| place(column).ok_or_else(|| ReadError::MissingColumn { file: path.to_owned(), column });
+        let need = |column: &'static str| {
+            place(column).ok_or_else(|| ReadError::MissingColumn { file: path.to_owned(), column })
+        };
         let need_all = |names: [&'static str; 3]| -> Result<[usize; 3], ReadError> {
             Ok([need(names[0])?, need(names[1])?, need(names[2])?])
         };
@@ -258,7 +263,13 @@ impl Fields<'_> {
     }
 
     fn refuse(&self, at: usize, column: &'static str, wanted: &'static str) -> ReadError {
-        ReadError::Field { file: self.path.to_owned(), line: self.line, column, value: lossy(self.text(at)), wanted }
+        ReadError::Field {
+            file: self.path.to_owned(),
+            line: self.line,
+            column,
+            value: lossy(self.text(at)),
+            wanted,
+        }
     }
 
     /// A number; empty is NaN, a reading that did not come.
@@ -324,5 +335,106 @@ impl Recording {
         let with_mag = self.rows.iter().filter(|r| r.sample.mag_ut.is_some()).count();
         let share = with_mag as f64 / self.rows.len() as f64;
         if with_mag > 0 { self.period_s() / share } else { self.period_s() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    const HEADER: &str =
+        "time_s,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,mag_x,mag_y,mag_z,ref_qw,ref_qx,ref_qy,ref_qz,moving";
+    const GOOD: &str =
+        "0.0,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,0\n0.01,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1\n";
+
+    fn text(lines: &str) -> Result<Recording, ReadError> {
+        parse(Path::new("folder/trial.csv"), format!("{HEADER}\n{lines}").as_bytes())
+    }
+
+    /// The message, which must name the file.
+    fn complaint(lines: &str) -> String {
+        let message = text(lines).unwrap_err().to_string();
+        assert!(message.starts_with("folder/trial.csv"), "{message}");
+        message
+    }
+
+    #[test]
+    fn rows_are_read_and_the_reference_is_turned_to_the_world() {
+        let r = text(GOOD).unwrap();
+        assert_eq!((r.name.as_str(), r.rows.len()), ("trial.csv", 2));
+        let row = &r.rows[1];
+        assert_eq!(row.sample.t, Seconds(0.01));
+        assert_eq!(row.sample.gyro_rad_s, Vector3::new(0.1, 0.2, 0.3));
+        assert_eq!(row.sample.mag_ut, Some(Vector3::new(16.0, 0.0, -41.0)));
+        assert!(row.moving && !r.rows[0].moving);
+        let north = row.reference.unwrap().apply(&Vector3::y());
+        assert!((north - Vector3::x()).norm() < 1e-12, "y is north in the file, x is here: {north}");
+        assert!((r.period_s() - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn readings_that_did_not_come_are_not_errors() {
+        let r = text("0,nan,0,9.8,,0,0,,,,nan,nan,nan,nan,0\n1,0,0,9.8,0,0,0,16,nan,-41,1,0,,0,1\n").unwrap();
+        assert!(r.rows[0].sample.acc_m_s2.x.is_nan() && r.rows[0].sample.gyro_rad_s.x.is_nan());
+        for row in &r.rows {
+            assert_eq!((row.sample.mag_ut, row.reference), (None, None));
+        }
+        let bare =
+            "acc_x,acc_y,acc_z,extra,gyr_x,gyr_y,gyr_z,time_s\n0,0,9.8,hello,0,0,0,1\n0,0,9.8,,0,0,0,2\n";
+        let r = parse(Path::new("x.csv"), bare.as_bytes()).unwrap();
+        assert!(
+            r.rows.iter().all(|row| row.moving && row.reference.is_none() && row.sample.mag_ut.is_none())
+        );
+        assert_eq!(r.mag_period_s(), 1.0);
+    }
+
+    #[test]
+    fn complaints_name_line_column_and_value() {
+        let bad_number = complaint(
+            &GOOD.replace("9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1", "9.8,0.1,0.2,0.3,16,0,x1,1,0,0,0,1"),
+        );
+        assert!(
+            bad_number.contains("line 3") && bad_number.contains("mag_z") && bad_number.contains("\"x1\""),
+            "{bad_number}"
+        );
+        for (lines, parts) in [
+            (
+                "0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n",
+                ["line 3", "time_s"],
+            ),
+            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n1,0,0,9.8,0,0,0,16,0,-4\n", ["line 3", "ref_qw"]),
+            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0,7\n", ["line 2", "16 fields"]),
+            ("0,0,0,9.8,0,0,0,16,0,-41,0.5,0,0,0,0\n", ["line 2", "ref_qw"]),
+            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,yes\n", ["line 2", "moving"]),
+            ("0,0,0,9.8,inf,0,0,16,0,-41,1,0,0,0,1\n", ["line 2", "gyr_x"]),
+            ("nan,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,1\n", ["line 2", "time_s"]),
+            ("", ["no rows", "header"]),
+            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n", ["no rows", "two"]),
+        ] {
+            let message = complaint(lines);
+            assert!(parts.iter().all(|p| message.contains(p)), "{message}");
+        }
+        let headless = parse(Path::new("h.csv"), "time_s,acc_x,acc_y\n".as_bytes()).unwrap_err().to_string();
+        assert!(headless.contains("acc_z") && headless.contains("line 1"), "{headless}");
+        let half =
+            parse(Path::new("h.csv"), HEADER.replace(",mag_y", "").as_bytes()).unwrap_err().to_string();
+        assert!(half.contains("mag_y"), "{half}");
+    }
+
+    #[test]
+    fn gzip_is_known_by_its_bytes_and_a_cut_one_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("plainly_named.csv");
+        let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+        packed.write_all(format!("{HEADER}\n{GOOD}").as_bytes()).unwrap();
+        let packed = packed.finish().unwrap();
+        std::fs::write(&path, &packed).unwrap();
+        assert_eq!(read(&path).unwrap().rows.len(), 2);
+        std::fs::write(&path, &packed[..packed.len() - 9]).unwrap();
+        assert!(matches!(read(&path), Err(ReadError::Broken { .. })));
+        std::fs::write(&path, "").unwrap();
+        assert!(matches!(read(&path), Err(ReadError::MissingColumn { .. } | ReadError::Empty { .. })));
+        assert!(matches!(read(&dir.path().join("none.csv")), Err(ReadError::Open { .. })));
     }
 }

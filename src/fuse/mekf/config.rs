@@ -1,6 +1,6 @@
 //! Settings of the error-state filter. `_rt_s` marks a noise density (its unit times √s or per √s).
 
-use crate::fuse::gate::RestConfig;
+use crate::fuse::rest::RestConfig;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the error-state filter.
@@ -53,7 +53,7 @@ pub struct MekfConfig {
     pub field_sigma_ut: f64,
     /// How long that error lasts while the body moves, seconds. Default 2. Bigger: as above.
     pub field_memory_s: f64,
-    /// Weight of the field at rest, where its error lasts for ever, 0 to 1. Default 0.1. Bigger: a rest
+    /// Weight of the field at rest, where its error lasts for ever, 0 to 1. Default 0.3. Bigger: a rest
     /// turns the heading to the field of that place sooner.
     pub rest_field_weight: f64,
     /// Error of the field at the place of the start, µT per axis. Default 1. Bigger: the heading of
@@ -65,7 +65,7 @@ pub struct MekfConfig {
     /// Smallest horizontal field that is believed, µT. Default 1. Bigger: nearer to a magnetic pole,
     /// or inside a magnet's reach, the heading is kept steadier.
     pub horizontal_field_min_ut: f64,
-    /// Uncertainty of the hard iron at the start, µT per axis. Default 0.7. Bigger: a poor calibration is
+    /// Uncertainty of the hard iron at the start, µT per axis. Default 0.5. Bigger: a poor calibration is
     /// mended sooner, and more of the room's field is taken for hard iron.
     pub iron_sigma_ut: f64,
     /// Random walk of the hard iron, µT per √s. Default 0.1. Bigger: as above, for ever.
@@ -103,11 +103,11 @@ impl Default for MekfConfig {
             latency_max_ms: 100.0,
             field_sigma_ut: 1.5,
             field_memory_s: 2.0,
-            rest_field_weight: 0.1,
+            rest_field_weight: 0.3,
             first_field_sigma_ut: 1.0,
             field_wander_ut_rt_s: 0.05,
             horizontal_field_min_ut: 1.0,
-            iron_sigma_ut: 0.7,
+            iron_sigma_ut: 0.5,
             iron_wander_ut_rt_s: 0.1,
             iron_unsure_rt_s: 0.5,
             disturbed_ratio: 1.5,
@@ -119,7 +119,9 @@ impl Default for MekfConfig {
 
 /// A setting that would make the filter meaningless.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("fusion setting {name} = {value} is outside {min} to {max}: leave it out to get the default {default}")]
+#[error(
+    "fusion setting {name} = {value} is outside {min} to {max}: leave it out to get the default {default}"
+)]
 pub struct OutOfRange {
     /// Name of the setting, as in TOML.
     pub name: &'static str,

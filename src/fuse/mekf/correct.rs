@@ -3,7 +3,7 @@
 use super::block::FieldMean;
 use super::covariance::{ATTITUDE, BIAS, Covariance, Errors, FIELD, IRON, LATENCY, VELOCITY};
 use super::{Mekf, MekfConfig};
-use crate::fuse::gate;
+use crate::fuse::intake;
 use nalgebra::Vector3;
 
 /// Velocity of a sensor at rest, m/s, and how long its error lasts, s.
@@ -14,24 +14,15 @@ const REST_BIAS_MEMORY_S: f64 = 0.5;
 /// A single reading may raise the misfit to at most this many times its running mean.
 const MISFIT_LEAP_MAX: f64 = 100.0;
 
-/// Takes a field reading in the world frame: `residual = −φ × y − ∂y/∂τ δτ … + (δh, 0, δz) + R δm`.
-///
-/// `residual` is the reading minus the model, µT; `variance_ut2` that of each of its axes.
-pub fn field(
-    covariance: &mut Covariance,
-    errors: &mut Errors,
-    reading: &FieldMean,
-    residual: &Vector3<f64>,
-    variance_ut2: f64,
-) {
+/// What one axis of a field residual owes to which errors.
+type Row = [(usize, f64); 8];
+
+/// Rows of a field residual (reading minus model, world axes): `−φ × y − ∂y/∂τ δτ + (δh, 0, δz) + R δm`.
+fn rows(reading: &FieldMean) -> [Row; 3] {
     let turn = reading.world_ut.cross_matrix();
-    for axis in 0..3 {
-        let earth = match axis {
-            0 => (FIELD, 1.0),
-            2 => (FIELD + 1, 1.0),
-            _ => (FIELD, 0.0),
-        };
-        let row = [
+    let earth = [(FIELD, 1.0), (FIELD, 0.0), (FIELD + 1, 1.0)];
+    std::array::from_fn(|axis| {
+        [
             (ATTITUDE, turn[(axis, 0)]),
             (ATTITUDE + 1, turn[(axis, 1)]),
             (ATTITUDE + 2, turn[(axis, 2)]),
@@ -39,9 +30,15 @@ pub fn field(
             (IRON + 1, reading.to_world[(axis, 1)]),
             (IRON + 2, reading.to_world[(axis, 2)]),
             (LATENCY, -reading.by_age_ut_s[axis]),
-            earth,
-        ];
-        covariance.observe(errors, &row, residual[axis], variance_ut2);
+            earth[axis],
+        ]
+    })
+}
+
+/// Takes the first field reading, which defines north: its residual is nothing.
+pub fn first_field(covariance: &mut Covariance, errors: &mut Errors, reading: &FieldMean, variance_ut2: f64) {
+    for row in rows(reading) {
+        covariance.observe(errors, &row, 0.0, variance_ut2);
     }
 }
 
@@ -70,10 +67,12 @@ impl Mekf {
         let Some(earth) = self.estimate.field_ut else { return };
         let model = Vector3::new(earth.x, 0.0, earth.y) + reading.to_world * self.estimate.iron_ut;
         let residual = reading.world_ut - model;
+        let rows = rows(reading);
+        let foreseen = rows.iter().map(|row| self.covariance.variance_of(&row[..3])).sum::<f64>() / 3.0;
         let misfit = self.weigh_misfit(residual.norm_squared() / 3.0, dt_s);
         let c = &self.config;
         let usual = c.field_sigma_ut.powi(2);
-        let bearable = usual * c.disturbed_ratio.powi(2);
+        let bearable = usual * c.disturbed_ratio.powi(2) + foreseen;
         let excess = (misfit / bearable).max(1.0);
         self.disturbed = excess > 1.0;
         if self.disturbed {
@@ -82,14 +81,16 @@ impl Mekf {
         }
         let stillness = if self.rest.at_rest() { c.rest_field_weight } else { 1.0 };
         let variance = usual * excess * c.field_memory_s / dt_s / stillness;
-        field(&mut self.covariance, errors, reading, &residual, variance);
+        for (row, part) in rows.iter().zip(residual.iter()) {
+            self.covariance.observe(errors, row, *part, variance);
+        }
     }
 
     /// Running mean square misfit; a leap counts at once.
     fn weigh_misfit(&mut self, now_ut2: f64, dt_s: f64) -> f64 {
         let MekfConfig { field_sigma_ut, misfit_tau_s, .. } = self.config;
         let running = &mut self.misfit_ut2;
-        *running += gate::share(dt_s, misfit_tau_s) * (now_ut2 - *running);
+        *running += intake::share(dt_s, misfit_tau_s) * (now_ut2 - *running);
         running.max(now_ut2.min(MISFIT_LEAP_MAX * running.max(field_sigma_ut.powi(2))))
     }
 }

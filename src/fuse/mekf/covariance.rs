@@ -112,6 +112,12 @@ impl Covariance {
         }
     }
 
+    /// Variance of `Σ gain · error`.
+    #[must_use]
+    pub fn variance_of(&self, row: &[(usize, f64)]) -> f64 {
+        row.iter().map(|&(j, a)| row.iter().map(|&(k, b)| a * b * self.0[(j, k)]).sum::<f64>()).sum::<f64>()
+    }
+
     /// Takes one scalar observation `innovation = Σ gain · error + noise` into `errors` and itself.
     ///
     /// `row` holds (error, gain) pairs, `variance` is the noise's. An observation that would make the
@@ -137,7 +143,9 @@ mod tests {
     use super::*;
 
     fn tangled() -> Covariance {
-        let root = SMatrix::<f64, DIM, DIM>::from_fn(|r, c| ((r * 7 + c * 3) % 11) as f64 / 11.0 + f64::from(r == c));
+        let root = SMatrix::<f64, DIM, DIM>::from_fn(|r, c| {
+            ((r * 7 + c * 3) % 11) as f64 / 11.0 + f64::from(r == c)
+        });
         Covariance(root * root.transpose())
     }
 
@@ -173,6 +181,7 @@ mod tests {
         let gain = p0.0 * h / s;
         let (mut p, mut errors) = (p0, Errors::zeros());
         p.observe(&mut errors, &row, 2.5, 4.0);
+        assert!((p0.variance_of(&row) + 4.0 - s).abs() < 1e-9);
         assert!((errors - gain * 2.5).amax() < 1e-12);
         assert!((p.0 - (p0.0 - gain * h.transpose() * p0.0)).amax() < 1e-9);
         let before = p.sigma(2);

@@ -30,7 +30,8 @@ pub mod covariance;
 
 pub use config::{MekfConfig, OutOfRange};
 
-use super::gate::{self, RestDetector, Step, Usable};
+use super::intake::{self, Step, Usable};
+use super::rest::RestDetector;
 use super::{Flags, OrientationFilter, level};
 use crate::frames::{Rotation, Sensor, World};
 use crate::sample::ImuSample;
@@ -44,6 +45,11 @@ const GRAVITY_M_S2: f64 = 9.81;
 const HIDDEN_RATE_RAD_S: f64 = 1.0;
 /// Force that a lost accelerometer sample may hide, m/s².
 const HIDDEN_PUSH_M_S2: f64 = 3.0;
+/// Rate beyond which the first sample is one in motion, rad/s, and the tilt error that may then hide in it, rad.
+const MOVING_RAD_S: f64 = 0.2;
+const MOVING_TILT_RAD: f64 = 0.2;
+/// Tilt uncertainty at which a field reading may define north, rad: the dip turns tilt into heading.
+const LEVEL_ENOUGH_RAD: f64 = 0.06;
 /// Heading uncertainty before there is a north, rad: large, and small enough to linearise.
 const HEADING_UNKNOWN_RAD: f64 = 1.0;
 /// Uncertainty of the Earth's field before the first reading, µT.
@@ -61,6 +67,8 @@ struct Estimate {
     field_ut: Option<Vector2<f64>>,
     iron_ut: Vector3<f64>,
     latency_s: f64,
+    /// Direction of the last reading, rad, by which the output is turned until there is a north.
+    provisional_rad: f64,
 }
 
 /// The filter.
@@ -91,6 +99,7 @@ impl Mekf {
             field_ut: None,
             iron_ut: Vector3::zeros(),
             latency_s: config.latency_ms * 1e-3,
+            provisional_rad: 0.0,
         };
         Self {
             config,
@@ -127,14 +136,18 @@ impl Mekf {
         Vector3::from_fn(|k, _| self.covariance.sigma(ATTITUDE + k))
     }
 
-    /// Levels on a force; what was learnt of the sensor stays.
-    fn level_on(&mut self, acc: &Vector3<f64>) {
+    /// Levels on a force; what was learnt of the sensor stays. A sensor in motion is levelled badly.
+    fn level_on(&mut self, acc: &Vector3<f64>, gyro: Option<Vector3<f64>>) {
         self.estimate.r_world_sensor = level(acc, None).quat();
         self.estimate.velocity_m_s = Vector2::zeros();
         self.estimate.field_ut = None;
+        self.estimate.provisional_rad = 0.0;
         self.last_mag = None;
         self.block = Block::default();
-        let tilt = self.config.first_tilt_deg.to_radians() + (acc.norm() / GRAVITY_M_S2 - 1.0).abs().min(1.0);
+        let moving = gyro.is_some_and(|w| w.norm() > MOVING_RAD_S);
+        let tilt = self.config.first_tilt_deg.to_radians()
+            + (acc.norm() / GRAVITY_M_S2 - 1.0).abs().min(1.0)
+            + if moving { MOVING_TILT_RAD } else { 0.0 };
         let fresh = first_sigmas(&self.config);
         for (k, sigma) in [(ATTITUDE, tilt), (ATTITUDE + 1, tilt), (ATTITUDE + 2, HEADING_UNKNOWN_RAD)] {
             self.covariance.isolate(k, sigma);
@@ -149,17 +162,16 @@ impl Mekf {
     fn take_gyro(&mut self, seen: &Usable, dt_s: f64) {
         match (seen.gyro_rad_s, seen.acc_m_s2) {
             (Some(gyro), Some(acc)) => _ = self.rest.update(&gyro, &acc, dt_s),
-            _ => self.rest.interrupt(),
+            _ => self.rest.miss(dt_s),
         }
         match seen.gyro_rad_s {
             Some(gyro) => {
                 let (w, s) = (gyro - self.estimate.bias_rad_s, &self.estimate.scale);
-                self.rate = w
-                    + Vector3::new(
-                        s[0] * w.x + s[3] * w.y + s[4] * w.z,
-                        s[3] * w.x + s[1] * w.y + s[5] * w.z,
-                        s[4] * w.x + s[5] * w.y + s[2] * w.z,
-                    );
+                self.rate = w + Vector3::new(
+                    s[0] * w.x + s[3] * w.y + s[4] * w.z,
+                    s[3] * w.x + s[1] * w.y + s[5] * w.z,
+                    s[4] * w.x + s[5] * w.y + s[2] * w.z,
+                );
             }
             None => {
                 let hidden = HIDDEN_RATE_RAD_S * dt_s;
@@ -190,9 +202,13 @@ impl Mekf {
         }
     }
 
-    /// The first reading defines north, as well as the room and the hard iron let it.
+    /// The first reading on a level sensor defines north, as well as the room and the hard iron let it.
     fn find_north(&mut self, world_ut: &Vector3<f64>) {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -world_ut.y.atan2(world_ut.x));
+        self.estimate.provisional_rad = world_ut.y.atan2(world_ut.x);
+        if self.covariance.sigma(ATTITUDE).max(self.covariance.sigma(ATTITUDE + 1)) > LEVEL_ENOUGH_RAD {
+            return;
+        }
+        let turn = about_up(-std::mem::take(&mut self.estimate.provisional_rad));
         let r_world_sensor = turn * self.estimate.r_world_sensor;
         self.estimate.r_world_sensor = r_world_sensor;
         self.estimate.velocity_m_s = (turn * self.estimate.velocity_m_s.push(0.0)).xy();
@@ -209,7 +225,7 @@ impl Mekf {
         };
         let mut errors = Errors::zeros();
         let place_ut2 = self.config.first_field_sigma_ut.powi(2);
-        correct::field(&mut self.covariance, &mut errors, &reading, &Vector3::zeros(), place_ut2);
+        correct::first_field(&mut self.covariance, &mut errors, &reading, place_ut2);
         self.inject(&errors);
     }
 
@@ -265,9 +281,18 @@ impl Mekf {
 
     fn is_sane(&self) -> bool {
         let e = &self.estimate;
-        e.r_world_sensor.coords.iter().chain(e.bias_rad_s.iter()).chain(e.iron_ut.iter()).all(|x| x.is_finite())
+        e.r_world_sensor
+            .coords
+            .iter()
+            .chain(e.bias_rad_s.iter())
+            .chain(e.iron_ut.iter())
+            .all(|x| x.is_finite())
             && self.covariance.is_sane()
     }
+}
+
+fn about_up(angle_rad: f64) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad)
 }
 
 /// Standard deviations before the first sample.
@@ -289,19 +314,19 @@ fn first_sigmas(c: &MekfConfig) -> Errors {
 
 impl OrientationFilter for Mekf {
     fn update(&mut self, sample: &ImuSample, dt_s: f64) {
-        let seen = gate::usable(sample);
-        let dt_s = match gate::step(dt_s) {
+        let seen = intake::usable(sample);
+        let dt_s = match intake::step(dt_s) {
             Step::Go(dt_s) => dt_s,
             Step::Gap => {
                 self.levelled = false;
-                self.rest.interrupt();
+                self.rest.miss(dt_s);
                 1e-3
             }
             Step::Ignore => return,
         };
         if !self.levelled {
             let Some(acc) = seen.acc_m_s2 else { return };
-            self.level_on(&acc);
+            self.level_on(&acc, seen.gyro_rad_s);
         }
         self.take_gyro(&seen, dt_s);
         self.integrate(&seen, dt_s);
@@ -311,7 +336,7 @@ impl OrientationFilter for Mekf {
     }
 
     fn orientation(&self) -> Rotation<World, Sensor> {
-        Rotation::assert_frames(self.estimate.r_world_sensor)
+        Rotation::assert_frames(about_up(-self.estimate.provisional_rad) * self.estimate.r_world_sensor)
     }
 
     fn gyro_bias_rad_s(&self) -> Vector3<f64> {
