@@ -1,15 +1,19 @@
 //! Time per update of each generic filter, and its ratio to the bare `ahrs` Madgwick in the same run.
 //!
 //! `cargo bench --bench fuse`. The samples are those of a sensor turned by hand at 500 Hz with a 100 Hz
-//! magnetometer; the filters meet rest and motion, as in use.
+//! magnetometer.
 
 use ahrs::Ahrs;
-use divan::{Bencher, black_box};
+use divan::{AllocProfiler, Bencher, black_box};
 use nalgebra::{UnitQuaternion, Vector3};
 use retroflex::fuse::{FilterName, OrientationFilter, Periods};
 use retroflex::sample::ImuSample;
 use retroflex::units::Seconds;
 use std::time::Instant;
+
+/// Counts allocations beside the times: an update must show none.
+#[global_allocator]
+static ALLOCATIONS: AllocProfiler = AllocProfiler::system();
 
 const PERIOD_S: f64 = 0.002;
 const SAMPLES: usize = 8192;

@@ -13,8 +13,9 @@
 //! fitted. A set of recordings is summed up by the plain mean over recordings.
 
 use crate::frames::{Rotation, Sensor, World};
-use crate::fuse::{FilterName, Periods};
-use crate::log::recording::{self, ReadError, Recording};
+use crate::fuse::{FilterName, OrientationFilter, Periods};
+use crate::log::error::ReadError;
+use crate::log::recording::{self, Recording};
 use comfy_table::{CellAlignment, Table};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -78,13 +79,21 @@ pub fn error_angles(estimate: &Rotation<World, Sensor>, truth: &Rotation<World, 
     [total, heading, inclination]
 }
 
-/// Runs a filter over a recording and scores it.
+/// Runs a filter with its shipped defaults over a recording and scores it.
 ///
 /// # Errors
 /// [`ScoreError::NoTruth`] when no row is both moving and referenced.
 pub fn score(recording: &Recording, filter: FilterName) -> Result<Score, ScoreError> {
+    let periods = Periods { imu_s: recording.period_s(), mag_s: recording.mag_period_s() };
+    score_with(recording, &mut *filter.build(periods))
+}
+
+/// Runs a fresh filter of any kind over a recording and scores it.
+///
+/// # Errors
+/// [`ScoreError::NoTruth`] when no row is both moving and referenced.
+pub fn score_with(recording: &Recording, filter: &mut dyn OrientationFilter) -> Result<Score, ScoreError> {
     let period_s = recording.period_s();
-    let mut filter = filter.build(Periods { imu_s: period_s, mag_s: recording.mag_period_s() });
     let (mut squares, mut count) = ([0.0; 3], 0usize);
     let mut before_s = None;
     for row in &recording.rows {

@@ -3,6 +3,8 @@
 //! The recordings are not part of the package. They are looked for in `RETROFLEX_IMU_DATA`, then beside
 //! the crate in `../shared/data/imu`; where there are none the tests say so and pass.
 
+#![allow(clippy::unwrap_used)] // helpers outside #[test] functions
+
 use retroflex::fuse::FilterName;
 use retroflex::imu_score::{self, Row, Score};
 use std::path::PathBuf;

@@ -6,6 +6,7 @@
 //! the heading, which is what is at stake.
 
 use super::intake::share;
+use super::limits::{self, OutOfRange};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -49,6 +50,27 @@ impl Default for FieldConfig {
             accept_s: 20.0,
             turning_deg_s: 20.0,
         }
+    }
+}
+
+impl FieldConfig {
+    /// Refuses settings that are not finite or far from anything sensible.
+    ///
+    /// # Errors
+    /// The first setting that is out of range, with its range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        let d = Self::default();
+        let rows = [
+            ("strength_share", self.strength_share, d.strength_share, 0.001, 10.0),
+            ("dip_deg", self.dip_deg, d.dip_deg, 0.1, 180.0),
+            ("reference_tau_s", self.reference_tau_s, d.reference_tau_s, 0.01, 10_000.0),
+            ("regain_s", self.regain_s, d.regain_s, 0.0, 1000.0),
+            ("refuse_max_s", self.refuse_max_s, d.refuse_max_s, 0.0, 100_000.0),
+            ("refuse_after_weight", self.refuse_after_weight, d.refuse_after_weight, 0.0, 1.0),
+            ("accept_s", self.accept_s, d.accept_s, 0.0, 100_000.0),
+            ("turning_deg_s", self.turning_deg_s, d.turning_deg_s, 0.0, 10_000.0),
+        ];
+        limits::check(&rows)
     }
 }
 

@@ -19,6 +19,7 @@
 
 use super::gate::{FieldConfig, FieldGate};
 use super::intake::{self, Step};
+use super::limits::{self, OutOfRange};
 use super::rest::{RestConfig, RestDetector};
 use super::{Flags, OrientationFilter, level};
 use crate::frames::{Rotation, Sensor, World};
@@ -71,6 +72,27 @@ impl Default for MadgwickConfig {
             rest: RestConfig::default(),
             field: FieldConfig::default(),
         }
+    }
+}
+
+impl MadgwickConfig {
+    /// Refuses settings that are not finite or far from anything sensible.
+    ///
+    /// # Errors
+    /// The first setting that is out of range, with its range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        let d = Self::default();
+        let rows = [
+            ("beta_gravity", self.beta_gravity, d.beta_gravity, 0.0, 10.0),
+            ("beta_field", self.beta_field, d.beta_field, 0.0, 10.0),
+            ("input_tau_s", self.input_tau_s, d.input_tau_s, 0.001, 100.0),
+            ("bias_rest_tau_s", self.bias_rest_tau_s, d.bias_rest_tau_s, 0.001, 1000.0),
+            ("bias_motion_per_s", self.bias_motion_per_s, d.bias_motion_per_s, 0.0, 1.0),
+            ("seed_turn_rad", self.seed_turn_rad, d.seed_turn_rad, 0.0, 10.0),
+        ];
+        limits::check(&rows)?;
+        self.rest.validate()?;
+        self.field.validate()
     }
 }
 

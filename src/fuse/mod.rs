@@ -13,6 +13,7 @@
 
 pub mod gate;
 pub mod intake;
+pub mod limits;
 pub mod madgwick;
 pub mod mekf;
 pub mod rest;

@@ -5,6 +5,7 @@
 //! showed, which cannot have changed much since.
 
 use super::intake::share;
+use super::limits::{self, OutOfRange};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -47,6 +48,26 @@ impl Default for RestConfig {
             bias_change_deg_s: 1.0,
             bias_change_deg_s2: 0.05,
         }
+    }
+}
+
+impl RestConfig {
+    /// Refuses settings that are not finite or far from anything sensible.
+    ///
+    /// # Errors
+    /// The first setting that is out of range, with its range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        let d = Self::default();
+        let rows = [
+            ("mean_tau_s", self.mean_tau_s, d.mean_tau_s, 0.01, 100.0),
+            ("min_s", self.min_s, d.min_s, 0.0, 1000.0),
+            ("gyro_deviation_deg_s", self.gyro_deviation_deg_s, d.gyro_deviation_deg_s, 0.001, 100.0),
+            ("acc_deviation_m_s2", self.acc_deviation_m_s2, d.acc_deviation_m_s2, 0.001, 100.0),
+            ("bias_max_deg_s", self.bias_max_deg_s, d.bias_max_deg_s, 0.01, 100.0),
+            ("bias_change_deg_s", self.bias_change_deg_s, d.bias_change_deg_s, 0.01, 100.0),
+            ("bias_change_deg_s2", self.bias_change_deg_s2, d.bias_change_deg_s2, 0.0, 100.0),
+        ];
+        limits::check(&rows)
     }
 }
 

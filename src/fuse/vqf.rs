@@ -11,10 +11,11 @@
 //!
 //! `vqf-long` differs in one number. τ_mag is where gyroscope drift and field error meet: the field
 //! of a room with steel in it points 3 to 5° off for seconds at a time, while a gyroscope whose bias is
-//! known to 0.03 °/s needs a minute to drift as far. The authors' 9 s fits a worse gyroscope; how
+//! known to 0.03 °/s needs a minute or two to drift as far. The authors' 9 s suit many sensors; how
 //! [`TAU_MAG_LONG_S`] was chosen is told in `docs/fusion.md`.
 
 use super::intake::{self, Step};
+use super::limits::{self, OutOfRange};
 use super::{Flags, OrientationFilter, Periods};
 use crate::frames::{Rotation, Sensor, World};
 use crate::sample::ImuSample;
@@ -41,6 +42,21 @@ pub struct VqfConfig {
 impl Default for VqfConfig {
     fn default() -> Self {
         Self { tau_acc_s: 3.0, tau_mag_s: 9.0 }
+    }
+}
+
+impl VqfConfig {
+    /// Refuses settings that are not finite or far from anything sensible.
+    ///
+    /// # Errors
+    /// The first setting that is out of range, with its range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        let d = Self::default();
+        let rows = [
+            ("tau_acc_s", self.tau_acc_s, d.tau_acc_s, 0.01, 1000.0),
+            ("tau_mag_s", self.tau_mag_s, d.tau_mag_s, 0.01, 10_000.0),
+        ];
+        limits::check(&rows)
     }
 }
 

@@ -1,3 +1,4 @@
 //! Logs on disk, read into the types of the lower floors.
 
+pub mod error;
 pub mod recording;

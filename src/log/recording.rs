@@ -15,6 +15,7 @@
 //! that is not a number, a clock that stands or runs back, a line that is too short or too long, or
 //! a file that stops in the middle is refused with file, line and column.
 
+use super::error::ReadError;
 use crate::frames::{Rotation, Sensor, World};
 use crate::sample::ImuSample;
 use crate::units::Seconds;
@@ -22,7 +23,7 @@ use flate2::read::MultiGzDecoder;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::fs::File;
 use std::io::{BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// How far the length of a reference quaternion may be from one.
 const UNIT_TOLERANCE: f64 = 1e-2;
@@ -47,83 +48,6 @@ pub struct Row {
     pub reference: Option<Rotation<World, Sensor>>,
     /// True where the recording is scored.
     pub moving: bool,
-}
-
-/// Why a recording cannot be read.
-#[derive(Debug, thiserror::Error)]
-pub enum ReadError {
-    /// The file is not there, or not to be opened.
-    #[error("{}: cannot be opened: {source}: check the path and its permissions", file.display())]
-    Open {
-        /// The file.
-        file: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The file stops, or is not what its compression says.
-    #[error("{}, line {line}: cannot be read: {source}: the file is cut short or damaged, copy it again", file.display())]
-    Broken {
-        /// The file.
-        file: PathBuf,
-        /// Last line that was begun, counted from 1.
-        line: u64,
-        /// What the decoder said.
-        source: std::io::Error,
-    },
-    /// The file holds no rows.
-    #[error("{}: has no rows: a header line and at least two samples are needed", file.display())]
-    Empty {
-        /// The file.
-        file: PathBuf,
-    },
-    /// A required column is not in the header.
-    #[error("{}, line 1: column {column} is missing: the header must name it", file.display())]
-    MissingColumn {
-        /// The file.
-        file: PathBuf,
-        /// The column.
-        column: &'static str,
-    },
-    /// A line has another number of fields than the header.
-    #[error("{}, line {line}, column {column}: {found} fields where the header has {expected}: the line is cut short or has stray commas", file.display())]
-    Fields {
-        /// The file.
-        file: PathBuf,
-        /// The line, counted from 1.
-        line: u64,
-        /// First column without a field, or the last one.
-        column: String,
-        /// Fields found.
-        found: usize,
-        /// Fields in the header.
-        expected: usize,
-    },
-    /// A field is not what its column holds.
-    #[error("{}, line {line}, column {column}: \"{value}\" is not {wanted}", file.display())]
-    Field {
-        /// The file.
-        file: PathBuf,
-        /// The line, counted from 1.
-        line: u64,
-        /// The column.
-        column: &'static str,
-        /// What stands there.
-        value: String,
-        /// What should stand there.
-        wanted: &'static str,
-    },
-    /// Time does not increase.
-    #[error("{}, line {line}, column time_s: {now_s} s does not come after {before_s} s: time must strictly increase", file.display())]
-    Clock {
-        /// The file.
-        file: PathBuf,
-        /// The line, counted from 1.
-        line: u64,
-        /// Time of this line, s.
-        now_s: f64,
-        /// Time of the line before, s.
-        before_s: f64,
-    },
 }
 
 /// Reads a recording; gzip is recognised by its first bytes, not by the file's name.

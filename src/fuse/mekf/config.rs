@@ -1,5 +1,6 @@
 //! Settings of the error-state filter. `_rt_s` marks a noise density (its unit times √s or per √s).
 
+use crate::fuse::limits::{self, OutOfRange};
 use crate::fuse::rest::RestConfig;
 use serde::{Deserialize, Serialize};
 
@@ -117,24 +118,6 @@ impl Default for MekfConfig {
     }
 }
 
-/// A setting that would make the filter meaningless.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error(
-    "fusion setting {name} = {value} is outside {min} to {max}: leave it out to get the default {default}"
-)]
-pub struct OutOfRange {
-    /// Name of the setting, as in TOML.
-    pub name: &'static str,
-    /// What was asked for.
-    pub value: f64,
-    /// Smallest allowed value.
-    pub min: f64,
-    /// Largest allowed value.
-    pub max: f64,
-    /// The shipped value.
-    pub default: f64,
-}
-
 impl MekfConfig {
     /// Refuses settings that are not finite or far from anything sensible.
     ///
@@ -172,32 +155,7 @@ impl MekfConfig {
             ("disturbed_ratio", self.disturbed_ratio, d.disturbed_ratio, 1.0, 1000.0),
             ("misfit_tau_s", self.misfit_tau_s, d.misfit_tau_s, above_zero, 1000.0),
         ];
-        for (name, value, default, min, max) in rows {
-            if !(value >= min && value <= max) {
-                return Err(OutOfRange { name, value, min, max, default });
-            }
-        }
-        Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn defaults_pass_and_nonsense_is_named() {
-        assert_eq!(MekfConfig::default().validate(), Ok(()));
-        for bad in [f64::NAN, f64::INFINITY, -1.0] {
-            let config = MekfConfig { field_memory_s: bad, ..MekfConfig::default() };
-            let message = config.validate().unwrap_err().to_string();
-            assert!(message.contains("field_memory_s") && message.contains("default 2"), "{message}");
-        }
-    }
-
-    #[test]
-    fn toml_refuses_unknown_settings() {
-        assert!(toml::from_str::<MekfConfig>("block_s = 0.05").is_ok());
-        assert!(toml::from_str::<MekfConfig>("blok_s = 0.05").is_err());
+        limits::check(&rows)?;
+        self.rest.validate()
     }
 }

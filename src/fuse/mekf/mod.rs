@@ -20,7 +20,7 @@
 //! exceeds what a room does, readings lose weight in proportion, and the hard iron becomes uncertain
 //! by as much: a magnet on the body is learnt and taken away, one in the room stays refused.
 //!
-//! [`covariance`] holds the error states, [`block`] the sums between corrections, [`correct`] the
+//! [`covariance`] holds the error states, [`block`] the sums between corrections, `correct` the
 //! observations. How it was set and cross-validated: `docs/fusion.md`.
 
 pub mod block;
@@ -28,7 +28,7 @@ mod config;
 mod correct;
 pub mod covariance;
 
-pub use config::{MekfConfig, OutOfRange};
+pub use config::MekfConfig;
 
 use super::intake::{self, Step, Usable};
 use super::rest::RestDetector;
