@@ -8,7 +8,7 @@
 //! | F0 words | [`units`], [`frames`], [`sample`] |
 //! | F1 laws: pure, stateless | [`model`] |
 //! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`refine`], [`tick`] |
-//! | F3 worlds and judges, no hardware | [`log`], [`world`], [`experiment`], [`gap`] |
+//! | F3 worlds and judges, no hardware | [`log`], [`world`], [`imu_score`], [`experiment`], [`gap`] |
 //! | F4 edges | [`config`], [`io`], [`link`], [`cli`] |
 
 pub mod calib_imu;
@@ -20,6 +20,7 @@ pub mod experiment;
 pub mod frames;
 pub mod fuse;
 pub mod gap;
+pub mod imu_score;
 pub mod io;
 pub mod link;
 pub mod log;

@@ -6,7 +6,9 @@
 //! seen; `diagnose` puts the answers together.
 
 pub mod chain;
+pub mod decide;
 pub mod diagnose;
 pub mod fit;
 pub mod observe;
+pub mod saved;
 pub mod search;

@@ -24,7 +24,7 @@ const ROUGH: usize = 4;
 const FINE: usize = 8;
 /// Singles that are grown to pairs.
 const BEAM: usize = 3;
-/// Sets that are scored on left-out blocks.
+/// Pairs that are scored on left-out blocks; singles all are.
 const FINALISTS: usize = 5;
 
 /// A set of effects with its fit and its scores.
@@ -87,8 +87,8 @@ pub fn search(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) 
     let mut pairs = grow_pairs(log, catalogue, &singles, &all);
     by_cost(&mut pairs);
     nominal.held_out = Some(leave_out(log, catalogue, &nominal));
-    for list in [&mut singles, &mut pairs] {
-        let n = list.len().min(FINALISTS);
+    for (list, most) in [(&mut singles, usize::MAX), (&mut pairs, FINALISTS)] {
+        let n = list.len().min(most);
         let scored: Vec<HeldOut> = list[..n].par_iter().map(|c| leave_out(log, catalogue, c)).collect();
         for (c, h) in list.iter_mut().zip(scored) {
             c.held_out = Some(h);
