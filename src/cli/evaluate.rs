@@ -1,6 +1,6 @@
 //! `retroflex evaluate`: the paper's experiment on a plant.
 
-use crate::cli::Outcome;
+use crate::cli::{Outcome, write_whole};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
@@ -224,6 +224,5 @@ fn table(report: &Report) -> Table {
 }
 
 fn write_json(path: &std::path::Path, report: &Report) -> Result<()> {
-    let text = serde_json::to_string_pretty(report).into_diagnostic()?;
-    std::fs::write(path, text + "\n").map_err(|e| miette!("{}: {e}", path.display()))
+    write_whole(path, &(serde_json::to_string_pretty(report).into_diagnostic()? + "\n"))
 }

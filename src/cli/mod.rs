@@ -4,8 +4,11 @@
 //! or service not reachable.
 
 pub mod evaluate;
+pub mod imu;
 
 use clap::{Parser, Subcommand};
+use miette::{Result, miette};
+use std::path::Path;
 use std::process::ExitCode;
 
 /// Closed-loop bend control and gap diagnosis for a disposable pneumatic endoscope tip.
@@ -22,6 +25,9 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: three open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
+    /// Orientation filters on recordings.
+    #[command(subcommand)]
+    Imu(imu::Imu),
 }
 
 /// How a command ended, other than by an error.
@@ -38,6 +44,7 @@ pub enum Outcome {
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Imu(command) => imu::run(&command),
     };
     match end {
         Ok(Outcome::Good) => ExitCode::SUCCESS,
@@ -47,4 +54,16 @@ pub fn run(cli: Cli) -> ExitCode {
             ExitCode::from(2)
         }
     }
+}
+
+/// Writes a file whole or not at all: beside its place first, then moved there.
+///
+/// # Errors
+/// Names the file and the system's reason.
+pub fn write_whole(path: &Path, text: &str) -> Result<()> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(".part");
+    std::fs::write(&beside, text)
+        .and_then(|()| std::fs::rename(&beside, path))
+        .map_err(|e| miette!("{}: cannot be written: {e}; give a path in a folder that exists and may be written", path.display()))
 }
