@@ -17,6 +17,7 @@ pub mod experiment;
 pub mod frames;
 pub mod fuse;
 pub mod link;
+pub mod log;
 pub mod model;
 pub mod refine;
 pub mod sample;

@@ -1,0 +1,3 @@
+//! Recordings: bend logs.
+
+pub mod bend_log;
