@@ -6,7 +6,39 @@
 //! of them knows which of the three is calling. A stage that an effect does not touch keeps the
 //! default method, which does nothing.
 
+pub mod accel_bias;
+pub mod asymmetry;
+pub mod base_motion;
+pub mod cable_stiffness;
+pub mod clocking;
+pub mod contact;
+pub mod creep;
+pub mod crosstalk;
+pub mod curvature;
+pub mod gas_compression;
+pub mod gear_periodic;
+pub mod gravity;
+pub mod gyro_bias;
+pub mod hard_iron;
+pub mod hysteresis;
+pub mod leak;
+pub mod line_lag;
+pub mod missed_steps;
+pub mod motor_field;
+pub mod mount_misalignment;
+pub mod param;
+pub mod sensor_latency;
+pub mod smooth;
+pub mod softening;
+pub mod stiffening;
+pub mod thermal_drift;
+pub mod torsion;
+pub mod transport_delay;
+#[cfg(test)]
+mod proof;
+
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
+use std::fmt::Write as _;
 
 /// Where in the machine an effect lives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -169,5 +201,148 @@ pub trait Effect: Send + Sync {
     /// True when the effect leaves the tip's motion as it is (a fit then need not simulate it again).
     fn sensing_only(&self) -> bool {
         matches!(self.stage(), Stage::Sensor | Stage::Base)
+    }
+}
+
+/// The whole catalogue, in the order of the signal and of the published table.
+#[must_use]
+pub fn catalogue() -> Vec<Box<dyn Effect>> {
+    vec![
+        Box::new(missed_steps::MissedSteps),
+        Box::new(gear_periodic::GearPeriodic),
+        Box::new(leak::Leak),
+        Box::new(gas_compression::GasCompression),
+        Box::new(line_lag::LineLag),
+        Box::new(thermal_drift::ThermalDrift),
+        Box::new(crosstalk::Crosstalk),
+        Box::new(stiffening::Stiffening),
+        Box::new(asymmetry::Asymmetry),
+        Box::new(hysteresis::Hysteresis),
+        Box::new(creep::Creep),
+        Box::new(softening::Softening),
+        Box::new(gravity::Gravity),
+        Box::new(curvature::Curvature),
+        Box::new(clocking::Clocking),
+        Box::new(cable_stiffness::CableStiffness),
+        Box::new(torsion::Torsion),
+        Box::new(contact::Contact),
+        Box::new(gyro_bias::GyroBias),
+        Box::new(accel_bias::AccelBias),
+        Box::new(hard_iron::HardIron),
+        Box::new(motor_field::MotorField::default()),
+        Box::new(mount_misalignment::MountMisalignment),
+        Box::new(transport_delay::TransportDelay),
+        Box::new(sensor_latency::SensorLatency),
+        Box::new(base_motion::BaseMotion),
+    ]
+}
+
+/// The effect of that name; `None` if the catalogue has no such effect.
+#[must_use]
+pub fn by_name(name: &str) -> Option<Box<dyn Effect>> {
+    catalogue().into_iter().find(|e| e.name() == name)
+}
+
+/// The catalogue as a Markdown table, for the documentation command.
+#[must_use]
+pub fn describe() -> String {
+    let mut out = String::from(
+        "| effect | stage | signature | confused with | separated by | parameters |\n|---|---|---|---|---|---|\n",
+    );
+    for e in catalogue() {
+        let confused = e.confused_with().iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
+        // writing to a String cannot fail
+        let _ = writeln!(
+            out,
+            "| `{}` | {} | {} | {confused} | {} | {} |",
+            e.name(),
+            e.stage().name(),
+            e.signature(),
+            e.separated_by(),
+            param::summary(&e.params()),
+        );
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Names and stages of the published table, in its order.
+    const TABLE: [(&str, &str); 26] = [
+        ("missed_steps", "drive"),
+        ("gear_periodic", "drive"),
+        ("leak", "transmission"),
+        ("gas_compression", "transmission"),
+        ("line_lag", "transmission"),
+        ("thermal_drift", "transmission"),
+        ("crosstalk", "transmission"),
+        ("stiffening", "bellows"),
+        ("asymmetry", "bellows"),
+        ("hysteresis", "bellows"),
+        ("creep", "bellows"),
+        ("softening", "bellows"),
+        ("gravity", "shape"),
+        ("curvature", "shape"),
+        ("clocking", "shape"),
+        ("cable_stiffness", "shape"),
+        ("torsion", "shape"),
+        ("contact", "shape"),
+        ("gyro_bias", "sensor"),
+        ("accel_bias", "sensor"),
+        ("hard_iron", "sensor"),
+        ("motor_field", "sensor"),
+        ("mount_misalignment", "sensor"),
+        ("transport_delay", "timing"),
+        ("sensor_latency", "timing"),
+        ("base_motion", "base"),
+    ];
+
+    #[test]
+    fn the_catalogue_is_the_published_table() {
+        let got: Vec<_> = catalogue().iter().map(|e| (e.name(), e.stage().name())).collect();
+        assert_eq!(got, TABLE);
+        for (name, _) in TABLE {
+            assert_eq!(by_name(name).map(|e| e.name()), Some(name));
+        }
+        assert!(by_name("ghost").is_none());
+    }
+
+    #[test]
+    fn every_effect_keeps_the_house_rules() {
+        for e in catalogue() {
+            proof::keeps_the_rules(e.as_ref());
+        }
+    }
+
+    #[test]
+    fn an_effect_is_only_taken_for_others_of_the_catalogue() {
+        for e in catalogue() {
+            assert!(!e.confused_with().is_empty(), "{}", e.name());
+            for other in e.confused_with() {
+                assert!(by_name(other).is_some() && *other != e.name(), "{} / {other}", e.name());
+            }
+            assert!(e.signature().len() > 20 && e.separated_by().len() > 10, "{}", e.name());
+        }
+    }
+
+    #[test]
+    fn the_description_has_a_row_for_each() {
+        let text = describe();
+        assert_eq!(text.lines().count(), 2 + TABLE.len());
+        for (line, (name, stage)) in text.lines().skip(2).zip(TABLE) {
+            assert!(line.starts_with(&format!("| `{name}` | {stage} | ")), "{line}");
+            assert_eq!(line.matches(" | ").count(), 5, "{line}");
+        }
+    }
+
+    /// A fit runs a log of 26 000 samples hundreds of times: half a microsecond a sample is its budget.
+    #[test]
+    fn every_effect_is_cheap_enough_for_a_fit() {
+        for e in catalogue() {
+            let ns = proof::cost_ns(e.as_ref());
+            assert!(ns < 500.0, "{} costs {ns:.0} ns a sample", e.name());
+        }
     }
 }

@@ -1,0 +1,87 @@
+//! First stretches soften the rubber.
+//!
+//! Cause: chains torn from filler particles stay torn, so the stiffness falls with the largest stretch
+//! so far (Mullins, *Rubber Chem. Technol.* 1969); as a damage law (Simo, *Comput. Methods Appl.
+//! Mech. Eng.* 1987) `d = 1 − e^(−M/m₀)` with M the largest |q| so far.
+//!
+//! Law: `q′_i = q_i (1 − s e^(−M_i/m₀))`, M_i the largest |q_i| so far: a fresh bellow moves less by the
+//! share s, a worn one as the gains say, so the re-identified gains are those of the worn bellow.
+//!
+//! | parameter | unit | prior | typical |
+//! |---|---|---|---|
+//! | `fresh` s | – | 0 ± 0.15 | 0.05-0.6 |
+//! | `reach` m₀ | mm | 2 ± 1.5 | 1-5 |
+//!
+//! Signature: the curve changes only beyond the past maximum, and for good. Easily confused with
+//! `stiffening` (does not depend on the past), `thermal_drift` and `creep` (go on inside the past
+//! maximum). A rising amplitude that is then repeated separates it.
+
+use crate::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use nalgebra::Vector3;
+
+/// Damage by the largest stretch so far, the same law for each bellow.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Softening;
+
+impl Effect for Softening {
+    fn name(&self) -> &'static str {
+        "softening"
+    }
+    fn stage(&self) -> Stage {
+        Stage::Bellows
+    }
+    fn signature(&self) -> &'static str {
+        "gain changes only beyond the largest past stretch, and for good"
+    }
+    fn confused_with(&self) -> &'static [&'static str] {
+        &["stiffening", "creep", "thermal_drift"]
+    }
+    fn separated_by(&self) -> &'static str {
+        "a rising amplitude, then the same again"
+    }
+    fn params(&self) -> Vec<Param> {
+        vec![Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)), Param::new("reach", "mm", 2.0, 1.5, (0.3, 12.0))]
+    }
+    fn starts(&self) -> Starts {
+        [1.0, 4.0].map(|reach| vec![0.1, reach]).to_vec()
+    }
+    /// Memory holds the largest stretch of each bellow and, from 3 on, the damage it did.
+    fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
+        for i in 0..3 {
+            let stretch = q_mm[i].abs();
+            if stretch > m.0[i] {
+                m.0[i] = stretch;
+                m.0[3 + i] = -(-stretch / p[1]).exp_m1();
+            }
+            q_mm[i] *= 1.0 - p[0] * (1.0 - m.0[3 + i]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::proof;
+
+    #[test]
+    fn keeps_the_rules() {
+        proof::keeps_the_rules(&Softening);
+    }
+
+    #[test]
+    fn only_a_new_maximum_changes_the_curve() {
+        let p = proof::with(&Softening, &[("fresh", 0.4), ("reach", 2.0)]);
+        let mut m = Memory::default();
+        let mut gain = |q: f64| {
+            let mut v = Vector3::repeat(q);
+            Softening.bellows(&p, &mut m, &proof::moment(0.0, v), &mut v);
+            v.x / q
+        };
+        let fresh = gain(1.0);
+        assert_eq!(gain(-0.5), fresh, "inside the past maximum nothing changes, either way");
+        let worn = gain(3.0);
+        assert!(worn > fresh + 0.1, "{fresh} {worn}");
+        assert_eq!(gain(1.0), worn, "and it stays");
+        assert!((gain(-20.0) - 1.0).abs() < 1e-4);
+    }
+}
