@@ -4,6 +4,7 @@
 //! or service not reachable.
 
 pub mod evaluate;
+pub mod gap;
 pub mod imu;
 
 use clap::{Parser, Subcommand};
@@ -25,6 +26,9 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: three open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
+    /// Diagnose the gap between model and machine.
+    #[command(subcommand)]
+    Gap(gap::Gap),
     /// Orientation filters on recordings.
     #[command(subcommand)]
     Imu(imu::Imu),
@@ -44,6 +48,7 @@ pub enum Outcome {
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Gap(command) => gap::run(&command),
         Command::Imu(command) => imu::run(&command),
     };
     match end {

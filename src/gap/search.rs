@@ -9,6 +9,7 @@
 
 use crate::effects::Effect;
 use crate::gap::chain::{Model, run};
+use crate::gap::decide::CLAIM_DEG;
 use crate::gap::fit::{Fitted, Scored, extend, fit, nominal_start, sense};
 use crate::gap::observe::Observed;
 use crate::model::transmission::Line;
@@ -20,10 +21,12 @@ const BLOCK_S: f64 = 12.0;
 /// Gap on either side of a left-out block that is neither fitted nor scored, s.
 const MARGIN_S: f64 = 0.3;
 /// Rounds of a first, rough fit and of a final one.
-const ROUGH: usize = 4;
+const ROUGH: usize = 3;
 const FINE: usize = 8;
+/// Candidates of a list that are fitted to the end.
+const REFINED: usize = 8;
 /// Singles that are grown to pairs.
-const BEAM: usize = 3;
+const BEAM: usize = 2;
 /// Pairs that are scored on left-out blocks; singles all are.
 const FINALISTS: usize = 5;
 
@@ -75,26 +78,47 @@ pub fn search(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) 
     let none = Model::new(&[]);
     let base = fit(log, &none, &nominal_start(lines), &all, FINE);
     let mut nominal = Candidate { names: vec![], fitted: base.clone(), held_out: None };
+    nominal.held_out = Some(leave_out(log, catalogue, &nominal));
     let mut singles: Vec<Candidate> = catalogue
         .par_iter()
         .map(|e| {
             let model = Model::new(&[e.as_ref()]);
-            let fitted = grow(log, &none, &base.theta, &model, e.as_ref(), &all, FINE);
+            let fitted = grow(log, &none, &base.theta, &model, e.as_ref(), &all);
             Candidate { names: vec![e.name()], fitted, held_out: None }
         })
         .collect();
-    by_cost(&mut singles);
-    let mut pairs = grow_pairs(log, catalogue, &singles, &all);
-    by_cost(&mut pairs);
-    nominal.held_out = Some(leave_out(log, catalogue, &nominal));
-    for (list, most) in [(&mut singles, usize::MAX), (&mut pairs, FINALISTS)] {
-        let n = list.len().min(most);
-        let scored: Vec<HeldOut> = list[..n].par_iter().map(|c| leave_out(log, catalogue, c)).collect();
-        for (c, h) in list.iter_mut().zip(scored) {
-            c.held_out = Some(h);
-        }
+    refine(log, catalogue, &mut singles, &all);
+    hold_out(log, catalogue, &mut singles, usize::MAX);
+    singles.sort_by(|a, b| energy(a).total_cmp(&energy(b)));
+    let mut pairs = Vec::new();
+    if singles.first().and_then(|s| s.held_out.as_ref()).is_some_and(|h| room(log, h)) {
+        pairs = grow_pairs(log, catalogue, &singles, &all);
+        refine(log, catalogue, &mut pairs, &all);
+        hold_out(log, catalogue, &mut pairs, FINALISTS);
     }
     Found { nominal, singles, pairs }
+}
+
+/// Whether a further effect could gain what is worth a claim at all.
+fn room(log: &Observed, h: &HeldOut) -> bool {
+    (0..4).any(|k| h.rmse_deg[k] - 3f64.sqrt() * log.noise_deg[k] > CLAIM_DEG)
+}
+
+fn energy(c: &Candidate) -> f64 {
+    c.held_out.as_ref().map_or(f64::INFINITY, HeldOut::energy)
+}
+
+/// Fits the best of a rough list to the end.
+fn refine(log: &Observed, catalogue: &[Box<dyn Effect>], list: &mut [Candidate], all: &[f64]) {
+    by_cost(list);
+    let n = list.len().min(REFINED);
+    list[..n].par_iter_mut().for_each(|c| c.fitted = fit(log, &model_of(catalogue, &c.names), &c.fitted.theta, all, FINE));
+    by_cost(list);
+}
+
+fn hold_out(log: &Observed, catalogue: &[Box<dyn Effect>], list: &mut [Candidate], most: usize) {
+    let n = list.len().min(most);
+    list[..n].par_iter_mut().for_each(|c| c.held_out = Some(leave_out(log, catalogue, c)));
 }
 
 fn by_cost(list: &mut [Candidate]) {
@@ -122,7 +146,7 @@ fn grow_pairs(log: &Observed, catalogue: &[Box<dyn Effect>], singles: &[Candidat
             let mut names = [seed.names[0], e.name()];
             let to = model_of(catalogue, &names);
             names = [to.effects[0].name(), to.effects[1].name()];
-            let fitted = grow(log, &from, &seed.fitted.theta, &to, *e, all, ROUGH);
+            let fitted = grow(log, &from, &seed.fitted.theta, &to, *e, all);
             Candidate { names: names.to_vec(), fitted, held_out: None }
         })
         .collect();
@@ -136,23 +160,16 @@ fn grow_pairs(log: &Observed, catalogue: &[Box<dyn Effect>], singles: &[Candidat
     pairs
 }
 
-/// Fits `to`, which has one effect more than `from`, from each of that effect's starting points.
-fn grow(log: &Observed, from: &Model<'_>, theta: &[f64], to: &Model<'_>, added: &dyn Effect, mask: &[f64], rounds: usize) -> Fitted {
+/// Fits `to`, which has one effect more than `from`, roughly, from each of that effect's starting
+/// points: a step or two from all of them, more from the best.
+fn grow(log: &Observed, from: &Model<'_>, theta: &[f64], to: &Model<'_>, added: &dyn Effect, mask: &[f64]) -> Fitted {
     let mut starts = added.starts();
     if let Some(found) = scan(log, from, theta, to, added, mask) {
-        starts.insert(0, found);
+        starts = vec![found];
     }
-    let several = starts.len() > 1;
-    let mut best: Option<Fitted> = None;
-    for start in &starts {
-        let first = extend(from, theta, to, start);
-        let f = fit(log, to, &first, mask, if several { ROUGH } else { rounds });
-        if best.as_ref().is_none_or(|b| f.cost < b.cost) {
-            best = Some(f);
-        }
-    }
-    let best = best.unwrap_or_else(|| fit(log, to, &extend(from, theta, to, &[]), mask, ROUGH));
-    if several && rounds > ROUGH { fit(log, to, &best.theta, mask, rounds - ROUGH) } else { best }
+    let first = |start: &Vec<f64>| fit(log, to, &extend(from, theta, to, start), mask, if starts.len() > 1 { 2 } else { ROUGH });
+    let best = starts.iter().map(first).min_by(|a, b| a.cost.total_cmp(&b.cost));
+    best.unwrap_or_else(|| fit(log, to, &extend(from, theta, to, &[]), mask, ROUGH))
 }
 
 /// For an effect that happens once: the time and the three offsets that explain most of what is left,
