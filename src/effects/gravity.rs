@@ -47,14 +47,8 @@ impl Effect for Gravity {
     fn params(&self) -> Vec<Param> {
         vec![Param::new("sag", "rad", 0.0, 0.06, (0.0, 0.5)), Param::new("lever", "", 0.5, 0.3, (0.0, 1.0))]
     }
-    /// Memory holds 1 once the rest was seen, then its vertical.
-    fn shape(&self, p: &[f64], m: &mut Memory, at: &Moment, pose: &mut Pose) {
-        if m.0[0] == 0.0 {
-            m.0[0] = 1.0;
-            m.0[1..4].copy_from_slice(at.up_base.as_slice());
-        }
-        let rest = Vector2::new(m.0[1], m.0[2]);
-        pose.bend -= (lift(&pose.bend, &at.up_base, p[1]) - rest) * p[0];
+    fn shape(&self, p: &[f64], _m: &mut Memory, at: &Moment, pose: &mut Pose) {
+        pose.bend -= lift(&pose.bend, &at.up_base, p[1]) * p[0];
     }
 }
 

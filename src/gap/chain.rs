@@ -99,7 +99,19 @@ pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
         lagged = q + (lagged - q) * keep;
         out.push(orientation(model, theta, &mut memory, &moment, &geometry, &lagged));
     }
+    from_rest(&mut out);
     out
+}
+
+/// The rest *defines* zero bend and the base frame: a tip that sags before anything moves is straight
+/// by definition, and everything later is seen from there.
+fn from_rest(motion: &mut Motion) {
+    let Some(back) = motion.first().map(Matrix3::transpose) else { return };
+    if back != Matrix3::identity() {
+        for r in motion.iter_mut() {
+            *r = back * *r;
+        }
+    }
 }
 
 /// Pistons, play, extension and the rubber: bellow length changes before the mechanical lag.
