@@ -97,6 +97,13 @@ mod tests {
         proof::keeps_the_rules(&MotorField::default());
     }
 
+    #[test]
+    fn a_fit_finds_it_again() {
+        let mut truth: Vec<f64> = (0..18).map(|k| 6.0 * (1.7 * f64::from(k)).sin()).collect();
+        truth.extend([0.3, 0.8]);
+        proof::found_again(&MotorField::default(), &truth);
+    }
+
     fn field(u_mm: f64, idle_s: f64, r_base_sensor: UnitQuaternion<f64>) -> Vector3<f64> {
         let e = MotorField::default();
         let mut p = proof::with(&e, &[("idle", 0.4)]);
