@@ -58,6 +58,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&AccelBias, &[0.5, -0.3, 0.2]);
+    }
+
+    #[test]
     fn the_norm_depends_on_the_pose_and_nothing_else_changes() {
         let p = [0.5, -0.3, 0.2];
         let run = proof::drive(&AccelBias, &p, 60.0, proof::exercise);

@@ -66,6 +66,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Asymmetry, &[0.2, -0.1, 0.1]);
+    }
+
+    #[test]
     fn slopes_differ_on_the_two_sides_and_only_there() {
         let at = |q: f64| {
             let mut v = Vector3::repeat(q);

@@ -68,6 +68,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&CableStiffness, &[0.1, -0.15, 0.05, 0.1]);
+    }
+
+    #[test]
     fn the_gain_is_two_fold_about_its_axis() {
         let psi = 25.0f64;
         let (sin, cos) = (2.0 * psi.to_radians()).sin_cos();

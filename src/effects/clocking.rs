@@ -77,6 +77,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Clocking, &[0.1, -0.2, 0.05]);
+    }
+
+    #[test]
     fn it_inverts_equation_10_with_its_angles() {
         let g = Geometry::default();
         let zeta = Vector3::new(0.1, -0.2, 0.05);

@@ -74,6 +74,11 @@ mod tests {
         proof::keeps_the_rules(&Contact);
     }
 
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Contact, &[2.1, 0.8, 0.75]);
+    }
+
     fn moved(beta: f64, delta: f64) -> Vector2<f64> {
         let b = proof::bend_deg(beta, delta);
         let p = [30f64.to_radians(), 40f64.to_radians(), 0.8];

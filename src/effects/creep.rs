@@ -72,6 +72,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Creep, &[0.06, 0.15, 3.5]);
+    }
+
+    #[test]
     fn a_hold_grows_the_motion_and_the_return_recovers() {
         let p = proof::with(&Creep, &[("fast", 0.1), ("slow", 0.1)]);
         let run = proof::drive(&Creep, &p, 300.0, |t| Vector3::repeat(if t < 60.0 { 10.0 } else { 0.0 }));

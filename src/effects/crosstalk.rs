@@ -72,6 +72,11 @@ mod tests {
         proof::keeps_the_rules(&Crosstalk);
     }
 
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Crosstalk, &[-0.15, 0.7]);
+    }
+
     fn moved(p: [f64; 2], w: Vector3<f64>) -> Vector3<f64> {
         proof::drive(&Crosstalk, &p, 0.0, |_| w)[0].w_mm - w
     }

@@ -64,6 +64,11 @@ mod tests {
         proof::keeps_the_rules(&Curvature);
     }
 
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Curvature, &[-0.2, 0.15]);
+    }
+
     fn gain(p: &[f64], beta: f64, delta: f64) -> f64 {
         let b = proof::bend_deg(beta, delta);
         let out = proof::shaped(&Curvature, p, b, Vector3::z()).bend;

@@ -65,6 +65,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&GasCompression, &[0.06]);
+    }
+
+    #[test]
     fn bellow_and_air_share_the_piston_as_boyle_says() {
         let c = 0.05;
         let run = proof::drive(&GasCompression, &[c], 90.0, proof::exercise);

@@ -70,6 +70,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&GearPeriodic, &[0.2, -0.1, 0.15, -0.1, 0.2, 0.05, 3.16]);
+    }
+
+    #[test]
     fn the_error_repeats_with_position_at_any_speed() {
         let p = proof::with(&GearPeriodic, &[("sin", 0.2), ("cos", -0.1)]);
         let error = |speed: f64, u: f64| {

@@ -73,6 +73,11 @@ mod tests {
         proof::keeps_the_rules(&Gravity);
     }
 
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Gravity, &[0.12, 0.2]);
+    }
+
     /// Height of the mass above the base, per length: what `lift` is the slope of.
     fn height(b: Vector2<f64>, up: &Vector3<f64>, lever: f64) -> f64 {
         let tip = Bend(b).rotation().apply(&Vector3::z());

@@ -70,6 +70,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&GyroBias, &[0.02, -0.01, 0.005, -0.01, 0.01, 0.02, 35.0]);
+    }
+
+    #[test]
     fn only_the_gyroscope_drifts() {
         let p = proof::with(&GyroBias, &[("warm_y", 0.02), ("trend_z", 0.01), ("tau", 10.0)]);
         let run = proof::drive(&GyroBias, &p, 100.0, proof::exercise);

@@ -57,6 +57,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&HardIron, &[12.0, -25.0, 3.0]);
+    }
+
+    #[test]
     fn the_offset_is_fixed_to_the_body() {
         let p = [12.0, -7.0, 3.0];
         let run = proof::drive(&HardIron, &p, 60.0, proof::exercise);

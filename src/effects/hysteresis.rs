@@ -74,6 +74,11 @@ mod tests {
         proof::keeps_the_rules(&Hysteresis);
     }
 
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Hysteresis, &[0.1, 0.3, 0.2]);
+    }
+
     /// Bellow length at the end of straight moves between piston positions, at a speed in mm/s.
     fn after(turns: &[f64], speed: f64) -> f64 {
         let mut m = Memory::default();

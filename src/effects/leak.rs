@@ -73,6 +73,11 @@ mod tests {
         proof::keeps_the_rules(&Leak);
     }
 
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Leak, &[0.012, 0.0004, 0.03, 0.6]);
+    }
+
     /// Held at `w_mm` for 100 s, then back at zero: what is left just before and just after.
     fn hold(w_mm: f64, vacuum_ratio: f64) -> (f64, f64) {
         let p = proof::with(&Leak, &[("rate", 0.005), ("vacuum_ratio", vacuum_ratio)]);

@@ -72,6 +72,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&LineLag, &[0.3, 0.1, 0.6, -0.3]);
+    }
+
+    #[test]
     fn a_step_arrives_with_its_time_constant() {
         let p = proof::with(&LineLag, &[("tau", 0.4)]);
         let run = proof::drive(&LineLag, &p, 10.0, |t| Vector3::repeat(if t > 0.0 { 8.0 } else { 0.0 }));

@@ -61,13 +61,13 @@ impl Effect for MotorField {
         let motor = |m| NAMES.map(|name| Param::new(name, "µT", 0.0, 3.0, (-40.0, 40.0)).on(m));
         let mut out: Vec<Param> = (1..=3).flat_map(motor).collect();
         out.push(Param::new("idle", "", 0.5, 0.3, (0.0, 1.0)));
-        out.push(Param::new("idle_after", "s", 0.5, 0.5, (0.05, 5.0)));
+        out.push(Param::new("idle_after", "s", 0.5, 0.5, (0.1, 10.0)));
         out
     }
+    /// A current that falls early, later, and as good as never: from too early a fall there is no way back.
     fn starts(&self) -> Starts {
-        let mut out = vec![0.1; 18];
-        out.extend([0.5, 0.5]);
-        vec![out]
+        let after = |s: f64| [vec![0.1; 18], vec![0.5, s]].concat();
+        vec![after(0.4), after(1.2), after(3.0)]
     }
     fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut Reading) {
         let mut field = Vector3::zeros();
@@ -95,6 +95,13 @@ mod tests {
     #[test]
     fn keeps_the_rules() {
         proof::keeps_the_rules(&MotorField::default());
+    }
+
+    #[test]
+    fn a_fit_finds_it_again() {
+        let mut truth: Vec<f64> = (0..18).map(|k| 6.0 * (1.7 * f64::from(k)).sin()).collect();
+        truth.extend([0.3, 0.8]);
+        proof::found_again(&MotorField::default(), &truth);
     }
 
     fn field(u_mm: f64, idle_s: f64, r_base_sensor: UnitQuaternion<f64>) -> Vector3<f64> {

@@ -75,6 +75,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Stiffening, &[0.3, 0.1, 0.2]);
+    }
+
+    #[test]
     fn the_cubic_is_solved_and_odd() {
         for a in [0.05, 0.4, 1.5] {
             let kappa = a / (REACH_MM * REACH_MM);

@@ -64,6 +64,11 @@ mod tests {
     }
 
     #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Torsion, &[-0.1, 0.08]);
+    }
+
+    #[test]
     fn twist_grows_with_bend_and_the_axis_stays() {
         let twist = |beta: f64, delta: f64| {
             let b = proof::bend_deg(beta, delta);
