@@ -4,13 +4,18 @@
 //! so far (Mullins, *Rubber Chem. Technol.* 1969); as a damage law (Simo, *Comput. Methods Appl.
 //! Mech. Eng.* 1987) `d = 1 − e^(−M/m₀)` with M the largest |q| so far.
 //!
-//! Law: `q′_i = q_i (1 − s e^(−M_i/m₀))`, M_i the largest |q_i| so far: a fresh bellow moves less by the
-//! share s, a worn one as the gains say, so the re-identified gains are those of the worn bellow.
+//! Law: `q′_i = q_i [1 − s (1 − D_i)]`, `D_i = (1 − e^(−X_i/m₀)) (1 − κ (q_i/M_i)²)`. M_i is the largest |q_i|
+//! so far and `X_i = M_i + c ∫|dq_i|` what has worn the rubber: mostly the maximum, a little every stroke.
+//! Near the past maximum the virgin curve is met again (pseudo-elastic Mullins law of Ogden and Roxburgh,
+//! *Proc. R. Soc. A* 1999), by the share κ. A fresh bellow moves less by the share s, a worn one as the
+//! gains say, so the re-identified gains are those of the worn bellow.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
 //! | `fresh` s | – | 0 ± 0.15 | 0.05-0.6 |
 //! | `reach` m₀ | mm | 2 ± 1.5 | 1-5 |
+//! | `rejoin` κ | – | 0 ± 0.4 | 0-1 |
+//! | `tiring` c | mm/mm | 0 ± 0.02 | 0-0.1 |
 //!
 //! Signature: the curve changes only beyond the past maximum, and for good. Easily confused with
 //! `stiffening` (does not depend on the past), `thermal_drift` and `creep` (go on inside the past
@@ -40,20 +45,26 @@ impl Effect for Softening {
         "a rising amplitude, then the same again"
     }
     fn params(&self) -> Vec<Param> {
-        vec![Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)), Param::new("reach", "mm", 2.0, 1.5, (0.3, 12.0))]
+        vec![
+            Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)),
+            Param::new("reach", "mm", 2.0, 1.5, (0.3, 12.0)),
+            Param::new("rejoin", "", 0.0, 0.4, (0.0, 1.0)),
+            Param::new("tiring", "mm/mm", 0.0, 0.02, (0.0, 0.3)),
+        ]
     }
     fn starts(&self) -> Starts {
-        [1.0, 4.0].map(|reach| vec![0.1, reach]).to_vec()
+        [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)].map(|(reach, rejoin)| vec![0.15, reach, rejoin, 0.005]).to_vec()
     }
-    /// Memory holds the largest stretch of each bellow and, from 3 on, the damage it did.
+    /// Memory holds each bellow's largest stretch, from 3 on its path, from 6 on where it was last.
     fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         for i in 0..3 {
-            let stretch = q_mm[i].abs();
-            if stretch > m.0[i] {
-                m.0[i] = stretch;
-                m.0[3 + i] = -(-stretch / p[1]).exp_m1();
-            }
-            q_mm[i] *= 1.0 - p[0] * (1.0 - m.0[3 + i]);
+            let q = q_mm[i];
+            m.0[i] = m.0[i].max(q.abs());
+            m.0[3 + i] += (q - m.0[6 + i]).abs();
+            m.0[6 + i] = q;
+            let worn = -(-(m.0[i] + p[3] * m.0[3 + i]) / p[1]).exp_m1();
+            let near = if m.0[i] > 0.0 { (q / m.0[i]).powi(2) } else { 0.0 };
+            q_mm[i] *= 1.0 - p[0] * (1.0 - worn * (1.0 - p[2] * near));
         }
     }
 }
@@ -88,5 +99,24 @@ mod tests {
         assert!(worn > fresh + 0.1, "{fresh} {worn}");
         assert!((gain(1.0) - worn).abs() < 1e-12, "and it stays");
         assert!((gain(-20.0) - 1.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn the_virgin_curve_is_met_again_at_the_past_maximum_and_strokes_wear() {
+        let p = proof::with(&Softening, &[("fresh", 0.4), ("reach", 2.0), ("rejoin", 1.0), ("tiring", 0.05)]);
+        let mut m = Memory::default();
+        let mut gain = |q: f64| {
+            let mut v = Vector3::repeat(q);
+            Softening.bellows(&p, &mut m, &proof::moment(0.0, v), &mut v);
+            v.x / q
+        };
+        assert!((gain(3.0) - 0.6).abs() < 1e-9, "at the maximum nothing is softened");
+        let inside = gain(1.0);
+        assert!(inside > 0.8);
+        for _ in 0..20 {
+            gain(-1.0);
+            gain(1.0);
+        }
+        assert!(gain(1.0) > inside + 1e-3);
     }
 }
