@@ -1,13 +1,15 @@
 //! Closed-loop bend control and sim-to-real gap diagnosis for a disposable pneumatic endoscope tip.
 //!
 //! The house has floors; a file imports only from floors below its own, or from earlier rooms of its
-//! own floor:
+//! own floor. `tests/floors.rs` reads this table and enforces it.
 //!
-//! | floor | rooms |
+//! | floor | rooms, lowest first |
 //! |---|---|
 //! | F0 words | [`units`], [`frames`], [`sample`] |
 //! | F1 laws: pure, stateless | [`model`] |
-//! | F2 behaviour: config + state → output | [`fuse`], [`control`], [`refine`], [`tick`] |
+//! | F2 behaviour: config + state → output | [`effects`], [`fuse`], [`control`], [`refine`], [`tick`] |
+//! | F3 twins and judges: no hardware | [`plant`], [`world`], [`experiment`], [`report`] |
+//! | F4 edges | [`config`], [`sim`], [`link`], [`cli`] |
 
 pub mod cli;
 pub mod config;
@@ -18,8 +20,11 @@ pub mod frames;
 pub mod fuse;
 pub mod link;
 pub mod model;
+pub mod plant;
 pub mod refine;
+pub mod report;
 pub mod sample;
+pub mod sim;
 pub mod tick;
 pub mod units;
 pub mod world;

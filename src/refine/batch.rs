@@ -214,7 +214,10 @@ mod tests {
                 Ok(e) => for x in e {
                     prop_assert!((x.line.k_epsilon - k_epsilon).abs() < 1e-9 && (x.line.k_lambda_mm - k_lambda_mm).abs() < 1e-9);
                 },
-                Err(why) => prop_assert!(matches!(why, Unidentifiable::Condition { .. })),
+                Err(why) => {
+                    let ill_conditioned = matches!(why, Unidentifiable::Condition { .. });
+                    prop_assert!(ill_conditioned);
+                }
             }
         }
     }
