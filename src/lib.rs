@@ -7,10 +7,11 @@
 //! |---|---|
 //! | F0 words | [`units`], [`frames`], [`sample`] |
 //! | F1 laws: pure, stateless | [`model`] |
-//! | F2 behaviour: config + state → output | [`effects`], [`fuse`], [`control`], [`refine`], [`tick`] |
-//! | F3 twins and judges: no hardware | [`plant`], [`world`], [`experiment`], [`report`] |
-//! | F4 edges | [`config`], [`sim`], [`link`], [`cli`] |
+//! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`refine`], [`tick`] |
+//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
+//! | F4 edges | [`config`], [`io`], [`sim`], [`link`], [`cli`] |
 
+pub mod calib_imu;
 pub mod cli;
 pub mod config;
 pub mod control;
@@ -18,7 +19,11 @@ pub mod effects;
 pub mod experiment;
 pub mod frames;
 pub mod fuse;
+pub mod gap;
+pub mod imu_score;
+pub mod io;
 pub mod link;
+pub mod log;
 pub mod model;
 pub mod plant;
 pub mod refine;

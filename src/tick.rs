@@ -16,7 +16,7 @@ use crate::control::pi::{Dynamics, PiGains, PiState, ReferenceModel};
 use crate::control::reach::Reach;
 use crate::control::rest::{RestConfig, RestState};
 use crate::control::wall::{WallConfig, WallState};
-use crate::fuse::{Felt, FuseConfig, Fusion};
+use crate::fuse::tip::{Felt, FuseConfig, Fusion};
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
 use crate::model::drive::Drive;

@@ -4,6 +4,7 @@
 //! or service not reachable.
 
 pub mod evaluate;
+pub mod imu;
 pub mod output;
 
 use clap::{Parser, Subcommand};
@@ -23,6 +24,9 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: three open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
+    /// Orientation filters on recordings.
+    #[command(subcommand)]
+    Imu(imu::Imu),
 }
 
 /// How a command ended, other than by an error.
@@ -51,6 +55,7 @@ pub struct Unreachable {
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Imu(command) => imu::run(&command),
     };
     if let Err(report) = &end {
         eprintln!("{report:?}");

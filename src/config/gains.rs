@@ -4,7 +4,7 @@ use crate::config::check::{Check, Checker};
 use crate::control::follow::Pace;
 use crate::control::rest::RestConfig;
 use crate::control::wall::WallConfig;
-use crate::fuse::FuseConfig;
+use crate::fuse::tip::FuseConfig;
 use crate::model::transmission::Side;
 use crate::refine::online::RefineConfig;
 use crate::tick::FeedbackConfig;

@@ -1,0 +1,191 @@
+//! The covariance of the error state: what is uncertain, and together with what.
+//!
+//! Order of the 20 error states (true = estimate ⊕ error):
+//!
+//! | rows | symbol | unit | error of |
+//! |---|---|---|---|
+//! | 0..3 | φ | rad, world axes | attitude, `R = exp(φ) R̂` |
+//! | 3..6 | b | rad/s, sensor axes | gyroscope bias |
+//! | 6..12 | s | – (xx, yy, zz, xy, xz, yz) | gyroscope scale and skew, symmetric |
+//! | 12..14 | v | m/s, world x and y | horizontal velocity |
+//! | 14, 15 | h, z | µT | horizontal (north) and vertical part of the Earth's field |
+//! | 16..19 | m | µT, sensor axes | hard iron |
+//! | 19 | τ | s | age of a magnetometer reading |
+//!
+//! Scalar observations are taken one by one (Bierman 1977): no matrix is ever inverted.
+
+use nalgebra::{Matrix3, SMatrix, SVector};
+
+/// Number of error states.
+pub const DIM: usize = 20;
+/// First attitude error; the third of them is the heading.
+pub const ATTITUDE: usize = 0;
+/// First gyroscope bias error.
+pub const BIAS: usize = 3;
+/// First gyroscope scale error.
+pub const SCALE: usize = 6;
+/// First horizontal velocity error.
+pub const VELOCITY: usize = 12;
+/// Errors of the field's north and vertical part.
+pub const FIELD: usize = 14;
+/// First hard-iron error.
+pub const IRON: usize = 16;
+/// Error of the magnetometer's latency.
+pub const LATENCY: usize = 19;
+
+/// The error state itself.
+pub type Errors = SVector<f64, DIM>;
+
+/// How errors flowed into one another over a block of samples.
+#[derive(Debug, Clone, Copy)]
+pub struct Flow {
+    /// φ per b, seconds: minus the integral of R.
+    pub attitude_by_bias: Matrix3<f64>,
+    /// φ per s, rad: the integral of R ∂ω/∂s.
+    pub attitude_by_scale: SMatrix<f64, 3, 6>,
+    /// v per φ, m/s: gravity times the block's length.
+    pub velocity_by_tilt_m_s: f64,
+}
+
+/// A symmetric 20 x 20 covariance.
+#[derive(Debug, Clone, Copy)]
+pub struct Covariance(SMatrix<f64, DIM, DIM>);
+
+impl Covariance {
+    /// Independent errors with these standard deviations.
+    #[must_use]
+    pub fn from_sigmas(sigmas: &Errors) -> Self {
+        Self(SMatrix::from_diagonal(&sigmas.map(|s| s * s)))
+    }
+    /// Standard deviation of one error.
+    #[must_use]
+    pub fn sigma(&self, k: usize) -> f64 {
+        self.0[(k, k)].max(0.0).sqrt()
+    }
+    /// False once a number has run away.
+    #[must_use]
+    pub fn is_sane(&self) -> bool {
+        self.0.diagonal().iter().all(|v| v.is_finite() && *v >= 0.0)
+    }
+    /// Adds variance to `count` errors from `first` on.
+    pub fn grow(&mut self, first: usize, count: usize, variance: f64) {
+        for k in first..first + count {
+            self.0[(k, k)] += variance;
+        }
+    }
+    /// Makes one error independent of all others, with this standard deviation.
+    pub fn isolate(&mut self, k: usize, sigma: f64) {
+        self.0.row_mut(k).fill(0.0);
+        self.0.column_mut(k).fill(0.0);
+        self.0[(k, k)] = sigma * sigma;
+    }
+
+    /// P ← F P Fᵀ. Velocity first, by the attitude error at the block's start; then attitude.
+    pub fn flow(&mut self, flow: &Flow) {
+        let pull = flow.velocity_by_tilt_m_s;
+        self.couple(&[(VELOCITY, ATTITUDE + 1, pull), (VELOCITY + 1, ATTITUDE, -pull)]);
+        let mut links = [(0, 0, 0.0); 27];
+        let mut n = 0;
+        for row in 0..3 {
+            for col in 0..3 {
+                links[n] = (ATTITUDE + row, BIAS + col, flow.attitude_by_bias[(row, col)]);
+                n += 1;
+            }
+            for col in 0..6 {
+                links[n] = (ATTITUDE + row, SCALE + col, flow.attitude_by_scale[(row, col)]);
+                n += 1;
+            }
+        }
+        self.couple(&links);
+    }
+
+    /// `error[to] += gain * error[from]` for every link; no `from` may also be a `to`.
+    fn couple(&mut self, links: &[(usize, usize, f64)]) {
+        for &(to, from, gain) in links {
+            let source = self.0.column(from).into_owned();
+            self.0.column_mut(to).axpy(gain, &source, 1.0);
+        }
+        for &(to, from, gain) in links {
+            for k in 0..DIM {
+                self.0[(to, k)] += gain * self.0[(from, k)];
+            }
+        }
+    }
+
+    /// Variance of `Σ gain · error`.
+    #[must_use]
+    pub fn variance_of(&self, row: &[(usize, f64)]) -> f64 {
+        row.iter().map(|&(j, a)| row.iter().map(|&(k, b)| a * b * self.0[(j, k)]).sum::<f64>()).sum::<f64>()
+    }
+
+    /// Takes one scalar observation `innovation = Σ gain · error + noise` into `errors` and itself.
+    ///
+    /// `row` holds (error, gain) pairs, `variance` is the noise's. An observation that would make the
+    /// covariance lose its meaning is left out.
+    pub fn observe(&mut self, errors: &mut Errors, row: &[(usize, f64)], innovation: f64, variance: f64) {
+        let mut spread = Errors::zeros();
+        let mut expected = 0.0;
+        for &(k, gain) in row {
+            spread.axpy(gain, &self.0.column(k), 1.0);
+            expected += gain * errors[k];
+        }
+        let total = variance + row.iter().map(|&(k, gain)| gain * spread[k]).sum::<f64>();
+        if !(total.is_finite() && total > 0.0 && innovation.is_finite()) {
+            return;
+        }
+        errors.axpy((innovation - expected) / total, &spread, 1.0);
+        self.0.ger(-1.0 / total, &spread, &spread, 1.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tangled() -> Covariance {
+        let root = SMatrix::<f64, DIM, DIM>::from_fn(|r, c| {
+            ((r * 7 + c * 3) % 11) as f64 / 11.0 + f64::from(r == c)
+        });
+        Covariance(root * root.transpose())
+    }
+
+    #[test]
+    fn flow_is_the_full_product() {
+        let flow = Flow {
+            attitude_by_bias: Matrix3::from_fn(|r, c| -0.03 * (1.0 + r as f64 - 0.5 * c as f64)),
+            attitude_by_scale: SMatrix::from_fn(|r, c| 0.02 * (c as f64 - r as f64)),
+            velocity_by_tilt_m_s: 0.35,
+        };
+        let mut by_tilt = SMatrix::<f64, DIM, DIM>::identity();
+        by_tilt[(VELOCITY, 1)] = 0.35;
+        by_tilt[(VELOCITY + 1, 0)] = -0.35;
+        let mut by_gyro = SMatrix::<f64, DIM, DIM>::identity();
+        by_gyro.fixed_view_mut::<3, 3>(ATTITUDE, BIAS).copy_from(&flow.attitude_by_bias);
+        by_gyro.fixed_view_mut::<3, 6>(ATTITUDE, SCALE).copy_from(&flow.attitude_by_scale);
+        let f = by_gyro * by_tilt;
+        let mut p = tangled();
+        let want = f * p.0 * f.transpose();
+        p.flow(&flow);
+        assert!((p.0 - want).amax() < 1e-9, "{}", (p.0 - want).amax());
+    }
+
+    #[test]
+    fn observing_is_the_kalman_update() {
+        let p0 = tangled();
+        let row = [(2, 15.0), (FIELD, 1.0), (IRON + 1, -0.4)];
+        let mut h = Errors::zeros();
+        for (k, gain) in row {
+            h[k] = gain;
+        }
+        let s = (h.transpose() * p0.0 * h)[0] + 4.0;
+        let gain = p0.0 * h / s;
+        let (mut p, mut errors) = (p0, Errors::zeros());
+        p.observe(&mut errors, &row, 2.5, 4.0);
+        assert!((p0.variance_of(&row) + 4.0 - s).abs() < 1e-9);
+        assert!((errors - gain * 2.5).amax() < 1e-12);
+        assert!((p.0 - (p0.0 - gain * h.transpose() * p0.0)).amax() < 1e-9);
+        let before = p.sigma(2);
+        p.observe(&mut errors, &row, f64::NAN, 4.0);
+        assert_eq!(p.sigma(2), before, "a NaN is no observation");
+    }
+}

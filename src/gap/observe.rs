@@ -1,0 +1,319 @@
+//! What a log says, in bins of about 50 ms with weights in degrees.
+//!
+//! Within a bin the prediction `R̄ᵀ v` of a world-fixed vector needs only the mean matrix `R̄`, so
+//! averaging costs nothing in accuracy and a factor in time. Four kinds of observation stand beside
+//! each other and are never fused: tracker, accelerometer, magnetometer (each as an angle) and
+//! gyroscope (as a rate). A fault of one sensor then shows in one kind, a mechanical one in all.
+
+use crate::log::bend_log::{BendLog, ImuColumns};
+use nalgebra::{Matrix3, Vector3};
+use thiserror::Error;
+
+/// Length of a bin, s.
+const BIN_S: f64 = 0.05;
+/// Gravity, m/s².
+pub const G_M_S2: f64 = 9.80665;
+/// Shortest log that is diagnosed, s.
+const LENGTH_MIN_S: f64 = 20.0;
+/// Piston path below which a log counts as motionless, mm.
+const PATH_MIN_MM: f64 = 20.0;
+
+/// Kinds of observation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Tracker reference.
+    Reference,
+    /// Accelerometer as a direction.
+    Acc,
+    /// Magnetometer as a direction.
+    Mag,
+    /// Gyroscope.
+    Gyro,
+}
+
+impl Kind {
+    /// All, in the order of residual blocks.
+    pub const ALL: [Self; 4] = [Self::Reference, Self::Acc, Self::Mag, Self::Gyro];
+
+    /// Name in reports.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reference => "reference",
+            Self::Acc => "accelerometer",
+            Self::Mag => "magnetometer",
+            Self::Gyro => "gyroscope",
+        }
+    }
+}
+
+/// Why a log cannot be diagnosed.
+#[derive(Debug, Error, PartialEq)]
+pub enum Unfit {
+    /// Too short.
+    #[error("the log is {0:.1} s long; a diagnosis needs at least 20 s, and about 250 s with holds and several speeds: record the schedule of `retroflex gap excite`")]
+    Short(f64),
+    /// Nothing moves.
+    #[error("the pistons travel {0:.1} mm in the whole log; nothing can be told from a tip that does not move: record the schedule of `retroflex gap excite`")]
+    Motionless(f64),
+    /// Nothing is sensed.
+    #[error("the log has neither a tip IMU (acc_*, gyr_*) nor a reference (ref_q*) with values in it: record at least one of them")]
+    Blind,
+    /// No rest at the start.
+    #[error("the pistons move within the first {0:.1} s; the rest at the start defines zero bend and the base frame: record at least 2 s of rest first")]
+    NoRest(f64),
+    /// A sensor at its stop.
+    #[error("{0} stands at one value, {1}, for {2:.0} % of the moving time: it is clipped or frozen; choose a larger range, or check the sensor, and record again")]
+    Clipped(&'static str, f64, f64),
+}
+
+/// One bin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bin {
+    /// First row and one past the last.
+    pub rows: (usize, usize),
+    /// Middle, s.
+    pub t_s: f64,
+    /// Mean tracker orientation as a matrix, tip → base; NaN where missing.
+    pub reference: Matrix3<f64>,
+    /// Mean specific force, m/s²; NaN where missing.
+    pub acc: Vector3<f64>,
+    /// Mean field, µT; NaN where missing.
+    pub mag: Vector3<f64>,
+    /// Mean rate, rad/s; NaN where missing.
+    pub gyr: Vector3<f64>,
+    /// 1/σ of each kind of residual (per rad, per rad, per rad, per rad/s); 0 where missing.
+    pub weight: [f64; 4],
+    /// Seconds since a piston last moved.
+    pub idle_s: f64,
+    /// Fastest piston, mm/s.
+    pub speed_mm_s: f64,
+}
+
+/// A log ready to be fitted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Observed {
+    /// Row times, s.
+    pub t_s: Vec<f64>,
+    /// Counted pistons, mm.
+    pub piston_mm: Vec<Vector3<f64>>,
+    /// Seconds since a piston last moved, per row.
+    pub idle_s: Vec<f64>,
+    /// Bins.
+    pub bins: Vec<Bin>,
+    /// Which kinds are there.
+    pub has: [bool; 4],
+    /// Mean specific force at the initial rest over its norm: up, in the base frame.
+    pub up_base: Vector3<f64>,
+    /// Mean field at rest, µT.
+    pub field_base_ut: Vector3<f64>,
+    /// White noise of one bin, degrees (°/s for the gyroscope), from still stretches.
+    pub noise_deg: [f64; 4],
+}
+
+/// Model error that a nominal unit is allowed per angle, rad (1 σ): what is not worth a name.
+const ANGLE_FLOOR_RAD: f64 = 0.0044;
+/// The same for rates, rad/s.
+const RATE_FLOOR_RAD_S: f64 = 0.007;
+/// Part of the turning rate that a rate prediction may miss by.
+const RATE_SHARE: f64 = 0.12;
+/// Error of gravity as a direction while the tip turns, rad per rad/s.
+const ACC_MOTION: f64 = 0.012;
+/// Error of any angle while the tip turns (timing within a bin), rad per rad/s.
+const ANGLE_MOTION: f64 = 0.006;
+
+impl Observed {
+    /// Bins a log; refuses one that cannot be diagnosed.
+    ///
+    /// # Errors
+    /// [`Unfit`].
+    pub fn new(log: &BendLog) -> Result<Self, Unfit> {
+        refuse(log)?;
+        let log = &thinned(log);
+        let (idle_s, speed) = stillness(log);
+        let mut o = Self {
+            t_s: log.t_s.clone(),
+            piston_mm: log.piston_mm.clone(),
+            bins: bins(log, &idle_s, &speed),
+            idle_s,
+            has: [false; 4],
+            up_base: Vector3::z(),
+            field_base_ut: Vector3::zeros(),
+            noise_deg: [0.0; 4],
+        };
+        let rest = o.rest_bins();
+        o.up_base = mean(o.bins[..rest].iter().map(|b| b.acc)).map_or(Vector3::z(), |v| v.normalize());
+        o.field_base_ut = mean(o.bins[..rest].iter().map(|b| b.mag)).unwrap_or_default();
+        let field = o.field_base_ut.norm().max(1.0);
+        o.noise_deg = noise(&o.bins, field);
+        o.weigh();
+        if !o.has.iter().any(|&h| h) {
+            return Err(Unfit::Blind);
+        }
+        Ok(o)
+    }
+
+    /// Bins before the first motion.
+    fn rest_bins(&self) -> usize {
+        self.bins.iter().position(|b| b.speed_mm_s > 0.0).unwrap_or(self.bins.len()).max(1)
+    }
+
+    fn weigh(&mut self) {
+        for b in &mut self.bins {
+            let turning = if b.gyr.x.is_nan() { 0.1 * b.speed_mm_s } else { b.gyr.norm() };
+            let angle = |white_deg: f64, motion: f64| {
+                let motion = motion * turning;
+                1.0 / (white_deg.to_radians().powi(2) + ANGLE_FLOOR_RAD.powi(2) + motion * motion).sqrt()
+            };
+            let rate = (self.noise_deg[3].to_radians().powi(2) + RATE_FLOOR_RAD_S.powi(2) + (RATE_SHARE * turning).powi(2)).sqrt();
+            let present = [b.reference[(0, 0)], b.acc.x, b.mag.x, b.gyr.x].map(|x| !x.is_nan());
+            let weight = [angle(self.noise_deg[0], ANGLE_MOTION), angle(self.noise_deg[1], ACC_MOTION), angle(self.noise_deg[2], ANGLE_MOTION), 1.0 / rate];
+            for k in 0..4 {
+                b.weight[k] = if present[k] { weight[k] } else { 0.0 };
+                self.has[k] |= present[k];
+            }
+        }
+    }
+
+    /// Length of the log, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.t_s.last().copied().unwrap_or(0.0) - self.t_s.first().copied().unwrap_or(0.0)
+    }
+}
+
+fn mean(values: impl Iterator<Item = Vector3<f64>>) -> Option<Vector3<f64>> {
+    let (sum, n) = values.filter(|v| !v.x.is_nan()).fold((Vector3::zeros(), 0), |(s, n), v| (s + v, n + 1));
+    (n > 0).then(|| sum / f64::from(n))
+}
+
+fn refuse(log: &BendLog) -> Result<(), Unfit> {
+    let duration = log.t_s.last().copied().unwrap_or(0.0) - log.t_s.first().copied().unwrap_or(0.0);
+    if duration < LENGTH_MIN_S {
+        return Err(Unfit::Short(duration));
+    }
+    let path: f64 = log.piston_mm.windows(2).map(|w| (w[1] - w[0]).abs().sum()).sum();
+    if path < PATH_MIN_MM {
+        return Err(Unfit::Motionless(path));
+    }
+    let moves = log.piston_mm.iter().position(|p| (p - log.piston_mm[0]).amax() > 1e-9).unwrap_or(0);
+    let rest_s = log.t_s[moves] - log.t_s[0];
+    if rest_s < 1.0 {
+        return Err(Unfit::NoRest(rest_s));
+    }
+    if let Some(imu) = &log.imu {
+        clipped("acc_*_m_s2", &imu.acc, log)?;
+        clipped("gyr_*_rad_s", &imu.gyr, log)?;
+    }
+    Ok(())
+}
+
+/// A channel at exactly one extreme value for a good part of the moving time stands at its stop.
+fn clipped(name: &'static str, values: &[Vector3<f64>], log: &BendLog) -> Result<(), Unfit> {
+    let moving: Vec<usize> = (1..log.piston_mm.len()).filter(|&k| log.piston_mm[k] != log.piston_mm[k - 1]).collect();
+    for axis in 0..3 {
+        let column = || moving.iter().map(|&k| values[k][axis]).filter(|v| !v.is_nan());
+        let n = column().count();
+        for extreme in [column().fold(f64::NEG_INFINITY, f64::max), column().fold(f64::INFINITY, f64::min)] {
+            let share = column().filter(|&v| v == extreme).count() as f64 / n.max(1) as f64;
+            if n > 200 && share > 0.05 {
+                return Err(Unfit::Clipped(name, extreme, share * 100.0));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A log faster than 120 Hz is averaged down to about 100 Hz; the pistons keep their last count.
+fn thinned(log: &BendLog) -> BendLog {
+    let rate = (log.t_s.len() - 1) as f64 / (log.t_s[log.t_s.len() - 1] - log.t_s[0]);
+    let by = (rate / 100.0).round() as usize;
+    if rate < 120.0 || by < 2 {
+        return log.clone();
+    }
+    let groups: Vec<(usize, usize)> = (0..log.t_s.len() / by).map(|g| (g * by, (g + 1) * by)).collect();
+    let last = |v: &[Vector3<f64>]| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<_>>();
+    let average = |v: &[Vector3<f64>]| groups.iter().map(|g| mean(v[g.0..g.1].iter().copied()).unwrap_or(Vector3::repeat(f64::NAN))).collect::<Vec<_>>();
+    let imu = |i: &ImuColumns| ImuColumns { acc: average(&i.acc), gyr: average(&i.gyr), mag: average(&i.mag) };
+    BendLog {
+        t_s: groups.iter().map(|g| log.t_s[g.1 - 1]).collect(),
+        command: last(&log.command),
+        piston_mm: last(&log.piston_mm),
+        imu: log.imu.as_ref().map(imu),
+        base: log.base.as_ref().map(imu),
+        reference: log.reference.as_ref().map(|r| groups.iter().map(|g| r[(g.0 + g.1) / 2]).collect()),
+        pressure_kpa: log.pressure_kpa.as_ref().map(|p| average(p)),
+        temp_c: log.temp_c.as_ref().map(|t| groups.iter().map(|g| t[g.1 - 1]).collect()),
+        file: log.file.clone(),
+        ignored: log.ignored.clone(),
+    }
+}
+
+/// Seconds since a piston last moved, and the fastest piston's speed, per row.
+fn stillness(log: &BendLog) -> (Vec<f64>, Vec<f64>) {
+    let (mut idle, mut speed) = (vec![10.0], vec![0.0]);
+    for k in 1..log.t_s.len() {
+        let dt = log.t_s[k] - log.t_s[k - 1];
+        let step = (log.piston_mm[k] - log.piston_mm[k - 1]).amax();
+        idle.push(if step > 0.0 { 0.0 } else { idle[k - 1] + dt });
+        speed.push(step / dt);
+    }
+    (idle, speed)
+}
+
+fn bins(log: &BendLog, idle_s: &[f64], speed: &[f64]) -> Vec<Bin> {
+    let mut out = Vec::new();
+    let mut from = 0;
+    while from < log.t_s.len() {
+        let until = log.t_s[from] + BIN_S - 1e-6;
+        let to = (from + 1..log.t_s.len()).find(|&k| log.t_s[k] >= until).unwrap_or(log.t_s.len());
+        out.push(bin(log, idle_s, speed, from, to));
+        from = to;
+    }
+    out
+}
+
+fn bin(log: &BendLog, idle_s: &[f64], speed: &[f64], from: usize, to: usize) -> Bin {
+    let nan = Vector3::repeat(f64::NAN);
+    let of = |pick: fn(&ImuColumns) -> &Vec<Vector3<f64>>| {
+        log.imu.as_ref().and_then(|i| mean(pick(i)[from..to].iter().copied())).unwrap_or(nan)
+    };
+    let reference = log.reference.as_ref().map_or(Matrix3::repeat(f64::NAN), |r| {
+        let seen: Vec<_> = r[from..to].iter().flatten().collect();
+        let sum = seen.iter().fold(Matrix3::zeros(), |s, q| s + q.to_rotation_matrix().into_inner());
+        if seen.is_empty() { Matrix3::repeat(f64::NAN) } else { sum / seen.len() as f64 }
+    });
+    Bin {
+        rows: (from, to),
+        t_s: (log.t_s[from] + log.t_s[to - 1]) / 2.0,
+        reference,
+        acc: of(|i| &i.acc),
+        mag: of(|i| &i.mag),
+        gyr: of(|i| &i.gyr),
+        weight: [0.0; 4],
+        idle_s: idle_s[to - 1],
+        speed_mm_s: speed[from..to].iter().copied().fold(0.0, f64::max),
+    }
+}
+
+/// White noise of a bin from differences of neighbouring bins in still stretches, degrees (°/s).
+fn noise(bins: &[Bin], field_ut: f64) -> [f64; 4] {
+    let mut sum = [(0.0, 0usize); 4];
+    for w in bins.windows(2).filter(|w| w[0].idle_s > 0.3 && w[1].idle_s > 0.3) {
+        let turn = vee(&(w[0].reference.transpose() * w[1].reference));
+        let d = [turn, (w[1].acc - w[0].acc) / G_M_S2, (w[1].mag - w[0].mag) / field_ut, w[1].gyr - w[0].gyr];
+        for (s, v) in sum.iter_mut().zip(d) {
+            if !v.x.is_nan() {
+                *s = (s.0 + v.norm_squared(), s.1 + 1);
+            }
+        }
+    }
+    // a difference of two has twice the variance; three axes in the norm
+    sum.map(|(s, n)| if n == 0 { 0.0 } else { (s / n as f64 / 6.0).sqrt().to_degrees() })
+}
+
+/// Rotation vector of a small rotation given as a (mean) matrix: ½ of its antisymmetric part.
+#[must_use]
+pub fn vee(a: &Matrix3<f64>) -> Vector3<f64> {
+    Vector3::new(a[(2, 1)] - a[(1, 2)], a[(0, 2)] - a[(2, 0)], a[(1, 0)] - a[(0, 1)]) / 2.0
+}

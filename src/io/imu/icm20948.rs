@@ -1,0 +1,286 @@
+//! ICM-20948: nine axes in one chip, read with one burst.
+//!
+//! Source: TDK InvenSense DS-000189 rev. 1.3. The inertial die and an AK09916 magnetometer share the
+//! package; the magnetometer hangs on the chip's own auxiliary I²C bus. The internal bus master is
+//! told once to fetch its nine status and data bytes (ST1 0x10 … ST2 0x18, p. 77) after every
+//! gyroscope conversion into EXT_SLV_SENS_DATA, which follows the inertial data in the register map:
+//!
+//! ```text
+//! 0x2D acc x y z | 0x33 gyr x y z | 0x39 temp | 0x3B ST1 | 0x3C mag x y z | 0x42 TMPS | 0x43 ST2
+//!      6 bytes BE |     6 bytes BE |  2 bytes |  1       |   6 bytes LE   |  1 (zero) |  1
+//! ```
+//!
+//! so one 23-byte burst is a complete, consistent sample (burst reads: p. 30). Reading up to ST2 also
+//! releases the magnetometer's data latch (p. 79). Traps met on the way:
+//!
+//! * LP_CONFIG starts as 0x40: the internal master is duty-cycled (p. 37). It is cleared here.
+//! * The AK09916 does not see the inertial die's reset: it gets its own (CNTL3.SRST).
+//! * DELAY_ES_SHADOW keeps half-fetched magnetometer bytes out of the burst.
+//! * The magnetometer's y and z run against the other sensors' ([`super::Axes::AK09916`], orientation of axes).
+//! * Its zero may be off by ±2000 counts = ±300 µT (p. 13): useless before calibration.
+
+mod config;
+pub mod reg;
+
+pub use config::{Config, Settings, scale};
+
+use super::port::Port;
+use super::{ChipId, ConfigError, Identity, Imu, ImuError, Part, RawImu, Scale};
+use embedded_hal::delay::DelayNs;
+use embedded_hal::i2c::I2c;
+
+/// Content of WHO_AM_I (DS-000189, 8.1).
+pub const WHO_AM_I: u8 = 0xEA;
+/// Content of the AK09916's WIA2 (p. 78).
+pub const AK_WHO_AM_I: u8 = 0x09;
+/// Address of the AK09916 on the internal bus (and outside, in bypass).
+pub const AK_ADDRESS: u8 = 0x0C;
+/// Base conversion rate of both inertial sensors with their filters on, Hz.
+pub const BASE_RATE_HZ: f64 = 1125.0;
+const BURST: usize = 23;
+const SLV4_LIMIT_MS: u32 = 20;
+const RESET_LIMIT_MS: u32 = 100;
+const MAG_TRIES: u32 = 5;
+
+/// Driver. `I` is a bus handle of its own.
+#[derive(Debug)]
+pub struct Icm20948<I> {
+    bus: I,
+    port: Port,
+    settings: Settings,
+    ready: bool,
+    bank: Option<u8>,
+    reads: u16,
+    ranges_next: bool,
+    last: Option<RawImu>,
+    last_mag: Option<[i16; 3]>,
+}
+
+impl<I: I2c> Icm20948<I> {
+    /// A driver that has not talked to its chip yet.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for a setting that the part does not have.
+    pub fn new(bus: I, config: &Config) -> Result<Self, ConfigError> {
+        let settings = config.settings()?;
+        let port = Port { part: Part::Icm20948, address: settings.address };
+        let (last, last_mag) = (None, None);
+        Ok(Self { bus, port, settings, ready: false, bank: None, reads: 0, ranges_next: false, last, last_mag })
+    }
+
+    /// Gives the bus back.
+    pub fn release(self) -> I {
+        self.bus
+    }
+
+    fn set(&mut self, register: u8, value: u8) -> Result<(), ImuError> {
+        self.port.set(&mut self.bus, register, value)
+    }
+
+    /// Selects a bank. After a failure nobody knows which one is selected.
+    fn bank(&mut self, bank: u8) -> Result<(), ImuError> {
+        self.bank = None;
+        self.set(reg::BANK_SEL, bank << 4)?;
+        self.bank = Some(bank);
+        Ok(())
+    }
+
+    fn reset(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
+        self.set(reg::PWR_MGMT_1, 0x80)?;
+        delay.delay_ms(10);
+        let busy = (reg::PWR_MGMT_1, 0x80);
+        self.port.wait_clear(&mut self.bus, delay, busy, "its reset", RESET_LIMIT_MS)?;
+        self.set(reg::PWR_MGMT_1, 0x01)?; // awake, best clock
+        delay.delay_ms(35); // gyroscope start-up (DS-000189, table 1)
+        self.set(reg::PWR_MGMT_2, 0x00)?;
+        self.set(reg::LP_CONFIG, 0x00)?;
+        self.set(reg::INT_PIN_CFG, 0x00)
+    }
+
+    fn ranges(&mut self) -> Result<(), ImuError> {
+        let s = self.settings;
+        self.bank(2)?;
+        self.set(reg::ODR_ALIGN_EN, 0x01)?;
+        self.set(reg::GYRO_SMPLRT_DIV, s.divider)?;
+        self.set(reg::GYRO_CONFIG_1, s.gyro_config)?;
+        self.set(reg::ACCEL_SMPLRT_DIV_1, 0x00)?;
+        self.set(reg::ACCEL_SMPLRT_DIV_2, s.divider)?;
+        self.set(reg::ACCEL_CONFIG, s.acc_config)?;
+        self.bank(0)
+    }
+
+    fn start_master(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
+        self.set(reg::USER_CTRL, 0x02)?; // internal master reset, clears itself
+        delay.delay_ms(2);
+        self.set(reg::USER_CTRL, 0x20)?; // internal master on
+        self.bank(3)?;
+        self.set(reg::I2C_MST_CTRL, 0x17)?; // stop between reads, 345.6 kHz
+        self.set(reg::I2C_MST_DELAY_CTRL, 0x80)?; // DELAY_ES_SHADOW
+        self.bank(0)
+    }
+
+    /// One byte to or from the magnetometer through the one-shot slave.
+    fn aux(&mut self, delay: &mut dyn DelayNs, register: u8, write: Option<u8>) -> Result<u8, ImuError> {
+        self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?; // reading clears what was left in it
+        self.bank(3)?;
+        self.set(reg::I2C_SLV4_ADDR, AK_ADDRESS | if write.is_some() { 0 } else { 0x80 })?;
+        self.set(reg::I2C_SLV4_REG, register)?;
+        self.set(reg::I2C_SLV4_DO, write.unwrap_or(0))?;
+        self.set(reg::I2C_SLV4_CTRL, 0x80)?;
+        self.bank(0)?;
+        for _ in 0..SLV4_LIMIT_MS {
+            delay.delay_ms(1);
+            let status = self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?;
+            if status & 0x10 != 0 {
+                return Err(ImuError::Nack { part: Part::Ak09916, address: AK_ADDRESS });
+            }
+            if status & 0x40 != 0 {
+                self.bank(3)?;
+                let value = self.port.get(&mut self.bus, reg::I2C_SLV4_DI)?;
+                self.bank(0)?;
+                return Ok(value);
+            }
+        }
+        Err(ImuError::Timeout { part: Part::Ak09916, what: "a transfer", limit_ms: SLV4_LIMIT_MS })
+    }
+
+    /// Resets and identifies the magnetometer. It may miss the first transfers after power-up, so
+    /// the internal master is restarted between tries.
+    fn find_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
+        let mut last = Ok(());
+        for _ in 0..MAG_TRIES {
+            self.start_master(delay)?;
+            last = self.aux(delay, reg::AK_CNTL3, Some(0x01)).and_then(|_| {
+                delay.delay_ms(2);
+                match self.aux(delay, reg::AK_WIA2, None)? {
+                    AK_WHO_AM_I => Ok(()),
+                    have => {
+                        let (part, address, want) = (Part::Ak09916, AK_ADDRESS, AK_WHO_AM_I);
+                        Err(ImuError::WrongId { part, address, have, want })
+                    }
+                }
+            });
+            if last.is_ok() {
+                break;
+            }
+            delay.delay_ms(5);
+        }
+        last
+    }
+
+    fn start_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
+        let want = self.settings.mag_mode;
+        self.aux(delay, reg::AK_CNTL2, Some(want))?;
+        let have = self.aux(delay, reg::AK_CNTL2, None)?;
+        if have != want {
+            return Err(ImuError::ResetToDefaults { part: Part::Ak09916, register: reg::AK_CNTL2, have, want });
+        }
+        self.bank(3)?;
+        self.set(reg::I2C_SLV0_ADDR, 0x80 | AK_ADDRESS)?;
+        self.set(reg::I2C_SLV0_REG, reg::AK_ST1)?;
+        self.set(reg::I2C_SLV0_CTRL, 0x80 | 9)?;
+        self.bank(0)
+    }
+
+    /// Every `canary_every` readings, power settings and ranges in turn.
+    fn canary(&mut self, suspicious: bool) -> Result<(), ImuError> {
+        self.reads = self.reads.wrapping_add(1);
+        let due = self.settings.canary_every != 0 && self.reads >= self.settings.canary_every;
+        if due {
+            self.reads = 0;
+            self.ranges_next = !self.ranges_next;
+        }
+        if suspicious || (due && self.ranges_next) {
+            // USER_CTRL, 0x04 (reserved), LP_CONFIG, PWR_MGMT_1, PWR_MGMT_2
+            let want = [(0x20, 0xFF), (0, 0), (0x00, 0x70), (0x01, 0xEF), (0x00, 0x3F)];
+            self.port.check(&mut self.bus, reg::USER_CTRL, &want)
+        } else if due {
+            let s = self.settings;
+            self.bank(2)?;
+            self.port.check(&mut self.bus, reg::GYRO_SMPLRT_DIV, &[(s.divider, 0xFF), (s.gyro_config, 0x3F)])?;
+            self.port.check(&mut self.bus, reg::ACCEL_CONFIG, &[(s.acc_config, 0x3F)])?;
+            self.bank(0)
+        } else {
+            Ok(())
+        }
+    }
+
+    fn burst(&mut self) -> Result<RawImu, ImuError> {
+        if self.bank != Some(0) {
+            self.bank(0)?; // a fault struck while another one was selected
+        }
+        let mut b = [0_u8; BURST];
+        self.port.read(&mut self.bus, reg::ACCEL_XOUT_H, &mut b)?;
+        // TMPS and ST2 have bits that are always 0; all ones means the chip let go of the line
+        if b[BURST - 2..] == [0xFF, 0xFF] {
+            return Err(self.port.short(&b));
+        }
+        Ok(decode(&b, &mut self.last_mag))
+    }
+
+    fn read_checked(&mut self) -> Result<RawImu, ImuError> {
+        let mut raw = self.burst()?;
+        let blank = raw.acc == [0; 3] && raw.gyro == [0; 3]; // what a sleeping chip shows
+        self.canary(blank)?;
+        raw.fresh = self.last.is_none_or(|l| (l.gyro, l.acc) != (raw.gyro, raw.acc));
+        self.last = Some(raw);
+        Ok(raw)
+    }
+}
+
+/// Takes the burst apart. A magnetometer value is new when data-ready was seen with it, or when it
+/// changed (after the reset: from zero): the internal master may have polled, and cleared data-ready,
+/// between two bursts.
+fn decode(b: &[u8; BURST], last_mag: &mut Option<[i16; 3]>) -> RawImu {
+    let be = |i: usize| i16::from_be_bytes([b[i], b[i + 1]]);
+    let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
+    let (st1, st2) = (b[14], b[22]);
+    let mag = [le(15), le(17), le(19)];
+    let new = st1 & 0x01 != 0 || last_mag.unwrap_or([0; 3]) != mag;
+    if new {
+        *last_mag = Some(mag);
+    }
+    RawImu {
+        acc: [be(0), be(2), be(4)],
+        gyro: [be(6), be(8), be(10)],
+        temp: be(12),
+        mag: new.then_some(mag),
+        fresh: true,
+        mag_overflow: new && st2 & 0x08 != 0,
+        mag_fault: None,
+    }
+}
+
+impl<I: I2c> Imu for Icm20948<I> {
+    fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError> {
+        self.ready = false;
+        (self.last, self.last_mag, self.reads) = (None, None, 0);
+        self.bank(0)?;
+        let inertial = self.port.identify(&mut self.bus, reg::WHO_AM_I, WHO_AM_I)?;
+        self.reset(delay)?;
+        self.ranges()?;
+        self.find_mag(delay)?;
+        self.start_mag(delay)?;
+        delay.delay_ms(10); // first magnetometer measurement
+        self.ready = true;
+        Ok(Identity {
+            inertial,
+            magnetic: ChipId { part: Part::Ak09916, address: AK_ADDRESS, id: AK_WHO_AM_I },
+            rate_hz: BASE_RATE_HZ / (1.0 + f64::from(self.settings.divider)),
+            mag_rate_hz: self.settings.mag_rate_hz,
+        })
+    }
+
+    fn read(&mut self) -> Result<RawImu, ImuError> {
+        if !self.ready {
+            return Err(ImuError::NotReady { part: Part::Icm20948 });
+        }
+        let result = self.read_checked();
+        self.ready &= !matches!(result, Err(ImuError::ResetToDefaults { .. }));
+        result
+    }
+
+    fn scale(&self) -> Scale {
+        self.settings.scale
+    }
+}

@@ -1,0 +1,99 @@
+//! LIS2MDL: a magnetometer of its own at address 0x1E.
+//!
+//! Source: ST DS12144 (registers, chapter 8) and AN5069. 1.5 mG = 0.15 µT a count, ±49.152 G, block
+//! data update. Trap: the address counter runs from OUTZ_H (0x6D) back to OUTX_L (0x68), so a burst
+//! never reaches the temperature at 0x6E; status and data (0x67 … 0x6D) are one burst of seven.
+
+use super::port::Port;
+use super::{ChipId, ImuError, Part};
+use embedded_hal::delay::DelayNs;
+use embedded_hal::i2c::I2c;
+
+/// Register addresses (DS12144, table of registers).
+pub mod reg {
+    /// Identity.
+    pub const WHO_AM_I: u8 = 0x4F;
+    /// Temperature compensation, reset, rate, mode.
+    pub const CFG_REG_A: u8 = 0x60;
+    /// Offset cancellation, low-pass.
+    pub const CFG_REG_B: u8 = 0x61;
+    /// Block data update.
+    pub const CFG_REG_C: u8 = 0x62;
+    /// New data; first byte of the burst.
+    pub const STATUS: u8 = 0x67;
+    /// First data byte.
+    pub const OUTX_L: u8 = 0x68;
+    /// Last data byte; the address counter wraps after it.
+    pub const OUTZ_H: u8 = 0x6D;
+}
+
+/// Content of WHO_AM_I.
+pub const WHO_AM_I: u8 = 0x40;
+/// The only address.
+pub const ADDRESS: u8 = 0x1E;
+/// µT a count (1.5 mG).
+pub const UT_PER_LSB: f64 = 0.15;
+const CFG_B: u8 = 0x02; // OFF_CANC: set/reset pulses cancel the bridge offset
+const CFG_C: u8 = 0x10; // BDU
+const RESET_LIMIT_MS: u32 = 20;
+
+/// The chip's share of the two-chip driver; the bus belongs to the caller.
+#[derive(Debug)]
+pub struct Lis2mdl {
+    port: Port,
+    cfg_a: u8,
+    last: Option<[i16; 3]>,
+}
+
+impl Lis2mdl {
+    /// For 10, 20, 50 or 100 Hz; `None` for another rate.
+    #[must_use]
+    pub fn new(rate_hz: u16) -> Option<Self> {
+        let rate = [10, 20, 50, 100].into_iter().position(|r| r == rate_hz)? as u8;
+        let port = Port { part: Part::Lis2mdl, address: ADDRESS };
+        Some(Self { port, cfg_a: 0x80 | rate << 2, last: None }) // temperature-compensated, continuous
+    }
+
+    /// Identifies, resets and configures the chip.
+    ///
+    /// # Errors
+    /// [`ImuError`] when it is absent, another one, or does not come up.
+    pub fn init<I: I2c>(&mut self, bus: &mut I, delay: &mut dyn DelayNs) -> Result<ChipId, ImuError> {
+        self.last = None;
+        let id = self.port.identify(bus, reg::WHO_AM_I, WHO_AM_I)?;
+        self.port.set(bus, reg::CFG_REG_A, 0x20)?; // SOFT_RST
+        self.port.wait_clear(bus, delay, (reg::CFG_REG_A, 0x20), "its reset", RESET_LIMIT_MS)?;
+        self.port.set(bus, reg::CFG_REG_C, CFG_C)?;
+        self.port.set(bus, reg::CFG_REG_B, CFG_B)?;
+        self.port.set(bus, reg::CFG_REG_A, self.cfg_a)?;
+        delay.delay_ms(10); // turn-on time
+        Ok(id)
+    }
+
+    /// A new value in the chip's own axes, if there is one.
+    ///
+    /// # Errors
+    /// [`ImuError`] when the transfer failed.
+    pub fn read<I: I2c>(&mut self, bus: &mut I) -> Result<Option<[i16; 3]>, ImuError> {
+        let mut b = [0_u8; 7];
+        self.port.read(bus, reg::STATUS, &mut b)?;
+        let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
+        let value = [le(1), le(3), le(5)];
+        if value == [-1; 3] {
+            return Err(self.port.short(&b)); // a field of exactly −1 count thrice is a silent line
+        }
+        let new = b[0] & 0x08 != 0 || self.last.is_some_and(|last| last != value);
+        if new {
+            self.last = Some(value);
+        }
+        Ok(new.then_some(value))
+    }
+
+    /// Compares the configuration with what was written.
+    ///
+    /// # Errors
+    /// [`ImuError::ResetToDefaults`] after a restart.
+    pub fn check<I: I2c>(&self, bus: &mut I) -> Result<(), ImuError> {
+        self.port.check(bus, reg::CFG_REG_A, &[(self.cfg_a, 0xFF), (CFG_B, 0x1F), (CFG_C, 0x38)])
+    }
+}

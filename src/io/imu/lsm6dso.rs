@@ -1,0 +1,189 @@
+//! LSM6DSO with a LIS2MDL beside it: six and three axes at two addresses.
+//!
+//! Source: ST DS12140 rev. 2 (registers: chapter 9; outputs p. 66-67; rates p. 10). Status,
+//! temperature and all six axes (0x1E … 0x2D) are one burst of sixteen bytes, little-endian; block
+//! data update keeps a conversion together. The magnetometer is read only when it can have news.
+
+mod config;
+
+pub use config::{Config, Settings, scale};
+
+use super::lis2mdl::Lis2mdl;
+use super::port::Port;
+use super::{ConfigError, Identity, Imu, ImuError, Part, RawImu, Scale};
+use embedded_hal::delay::DelayNs;
+use embedded_hal::i2c::I2c;
+
+/// Register addresses (DS12140, chapter 8).
+pub mod reg {
+    /// Identity.
+    pub const WHO_AM_I: u8 = 0x0F;
+    /// Accelerometer rate, range, second filter.
+    pub const CTRL1_XL: u8 = 0x10;
+    /// Gyroscope rate and range.
+    pub const CTRL2_G: u8 = 0x11;
+    /// Block data update, address increment, reset.
+    pub const CTRL3_C: u8 = 0x12;
+    /// Gyroscope filter on.
+    pub const CTRL4_C: u8 = 0x13;
+    /// Gyroscope filter width.
+    pub const CTRL6_C: u8 = 0x15;
+    /// Accelerometer filter width.
+    pub const CTRL8_XL: u8 = 0x17;
+    /// I3C off.
+    pub const CTRL9_XL: u8 = 0x18;
+    /// New data; first byte of the burst.
+    pub const STATUS_REG: u8 = 0x1E;
+    /// First byte of temperature.
+    pub const OUT_TEMP_L: u8 = 0x20;
+    /// First byte of the gyroscope.
+    pub const OUTX_L_G: u8 = 0x22;
+    /// First byte of the accelerometer.
+    pub const OUTX_L_A: u8 = 0x28;
+}
+
+/// Content of WHO_AM_I.
+pub const WHO_AM_I: u8 = 0x6C;
+/// Conversion rates by ODR code 1 to 10, Hz (p. 10).
+pub const RATES_HZ: [f64; 10] = [12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1666.0, 3332.0, 6664.0];
+const CTRL3: u8 = 0x44; // BDU, IF_INC
+const CTRL9: u8 = 0xE2; // default, I3C disabled
+const BURST: usize = 16;
+const RESET_LIMIT_MS: u32 = 20;
+
+/// Driver for both chips on one bus.
+#[derive(Debug)]
+pub struct Lsm6dsoLis2mdl<I> {
+    bus: I,
+    port: Port,
+    mag: Lis2mdl,
+    settings: Settings,
+    mag_rate_hz: f64,
+    ready: bool,
+    reads: u16,
+    since_mag: u16,
+}
+
+impl<I: I2c> Lsm6dsoLis2mdl<I> {
+    /// A driver that has not talked to its chips yet.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for a setting that the parts do not have.
+    pub fn new(bus: I, config: &Config) -> Result<Self, ConfigError> {
+        let settings = config.settings()?;
+        let mag = Lis2mdl::new(config.mag_rate_hz).ok_or(ConfigError {
+            part: Part::Lis2mdl,
+            field: "mag_rate_hz",
+            value: f64::from(config.mag_rate_hz),
+            allowed: "10, 20, 50 or 100",
+        })?;
+        let port = Port { part: Part::Lsm6dso, address: settings.address };
+        let mag_rate_hz = f64::from(config.mag_rate_hz);
+        Ok(Self { bus, port, mag, settings, mag_rate_hz, ready: false, reads: 0, since_mag: 0 })
+    }
+
+    /// Gives the bus back.
+    pub fn release(self) -> I {
+        self.bus
+    }
+
+    fn configure(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
+        let s = self.settings;
+        self.port.set(&mut self.bus, reg::CTRL3_C, 0x05)?; // IF_INC, SW_RESET
+        self.port.wait_clear(&mut self.bus, delay, (reg::CTRL3_C, 0x01), "its reset", RESET_LIMIT_MS)?;
+        let settings = [
+            (reg::CTRL3_C, CTRL3),
+            (reg::CTRL9_XL, CTRL9),
+            (reg::CTRL4_C, s.ctrl4),
+            (reg::CTRL6_C, s.ctrl6),
+            (reg::CTRL8_XL, s.ctrl8),
+            (reg::CTRL1_XL, s.ctrl1),
+            (reg::CTRL2_G, s.ctrl2),
+        ];
+        for (register, value) in settings {
+            self.port.set(&mut self.bus, register, value)?;
+        }
+        delay.delay_ms(80); // gyroscope turn-on
+        Ok(())
+    }
+
+    fn canary(&mut self, raw: &mut RawImu) -> Result<(), ImuError> {
+        self.reads = self.reads.wrapping_add(1);
+        if self.settings.canary_every == 0 || self.reads < self.settings.canary_every {
+            return Ok(());
+        }
+        self.reads = 0;
+        let s = self.settings;
+        let want = [(s.ctrl1, 0xFE), (s.ctrl2, 0xFE), (CTRL3, 0xC5), (s.ctrl4, 0x42)];
+        self.port.check(&mut self.bus, reg::CTRL1_XL, &want)?;
+        match self.mag.check(&mut self.bus) {
+            Err(error) if !matches!(error, ImuError::ResetToDefaults { .. }) => {
+                raw.mag_fault = Some(error);
+                Ok(())
+            }
+            other => other,
+        }
+    }
+
+    fn burst(&mut self) -> Result<RawImu, ImuError> {
+        let mut b = [0_u8; BURST];
+        self.port.read(&mut self.bus, reg::STATUS_REG, &mut b)?;
+        let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
+        let acc = [le(10), le(12), le(14)];
+        // status bits 7:3 are always 0; −1, −1, −1 would be free fall: nobody drives the line
+        if b[0] & 0xF8 == 0xF8 || acc == [-1; 3] {
+            return Err(self.port.short(&b));
+        }
+        Ok(RawImu {
+            gyro: [le(4), le(6), le(8)],
+            acc,
+            temp: le(2),
+            mag: None,
+            fresh: b[0] & 0x03 == 0x03,
+            mag_overflow: false,
+            mag_fault: None,
+        })
+    }
+
+    /// Reads the magnetometer when it can have news. Its failure costs the field, not the sample.
+    fn magnet(&mut self, raw: &mut RawImu) {
+        self.since_mag += 1;
+        if self.since_mag >= self.settings.mag_every {
+            self.since_mag = 0;
+            match self.mag.read(&mut self.bus) {
+                Ok(value) => raw.mag = value,
+                Err(error) => raw.mag_fault = Some(error),
+            }
+            raw.mag_overflow = raw.mag.is_some_and(|m| m.iter().any(|c| c.unsigned_abs() >= 32_700));
+        }
+    }
+}
+
+impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
+    fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError> {
+        self.ready = false;
+        (self.reads, self.since_mag) = (0, 0);
+        let inertial = self.port.identify(&mut self.bus, reg::WHO_AM_I, WHO_AM_I)?;
+        self.configure(delay)?;
+        let magnetic = self.mag.init(&mut self.bus, delay)?;
+        self.ready = true;
+        Ok(Identity { inertial, magnetic, rate_hz: self.settings.rate_hz, mag_rate_hz: self.mag_rate_hz })
+    }
+
+    fn read(&mut self) -> Result<RawImu, ImuError> {
+        if !self.ready {
+            return Err(ImuError::NotReady { part: Part::Lsm6dso });
+        }
+        let mut raw = self.burst()?;
+        self.magnet(&mut raw);
+        if let Err(error) = self.canary(&mut raw) {
+            self.ready &= !matches!(error, ImuError::ResetToDefaults { .. });
+            return Err(error);
+        }
+        Ok(raw)
+    }
+
+    fn scale(&self) -> Scale {
+        self.settings.scale
+    }
+}

@@ -1,0 +1,3 @@
+//! Edges: the only rooms that touch hardware.
+
+pub mod imu;

@@ -1,0 +1,99 @@
+//! The generic filters against an optical reference: nine recordings of BROAD (CC BY 4.0, Laidig et al. 2021).
+//!
+//! The recordings are not part of the package. They are looked for in `RETROFLEX_IMU_DATA`, then beside
+//! the crate in `../shared/data/imu`; where there are none the tests say so and pass.
+
+#![allow(clippy::unwrap_used)] // helpers outside #[test] functions
+
+use retroflex::fuse::FilterName;
+use retroflex::imu_score::{self, Row, Score};
+use std::path::PathBuf;
+use std::sync::OnceLock;
+
+/// VQF as its authors ship it, measured on exactly these files with the reference implementation:
+/// total, heading, inclination, degrees.
+const VQF_PUBLISHED: [(&str, [f64; 3]); 9] = [
+    ("02_undisturbed_slow_rotation_B", [1.38, 1.31, 0.43]),
+    ("06_undisturbed_fast_rotation_A", [4.03, 3.95, 0.80]),
+    ("11_undisturbed_slow_translation_B", [0.90, 0.79, 0.42]),
+    ("15_undisturbed_fast_translation_A", [2.31, 2.26, 0.47]),
+    ("21_undisturbed_fast_combined", [4.08, 3.70, 1.72]),
+    ("24_disturbed_tapping_A", [1.55, 1.42, 0.61]),
+    ("27_disturbed_phone_vibration_B", [6.73, 6.72, 0.37]),
+    ("28_disturbed_stationary_magnet_A", [4.04, 3.86, 1.21]),
+    ("33_disturbed_attached_magnet_2cm", [3.75, 3.70, 0.60]),
+];
+
+fn folder() -> Option<PathBuf> {
+    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data/imu");
+    let folder = std::env::var_os("RETROFLEX_IMU_DATA").map_or(beside, PathBuf::from);
+    folder.is_dir().then_some(folder)
+}
+
+/// All rows of all filters, computed once; `None` where the recordings are not.
+fn rows() -> Option<&'static [Row]> {
+    static ROWS: OnceLock<Option<Vec<Row>>> = OnceLock::new();
+    ROWS.get_or_init(|| {
+        let folder = folder()?;
+        let files: Vec<PathBuf> =
+            VQF_PUBLISHED.iter().map(|(trial, _)| folder.join(format!("broad_{trial}.csv.gz"))).collect();
+        Some(imu_score::run(&files, None, true).unwrap())
+    })
+    .as_deref()
+    .or_else(|| {
+        println!("skipped: no recordings in RETROFLEX_IMU_DATA nor in ../shared/data/imu");
+        None
+    })
+}
+
+fn mean(filter: FilterName) -> Option<Score> {
+    imu_score::mean(rows()?, filter)
+}
+
+#[test]
+fn vqf_is_the_published_filter_trial_by_trial() {
+    let Some(rows) = rows() else { return };
+    for (trial, published) in VQF_PUBLISHED {
+        let row = rows.iter().find(|r| r.filter == FilterName::Vqf && r.file.contains(trial)).unwrap();
+        let ours = [row.total_deg, row.heading_deg, row.inclination_deg];
+        for (ours, published) in ours.iter().zip(published) {
+            assert!((ours - published).abs() < 0.02, "{trial}: {row:?}, published {published}");
+        }
+    }
+    let mean = mean(FilterName::Vqf).unwrap();
+    assert!(mean.total_deg <= 3.21 && mean.inclination_deg <= 0.75, "{mean:?}");
+}
+
+#[test]
+fn madgwick_is_better_than_vqf_by_its_surroundings() {
+    let Some(mean) = mean(FilterName::Madgwick) else { return };
+    assert!(mean.total_deg <= 2.95 && mean.inclination_deg <= 0.95, "{mean:?}");
+}
+
+#[test]
+fn trusting_the_gyroscope_for_longer_pays() {
+    let Some(mean) = mean(FilterName::VqfLong) else { return };
+    assert!(mean.total_deg <= 2.90 && mean.inclination_deg <= 0.75, "{mean:?}");
+}
+
+#[test]
+fn mekf_is_the_best_on_the_whole_and_nowhere_far_from_vqf() {
+    let (Some(rows), Some(mean)) = (rows(), mean(FilterName::Mekf)) else { return };
+    assert!(mean.total_deg <= 2.05 && mean.heading_deg <= 1.85 && mean.inclination_deg <= 0.70, "{mean:?}");
+    for (trial, [vqf, ..]) in VQF_PUBLISHED {
+        let row = rows.iter().find(|r| r.filter == FilterName::Mekf && r.file.contains(trial)).unwrap();
+        assert!(row.total_deg < vqf + 0.1, "{trial}: {row:?}, VQF {vqf}");
+    }
+}
+
+#[test]
+fn one_filter_can_be_asked_for() {
+    let Some(folder) = folder() else { return };
+    let files = [folder.join("broad_02_undisturbed_slow_rotation_B.csv.gz")];
+    let rows = imu_score::run(&files, Some(FilterName::Vqf), false).unwrap();
+    assert_eq!((rows.len(), rows[0].filter), (1, FilterName::Vqf));
+    assert_eq!(rows[0].file, "broad_02_undisturbed_slow_rotation_B.csv.gz");
+    let rows = imu_score::run(&files, None, false).unwrap();
+    assert_eq!(rows[0].filter, imu_score::DEFAULT_FILTER);
+    println!("{}", imu_score::table(&rows));
+}
