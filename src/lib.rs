@@ -1,15 +1,15 @@
 //! Closed-loop bend control and sim-to-real gap diagnosis for a disposable pneumatic endoscope tip.
 //!
 //! The house has floors; a file imports only from floors below its own, or from earlier rooms of its
-//! own floor:
+//! own floor. `tests/floors.rs` reads this table and enforces it.
 //!
-//! | floor | rooms |
+//! | floor | rooms, lowest first |
 //! |---|---|
 //! | F0 words | [`units`], [`frames`], [`sample`] |
 //! | F1 laws: pure, stateless | [`model`] |
 //! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`refine`], [`tick`] |
-//! | F3 worlds and judges, no hardware | [`log`], [`world`], [`imu_score`], [`experiment`], [`gap`] |
-//! | F4 edges | [`config`], [`io`], [`link`], [`cli`] |
+//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
+//! | F4 edges | [`config`], [`io`], [`sim`], [`link`], [`cli`] |
 
 pub mod calib_imu;
 pub mod cli;
@@ -25,8 +25,11 @@ pub mod io;
 pub mod link;
 pub mod log;
 pub mod model;
+pub mod plant;
 pub mod refine;
+pub mod report;
 pub mod sample;
+pub mod sim;
 pub mod tick;
 pub mod units;
 pub mod world;

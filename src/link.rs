@@ -126,6 +126,28 @@ impl World for Link {
     }
 }
 
+/// Splits a command line at blanks; a part in single or double quotes stays whole.
+///
+/// # Errors
+/// When a quote is not closed.
+pub fn words(line: &str) -> Result<Vec<String>, String> {
+    let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
+    for c in line.chars() {
+        match quote {
+            Some(q) if c == q => quote = None,
+            Some(_) => word.get_or_insert_default().push(c),
+            None if c == '\'' || c == '"' => {
+                quote = Some(c);
+                word.get_or_insert_default();
+            }
+            None if c.is_whitespace() => words.extend(word.take()),
+            None => word.get_or_insert_default().push(c),
+        }
+    }
+    words.extend(word);
+    quote.map_or(Ok(words), |q| Err(format!("the quote {q} is not closed")))
+}
+
 fn read_lines(out: ChildStdout) -> Receiver<std::io::Result<String>> {
     let (tx, rx) = sync_channel(4);
     std::thread::spawn(move || {
@@ -198,6 +220,13 @@ fn orientation(q: &[f64; 4]) -> Option<Rotation<crate::frames::Base, crate::fram
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn quotes_keep_words_together() {
+        assert_eq!(words(" a  'b c' d\"e f\" ''").unwrap(), ["a", "b c", "de f", ""]);
+        assert!(words("a 'b").unwrap_err().contains("not closed"));
+        assert!(words("  ").unwrap().is_empty());
+    }
 
     #[test]
     fn greetings_are_judged() {

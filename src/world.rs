@@ -5,6 +5,7 @@
 //! into [`crate::tick::Input`]: it is for the judge alone.
 
 use crate::frames::{Base, Rotation, Tip};
+use crate::plant::PlantError;
 use crate::sample::ImuSample;
 use crate::units::{Seconds, Steps};
 use thiserror::Error;
@@ -47,6 +48,9 @@ pub trait World {
 /// Why a world ended.
 #[derive(Debug, Error)]
 pub enum WorldError {
+    /// The built-in plant cannot run with its parameters.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
     /// The program could not be started.
     #[error("plant `{program}` cannot be started: {source}; give --plant 'exec:PROGRAM ARG…' with a program on this machine")]
     Start {

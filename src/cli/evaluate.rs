@@ -1,25 +1,22 @@
 //! `retroflex evaluate`: the paper's experiment on a plant.
 
-use crate::cli::{Outcome, write_whole};
-use crate::config::board::Board;
+use crate::cli::{Outcome, output};
+use crate::config::board::{Board, PlantSection};
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::{assemble, source};
-use crate::control::pi::Dynamics;
-use crate::experiment::arm::{self, ArmResult};
-use crate::experiment::identify::{self, Identified};
-use crate::experiment::rig::Rig;
-use crate::experiment::schedule::paper;
-use crate::link::Link;
-use crate::model::drive::Drive;
-use crate::model::transmission::Line;
-use crate::tick::Config;
-use crate::world::World;
+use crate::experiment::arm::ArmResult;
+use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose};
+use crate::link::{self, Link};
+use crate::report::evaluation as pictures;
+use crate::sim::Sim;
+use crate::world::{World, WorldError};
+use clap::builder::PossibleValue;
 use comfy_table::{CellAlignment, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result, miette};
-use serde::Serialize;
-use std::path::PathBuf;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `evaluate`.
 #[derive(Debug, clap::Args)]
@@ -39,50 +36,27 @@ pub struct Args {
     /// Write the result as JSON.
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Arms to run, of none, extension, backlash, closed.
-    #[arg(long, value_delimiter = ',', default_values_t = [Arm::None, Arm::Extension, Arm::Backlash, Arm::Closed])]
+    /// Write the result as one HTML page with charts.
+    #[arg(long)]
+    html: Option<PathBuf>,
+    /// Write the charts alone as one SVG drawing.
+    #[arg(long)]
+    svg: Option<PathBuf>,
+    /// Arms to run.
+    #[arg(long, value_delimiter = ',', default_value = "none,extension,backlash,closed")]
     arms: Vec<Arm>,
-    /// Seed of the built-in plant's unit and noise.
+    /// Seed of the built-in plant: which unit of its make, and its noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
-/// What is compensated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Arm {
-    /// Kinematics alone.
-    None,
-    /// Kinematics and extension.
-    Extension,
-    /// Kinematics, extension and backlash.
-    Backlash,
-    /// All of it inside the orientation loop.
-    Closed,
-}
-
-impl std::fmt::Display for Arm {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::None => "none",
-            Self::Extension => "extension",
-            Self::Backlash => "backlash",
-            Self::Closed => "closed",
-        })
+impl clap::ValueEnum for Arm {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
     }
-}
-
-#[derive(Serialize)]
-struct Report {
-    plant: String,
-    seed: u64,
-    arms: Vec<ArmResult>,
-    k_eps: [f64; 3],
-    k_lambda_mm: [f64; 3],
-    lag_s: f64,
-    delay_s: f64,
-    iterations: usize,
-    converged: bool,
-    history: Vec<[[f64; 2]; 3]>,
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.name()))
+    }
 }
 
 /// Closed-loop bend RMSE above which the run answers "not good enough", degrees.
@@ -93,119 +67,141 @@ const GOOD_ENOUGH_DEG: f64 = 1.5;
 /// # Errors
 /// A report that says what was wrong with the input or the plant.
 pub fn run(args: &Args) -> Result<Outcome> {
-    let (board, gains) = (read_board(args)?, read_gains(args)?);
-    let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
-    let bar = progress();
-    let (lines, dynamics, found, name) = match &calibration {
-        Some(c) => (c.lines(), c.dynamics.law(), None, String::new()),
-        None => {
-            let mut world = open(args, &board)?;
-            let config = config_for(&assemble(&board, &Calibration::default(), &gains), world.as_ref());
-            bar.set_message("identify");
-            let found = identify::algorithm_1(&config, world.as_mut(), &paper(), &mut |_| bar.inc(1)).into_diagnostic()?;
-            (found.lines(), found.dynamics, Some(found), world.nature().name.clone())
-        }
-    };
-    let base = Config { lines, dynamics, ..assemble(&board, &calibration.unwrap_or_default(), &gains) };
-    let mut report = empty_report(args, &base, found.as_ref(), name);
-    for arm in &args.arms {
-        bar.set_message(arm.to_string());
-        let mut world = open(args, &board)?;
-        report.plant.clone_from(&world.nature().name);
-        let config = arm_config(*arm, &config_for(&base, world.as_ref()));
-        let result = arm::run(&arm.to_string(), &mut Rig::new(config, world.as_mut()), &paper(), &mut || bar.inc(1)).into_diagnostic()?;
-        report.arms.push(result);
-    }
-    bar.finish_and_clear();
-    eprintln!("{}", table(&report));
-    if let Some(path) = &args.json {
-        write_json(path, &report)?;
-    }
-    Ok(verdict(&report))
-}
-
-fn verdict(report: &Report) -> Outcome {
-    let bad = |a: &ArmResult| a.name == "closed" && a.bend_rmse_deg > GOOD_ENOUGH_DEG;
-    if !report.converged || report.arms.iter().any(bad) { Outcome::NotGoodEnough } else { Outcome::Good }
-}
-
-fn read_board(args: &Args) -> Result<Board> {
-    Ok(match &args.board {
+    check(args)?;
+    let board: Board = match &args.board {
         Some(path) => source::read(path)?,
         None => source::parse("boards/sim.toml", include_str!("../../boards/sim.toml"))?,
-    })
-}
-
-fn read_gains(args: &Args) -> Result<Gains> {
-    Ok(match &args.gains {
+    };
+    let gains: Gains = match &args.gains {
         Some(path) => source::read(path)?,
         None => source::parse("boards/gains.toml", include_str!("../../boards/gains.toml"))?,
-    })
-}
-
-fn open(args: &Args, _board: &Board) -> Result<Box<dyn World>> {
-    match &args.plant {
-        Some(plant) => {
-            let line = plant.strip_prefix("exec:").ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…`"))?;
-            let mut words = line.split_whitespace().map(str::to_owned);
-            let program = words.next().ok_or_else(|| miette!("--plant `{plant}`: no program is named after `exec:`"))?;
-            let rest: Vec<String> = words.collect();
-            Ok(Box::new(Link::start(&program, &rest).into_diagnostic()?))
-        }
-        None => Err(miette!("no built-in plant yet")),
-    }
-}
-
-/// The plant's own step and rest length take the board's place.
-fn config_for(config: &Config, world: &dyn World) -> Config {
-    let nature = world.nature();
-    let mut config = config.clone();
-    config.drive = Drive { step_mm: nature.step_mm };
-    config.geometry.rest_length_mm = nature.rest_length_mm;
-    config
-}
-
-fn arm_config(arm: Arm, base: &Config) -> Config {
-    let zero = Line { k_epsilon: 0.0, k_lambda_mm: 0.0 };
-    let lines = match arm {
-        Arm::None => [zero; 3],
-        Arm::Extension => base.lines.map(|l| Line { k_lambda_mm: 0.0, ..l }),
-        Arm::Backlash | Arm::Closed => base.lines,
     };
-    let feedback = if arm == Arm::Closed { base.feedback } else { None };
-    Config { lines, feedback, ..base.clone() }
+    let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
+    let plant = Choice::of(args, &board)?;
+    let plan = Plan {
+        identify: calibration.is_none(),
+        config: assemble(&board, &calibration.unwrap_or_default(), &gains),
+        arms: args.arms.clone(),
+        seed: args.seed,
+    };
+    let bar = progress();
+    let result = evaluation::run(&plan, &mut |purpose| plant.open(purpose), &mut |what| {
+        bar.set_message(what.to_owned());
+        bar.inc(1);
+    });
+    bar.finish_and_clear();
+    let result = result.into_diagnostic()?;
+    write_all(args, &result)?;
+    show(&result);
+    Ok(verdict(&result))
 }
 
-fn empty_report(args: &Args, base: &Config, found: Option<&Identified>, plant: String) -> Report {
-    let Dynamics { lag_s, delay_s } = base.dynamics;
-    Report {
-        plant,
-        seed: args.seed,
-        arms: Vec::new(),
-        k_eps: base.lines.map(|l| l.k_epsilon),
-        k_lambda_mm: base.lines.map(|l| l.k_lambda_mm),
-        lag_s,
-        delay_s,
-        iterations: found.map_or(0, |f| f.history.len() - 1),
-        converged: found.is_none_or(|f| f.converged),
-        history: found.map_or(Vec::new(), |f| f.history.iter().map(|ls| ls.map(|l| [l.k_epsilon, l.k_lambda_mm])).collect()),
+/// Refuses arguments that contradict each other, before anything is run.
+fn check(args: &Args) -> Result<()> {
+    for (n, arm) in args.arms.iter().enumerate() {
+        if args.arms[..n].contains(arm) {
+            return Err(miette!("--arms names `{}` twice; name each arm once", arm.name()));
+        }
     }
+    let files: Vec<&Path> = [&args.json, &args.html, &args.svg].into_iter().flatten().map(PathBuf::as_path).collect();
+    for (n, path) in files.iter().enumerate() {
+        output::check(path)?;
+        if files[..n].contains(path) {
+            return Err(miette!("{}: named for two results at once; give each its own file", path.display()));
+        }
+    }
+    Ok(())
+}
+
+/// Which plant the arms run on.
+enum Choice {
+    Foreign { program: String, args: Vec<String> },
+    BuiltIn { section: Box<PlantSection>, seed: u64 },
+}
+
+impl Choice {
+    fn of(args: &Args, board: &Board) -> Result<Self> {
+        if let Some(plant) = &args.plant {
+            let line = plant.strip_prefix("exec:").ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…`"))?;
+            let mut words = link::words(line).map_err(|why| miette!("--plant `{plant}`: {why}"))?.into_iter();
+            let program = words.next().ok_or_else(|| miette!("--plant `{plant}`: no program is named after `exec:`"))?;
+            return Ok(Self::Foreign { program, args: words.collect() });
+        }
+        let section = board.plant.clone().ok_or_else(|| {
+            let name = args.board.as_ref().map_or_else(|| "boards/sim.toml".to_owned(), |b| b.display().to_string());
+            miette!("{name} has no [plant] table, so there is nothing to run on; give --plant 'exec:PROGRAM ARG…' or a board that describes a plant")
+        })?;
+        Ok(Self::BuiltIn { section: Box::new(section), seed: args.seed })
+    }
+
+    fn open(&self, purpose: Purpose) -> Result<Box<dyn World>, WorldError> {
+        Ok(match self {
+            Self::Foreign { program, args } => Box::new(Link::start(program, args)?),
+            Self::BuiltIn { section, seed } => Box::new(Sim::new(&section.make(), *seed, noise_of(purpose), section.period_s)?),
+        })
+    }
+}
+
+/// Every run has noise of its own, the same whichever other arms are asked for.
+fn noise_of(purpose: Purpose) -> u64 {
+    match purpose {
+        Purpose::Identify => 0,
+        Purpose::Arm(arm) => 1 + arm as u64,
+    }
+}
+
+fn verdict(e: &Evaluation) -> Outcome {
+    let bad = |a: &ArmResult| a.bend_rmse_deg > GOOD_ENOUGH_DEG;
+    if !e.converged || e.arm(Arm::Closed).is_some_and(bad) { Outcome::NotGoodEnough } else { Outcome::Good }
+}
+
+fn write_all(args: &Args, e: &Evaluation) -> Result<()> {
+    if let Some(path) = &args.json {
+        output::write(path, &(serde_json::to_string_pretty(e).into_diagnostic()? + "\n"))?;
+    }
+    if let Some(path) = &args.html {
+        output::write(path, &pictures::html(e))?;
+    }
+    if let Some(path) = &args.svg {
+        output::write(path, &pictures::svg(e))?;
+    }
+    Ok(())
 }
 
 fn progress() -> ProgressBar {
     // draws on stderr, and only where that is a terminal
     let bar = ProgressBar::new_spinner();
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg:<10} {pos} states held, {elapsed}") {
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg:<18} {pos} states held, {elapsed}") {
         bar.set_style(style);
     }
     bar
 }
 
-fn table(report: &Report) -> Table {
+/// The table and what stands under it, on stdout.
+fn show(e: &Evaluation) {
+    let gains = |g: &[f64; 3]| g.map(|x| format!("{x:.2}")).join(", ");
+    let origin = match (e.iterations, e.converged) {
+        (0, _) => "from the calibration file".to_owned(),
+        (n, true) => format!("Algorithm 1, {n} passes"),
+        (n, false) => format!("Algorithm 1, NOT converged after {n} passes"),
+    };
+    let text = format!(
+        "plant {}, seed {}\n{}\nk_ε = {}   k_λ = {} mm   ({origin})\n",
+        e.plant,
+        e.seed,
+        table(e),
+        gains(&e.k_eps),
+        gains(&e.k_lambda_mm)
+    );
+    // a reader that has gone away (`| head`) is no failure of the evaluation
+    let _ = std::io::stdout().write_all(text.as_bytes());
+}
+
+fn table(e: &Evaluation) -> Table {
     let mut table = Table::new();
     table.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    table.set_header(["arm", "bend RMSE", "orientation RMSE", "felt − true", "settled (median)", "moves at most", "states", "held by a wall"]);
-    for a in &report.arms {
+    table.set_header(["arm", "bend RMSE", "orientation RMSE", "felt − true", "median to 1°", "moves at most", "states", "held by a wall"]);
+    for a in &e.arms {
         table.add_row([
             a.name.clone(),
             format!("{:.2}°", a.bend_rmse_deg),
@@ -221,8 +217,4 @@ fn table(report: &Report) -> Table {
         column.set_cell_alignment(CellAlignment::Right);
     }
     table
-}
-
-fn write_json(path: &std::path::Path, report: &Report) -> Result<()> {
-    write_whole(path, &(serde_json::to_string_pretty(report).into_diagnostic()? + "\n"))
 }

@@ -1,7 +1,6 @@
 //! `retroflex imu score`: an orientation filter against a recording with a reference.
 
-use crate::cli::Outcome;
-use crate::cli::write_whole;
+use crate::cli::{Outcome, output};
 use crate::fuse::FilterName;
 use crate::imu_score;
 use miette::{IntoDiagnostic, Result};
@@ -40,7 +39,7 @@ pub fn run(command: &Imu) -> Result<Outcome> {
     let rows = imu_score::run(&args.files, args.filter, args.all).into_diagnostic()?;
     eprintln!("{}", imu_score::table(&rows));
     if let Some(path) = &args.json {
-        write_whole(path, &(serde_json::to_string_pretty(&rows).into_diagnostic()? + "\n"))?;
+        output::write(path, &(serde_json::to_string_pretty(&rows).into_diagnostic()? + "\n"))?;
     }
     Ok(Outcome::Good)
 }

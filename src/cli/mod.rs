@@ -6,10 +6,9 @@
 pub mod evaluate;
 pub mod gap;
 pub mod imu;
+pub mod output;
 
 use clap::{Parser, Subcommand};
-use miette::{Result, miette};
-use std::path::Path;
 use std::process::ExitCode;
 
 /// Closed-loop bend control and gap diagnosis for a disposable pneumatic endoscope tip.
@@ -43,6 +42,18 @@ pub enum Outcome {
     NotGoodEnough,
 }
 
+/// Hardware or a service that should be there and does not answer; anywhere in a report's chain it
+/// makes the exit code 3. Raise it as a `Report` with `?` or `Report::from`; `into_diagnostic` would hide
+/// what it is.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+#[error("{what} cannot be reached: {why}")]
+pub struct Unreachable {
+    /// Which device, bus or service.
+    pub what: String,
+    /// The system's reason, and what to do about it.
+    pub why: String,
+}
+
 /// Runs the command line and turns its end into an exit code.
 #[must_use]
 pub fn run(cli: Cli) -> ExitCode {
@@ -51,24 +62,34 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Gap(command) => gap::run(&command),
         Command::Imu(command) => imu::run(&command),
     };
+    if let Err(report) = &end {
+        eprintln!("{report:?}");
+    }
+    ExitCode::from(exit_code(&end))
+}
+
+fn exit_code(end: &miette::Result<Outcome>) -> u8 {
     match end {
-        Ok(Outcome::Good) => ExitCode::SUCCESS,
-        Ok(Outcome::NotGoodEnough) => ExitCode::from(1),
-        Err(report) => {
-            eprintln!("{report:?}");
-            ExitCode::from(2)
-        }
+        Ok(Outcome::Good) => 0,
+        Ok(Outcome::NotGoodEnough) => 1,
+        Err(report) if report.chain().any(|e| e.is::<Unreachable>()) => 3,
+        Err(_) => 2,
     }
 }
 
-/// Writes a file whole or not at all: beside its place first, then moved there.
-///
-/// # Errors
-/// Names the file and the system's reason.
-pub fn write_whole(path: &Path, text: &str) -> Result<()> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".part");
-    std::fs::write(&beside, text)
-        .and_then(|()| std::fs::rename(&beside, path))
-        .map_err(|e| miette!("{}: cannot be written: {e}; give a path in a folder that exists and may be written", path.display()))
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use miette::{WrapErr, miette};
+
+    #[test]
+    fn every_end_has_its_code() {
+        assert_eq!(exit_code(&Ok(Outcome::Good)), 0);
+        assert_eq!(exit_code(&Ok(Outcome::NotGoodEnough)), 1);
+        assert_eq!(exit_code(&Err(miette!("bad key"))), 2);
+        let gone = || Unreachable { what: "/dev/i2c-1".to_owned(), why: "no such file".to_owned() };
+        assert_eq!(exit_code(&Err(gone().into())), 3);
+        let deep: miette::Result<Outcome> = Err(miette::Report::from(gone())).wrap_err("at start");
+        assert_eq!(exit_code(&deep), 3);
+    }
 }

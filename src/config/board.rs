@@ -5,6 +5,11 @@ use crate::control::follow::Pace;
 use crate::control::limit::Limits;
 use crate::model::arc::Geometry;
 use crate::model::drive::Drive;
+use crate::plant::PlantConfig;
+use crate::plant::config::{BaseConfig, DriveConfig, FieldConfig, LineConfig, ShapeConfig};
+use crate::plant::effects::Effects;
+use crate::plant::imu::chip::ImuConfig;
+use crate::plant::spread::Spread;
 use serde::Deserialize;
 
 /// A board file.
@@ -125,10 +130,46 @@ impl Default for LimitsSection {
     }
 }
 
-/// The built-in plant.
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+/// The built-in plant: how finely it is simulated, then the plant's own tables.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct PlantSection {}
+pub struct PlantSection {
+    /// Time of one tick, s. Default 0.001: the loop and the truth go on by a millisecond at a time,
+    /// the IMU answers at its own `imu.period_s`. Larger simulates faster and coarser.
+    pub period_s: f64,
+    /// Motor, rack and pinion.
+    pub drive: DriveConfig,
+    /// Pneumatic transmission.
+    pub line: LineConfig,
+    /// Bending section as it was really built.
+    pub shape: ShapeConfig,
+    /// Where it stands in the world.
+    pub base: BaseConfig,
+    /// The magnetic field it stands in.
+    pub field: FieldConfig,
+    /// The IMU.
+    pub imu: ImuConfig,
+    /// Causes beyond the nominal model.
+    pub effects: Effects,
+    /// How units differ.
+    pub spread: Spread,
+}
+
+impl Default for PlantSection {
+    fn default() -> Self {
+        let PlantConfig { drive, line, shape, base, field, imu, effects, spread } = PlantConfig::default();
+        Self { period_s: 0.001, drive, line, shape, base, field, imu, effects, spread }
+    }
+}
+
+impl PlantSection {
+    /// The plant that this section describes.
+    #[must_use]
+    pub fn make(&self) -> PlantConfig {
+        let Self { period_s: _, drive, line, shape, base, field, imu, effects, spread } = self.clone();
+        PlantConfig { drive, line, shape, base, field, imu, effects, spread }
+    }
+}
 
 impl Board {
     /// The static limits of this board.
@@ -163,5 +204,10 @@ impl Check for Board {
         to.range("limits.travel_mm", l.travel_mm, 1.0..=100.0, "mm", "half the rack's length");
         to.range("limits.pressure_kpa_per_mm", l.pressure_kpa_per_mm, 0.01..=100.0, "kPa/mm", "read a gauge while the piston moves by 1 mm against a blocked bellow");
         to.range("limits.pressure_max_kpa", l.pressure_max_kpa, 1.0..=200.0, "kPa", "the paper stays under 6 PSI = 41.4 kPa");
+   
+        if let Some(plant) = &self.plant {
+            to.range("plant.period_s", plant.period_s, 1e-4..=0.01, "s", "0.001 is a loop at 1 kHz");
+            to.plant(plant.make().validate());
+        }
     }
 }

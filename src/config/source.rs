@@ -45,6 +45,7 @@ pub enum ConfigError {
 ///
 /// # Errors
 /// [`ConfigError`] naming file, line, key, value, allowed range and mend.
+#[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
 pub fn read<T: DeserializeOwned + Check>(path: &Path) -> Result<T, ConfigError> {
     let name = path.display().to_string();
     let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Unreadable { path: name.clone(), source })?;
@@ -55,6 +56,7 @@ pub fn read<T: DeserializeOwned + Check>(path: &Path) -> Result<T, ConfigError> 
 ///
 /// # Errors
 /// [`ConfigError::Wrong`].
+#[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
 pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, ConfigError> {
     let value: T = toml::from_str(text).map_err(|e| {
         let span = e.span().unwrap_or(0..0);

@@ -8,10 +8,11 @@ use crate::control::pi::Dynamics;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::arc::Shape;
+use crate::model::bend::Bend;
 use crate::model::transmission::Line;
 use crate::refine::batch::{Estimate, Measurement, Prior, Unidentifiable, relative_step, solve};
 use crate::refine::dynamics::DynamicsBank;
-use crate::tick::{Command, Config};
+use crate::tick::{Command, Config, Mode};
 use crate::units::Mm;
 use crate::world::World;
 use nalgebra::{Vector2, Vector3};
@@ -21,6 +22,10 @@ use thiserror::Error;
 pub const CONVERGED: f64 = 0.02;
 /// Passes after which the iteration is given up.
 pub const PASSES_MAX: usize = 12;
+/// Rest of the set-point before a pose is measured, s: a long way takes longer than a hold.
+const RESTED_S: f64 = 0.7;
+/// Longest way that is waited for, s.
+const WAY_MAX_S: f64 = 15.0;
 /// Twice the widest backlash half-width that is believed, mm: travel after which a side is certain.
 const SIDE_TRAVEL_MM: f64 = 2.4;
 
@@ -141,26 +146,33 @@ impl Pushes {
 /// Holds every pose and measures it: rows for Eq. 22, and the dynamics of the motion between.
 fn measure(rig: &mut Rig<'_>, poses: &[Pose], progress: &mut dyn FnMut()) -> Result<(Vec<Measurement>, Dynamics), RigError> {
     let dt_s = rig.period_s();
-    let ticks = (HOLD_S / dt_s).round() as usize;
-    let scored = (SCORED_S / dt_s).round() as usize;
+    let ticks_of = |seconds: f64| (seconds / dt_s).round() as usize;
+    let (scored, rest, longest) = (ticks_of(SCORED_S), ticks_of(RESTED_S), ticks_of(WAY_MAX_S));
     let length = Mm(rig.config.geometry.rest_length_mm);
     let (mut pushes, mut bank, mut data) = (Pushes::default(), DynamicsBank::default(), Vec::with_capacity(poses.len()));
     for pose in poses {
         let mut command = Some(Command { bend: pose.bend(), length });
-        let mut sum = Vector2::zeros();
-        for k in 0..ticks {
+        let (mut sum, mut rested, mut seen) = (Vector2::zeros(), 0, 0);
+        let least = ticks_of(HOLD_S) - scored;
+        for k in 1..=longest {
             let (frame, _) = rig.advance(command.take())?;
             pushes.follow(&rig.config.drive.piston_mm(&frame.steps));
-            if let Some(felt) = frame.felt {
-                bank.step(frame.pistons_give.0, felt.bend.0, dt_s);
-                if k >= ticks - scored {
-                    sum += felt.bend.0;
-                }
+            rested = if frame.mode == Mode::Holding { rested + 1 } else { 0 };
+            let Some(felt) = frame.felt else { continue };
+            bank.step(frame.pistons_give.0, felt.bend.0, dt_s);
+            if k > least && rested > rest {
+                sum += felt.bend.0;
+                seen += 1;
+            }
+            if seen == scored {
+                break;
             }
         }
-        let bend = crate::model::bend::Bend(sum / scored as f64);
-        let bellow_mm = rig.config.geometry.lengths(&Shape { bend, length });
-        data.push(Measurement { piston_mm: pushes.last_mm, bellow_mm, side: pushes.side, weight: pushes.weight() });
+        // a pose that was not reached in that time is no measurement
+        if seen == scored {
+            let bellow_mm = rig.config.geometry.lengths(&Shape { bend: Bend(sum / scored as f64), length });
+            data.push(Measurement { piston_mm: pushes.last_mm, bellow_mm, side: pushes.side, weight: pushes.weight() });
+        }
         progress();
     }
     Ok((data, bank.best(&rig.config.dynamics).unwrap_or(rig.config.dynamics)))

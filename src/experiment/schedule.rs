@@ -56,7 +56,8 @@ pub fn short() -> Vec<Pose> {
     (0..24)
         .map(|n| {
             let step = (n / 2) * 30 + (n % 2) * 180;
-            let bend_deg = if n % 4 < 2 { 70.0 } else { 40.0 };
+            // the second half goes round again with the angles exchanged
+            let bend_deg = if (n / 2 + n / 12) % 2 == 0 { 70.0 } else { 40.0 };
             Pose { bend_deg, dir_deg: f64::from(step % 360), outward: true }
         })
         .collect()

@@ -381,8 +381,8 @@ impl BendFilter {
         for j in 0..N {
             let k = ph[j] * inv;
             self.x[j] += k * innovation;
-            for i in 0..N {
-                self.p[(i, j)] -= ph[i] * k;
+            for (i, ph) in ph.iter().enumerate() {
+                self.p[(i, j)] -= ph * k;
             }
         }
     }

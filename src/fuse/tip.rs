@@ -19,6 +19,7 @@ pub struct FuseConfig {
 
 /// Orientation estimation from power-up on.
 #[derive(Debug, Clone, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "one per loop, and a box would allocate within a tick")]
 pub enum Fusion {
     /// Waiting for a still tip.
     Aligning(AlignState),

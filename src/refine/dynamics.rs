@@ -45,6 +45,8 @@ struct Candidate {
 pub struct DynamicsBank {
     history: [Vector2<f64>; HISTORY],
     head: usize,
+    /// ∫ of the command since the bank last looked, rad·s.
+    commanded: Vector2<f64>,
     candidates: [[Candidate; DELAYS_S.len()]; LAGS_S.len()],
     yy: f64,
     slow_felt: Vector2<f64>,
@@ -58,6 +60,7 @@ impl Default for DynamicsBank {
         Self {
             history: [Vector2::zeros(); HISTORY],
             head: 0,
+            commanded: Vector2::zeros(),
             candidates: Default::default(),
             yy: 0.0,
             slow_felt: Vector2::zeros(),
@@ -72,6 +75,7 @@ impl DynamicsBank {
     /// One tick with the bend the pistons should give and the felt bend, rad.
     pub fn step(&mut self, commanded: Vector2<f64>, felt: Vector2<f64>, dt_s: f64) {
         self.due_s += dt_s;
+        self.commanded += commanded * dt_s;
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
@@ -79,7 +83,10 @@ impl DynamicsBank {
         let dt_s = self.due_s;
         self.due_s = 0.0;
         self.head = (self.head + 1) % HISTORY;
-        self.history[self.head] = commanded;
+        // the mean over the interval, not its end: the end would be half an interval early
+        self.history[self.head] = self.commanded / dt_s;
+        self.commanded = Vector2::zeros();
+        let delayed = DELAYS_S.map(|delay_s| self.back(delay_s / dt_s));
         let slow_keep = (-dt_s / HIGH_PASS_S).exp();
         self.slow_felt = felt + (self.slow_felt - felt) * slow_keep;
         let fast_felt = felt - self.slow_felt;
@@ -91,9 +98,7 @@ impl DynamicsBank {
         self.yy = self.yy * forget + fast_felt.norm_squared() * dt_s;
         for (row, &lag_s) in self.candidates.iter_mut().zip(&LAGS_S) {
             let keep = (-dt_s / lag_s).exp();
-            for (c, &delay_s) in row.iter_mut().zip(&DELAYS_S) {
-                let back = ((delay_s / dt_s).round() as usize).min(HISTORY - 1);
-                let delayed = self.history[(self.head + HISTORY - back) % HISTORY];
+            for (c, delayed) in row.iter_mut().zip(&delayed) {
                 c.lagged = delayed + (c.lagged - delayed) * keep;
                 c.slow = c.lagged + (c.slow - c.lagged) * slow_keep;
                 let fast = c.lagged - c.slow;
@@ -101,6 +106,13 @@ impl DynamicsBank {
                 c.xy = c.xy * forget + fast.dot(&fast_felt) * dt_s;
             }
         }
+    }
+
+    /// The command that many intervals ago, between two of them if need be.
+    fn back(&self, intervals: f64) -> Vector2<f64> {
+        let whole = (intervals.floor() as usize).min(HISTORY - 2);
+        let at = |n: usize| self.history[(self.head + HISTORY - n) % HISTORY];
+        at(whole).lerp(&at(whole + 1), (intervals - whole as f64).min(1.0))
     }
 
     /// The winner, if it is to be believed rather than `now`.

@@ -159,7 +159,7 @@ mod tests {
 
     fn poses(n: usize) -> impl Iterator<Item = (Vector2<f64>, Vector3<f64>, Vector3<f64>)> {
         (0..n).map(|i| {
-            let (beta, delta) = (0.26 * (1 + i % 5) as f64, (i / 5) as f64 * 0.5236);
+            let (beta, delta) = (0.26 * (1 + i % 5) as f64, (i / 5) as f64 * std::f64::consts::FRAC_PI_6);
             let bend = Vector2::new(beta * delta.cos(), beta * delta.sin());
             let q = Vector3::from_fn(|c, _| -4.04 * beta * (delta + c as f64 * 2.094).cos());
             (bend, Vector3::from_fn(|c, _| q[c] * (1.0 + TRUTH[c])), q)

@@ -1,0 +1,91 @@
+//! How long one tick takes, and how many simulated seconds pass in a second: `cargo bench --bench tick`.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a bench that cannot start has nothing to say")]
+
+use divan::counter::ItemsCount;
+use divan::{Bencher, black_box};
+use retroflex::config::assemble;
+use retroflex::config::board::{Board, PlantSection};
+use retroflex::config::calib::Calibration;
+use retroflex::config::gains::Gains;
+use retroflex::config::source;
+use retroflex::experiment::arm;
+use retroflex::experiment::evaluation::for_world;
+use retroflex::experiment::rig::Rig;
+use retroflex::experiment::schedule::{HOLD_S, paper};
+use retroflex::sim::Sim;
+use retroflex::tick::{Command, Config, Frame, Input, State, tick};
+use retroflex::units::{Mm, Seconds, Steps};
+use retroflex::world::World;
+
+fn main() {
+    divan::main();
+}
+
+fn plant() -> PlantSection {
+    let board: Board = source::parse("boards/sim.toml", include_str!("../boards/sim.toml")).unwrap();
+    board.plant.unwrap()
+}
+
+fn sim() -> Sim {
+    let plant = plant();
+    Sim::new(&plant.make(), 1, 1, plant.period_s).unwrap()
+}
+
+fn config() -> Config {
+    let board: Board = source::parse("boards/sim.toml", include_str!("../boards/sim.toml")).unwrap();
+    let calib: Calibration = source::parse("calib/paper.toml", include_str!("../calib/paper.toml")).unwrap();
+    for_world(&assemble(&board, &calib, &Gains::default()), &sim())
+}
+
+/// What a loop is told during a minute of the experiment, recorded once.
+fn inputs(config: &Config) -> Vec<Input> {
+    let (mut world, mut state) = (sim(), State::new(config));
+    let mut input = Input { t: Seconds(0.0), dt_s: world.nature().period_s, imu: None, command: None, steps: Steps::default() };
+    let mut poses = paper().into_iter().cycle();
+    let mut all = Vec::new();
+    for k in 0..60_000 {
+        if k >= 3000 && k % 1500 == 0 {
+            input.command = poses.next().map(|p| Command { bend: p.bend(), length: Mm(config.geometry.rest_length_mm) });
+        }
+        all.push(input);
+        let frame = tick(config, &mut state, &input);
+        let reply = world.step(&frame.steps).unwrap();
+        input = Input { t: reply.t, imu: reply.imu, steps: frame.steps, command: None, ..input };
+    }
+    all
+}
+
+/// Fusion to steps, averaged over a minute of the experiment: one item is one tick.
+#[divan::bench(sample_count = 20)]
+fn one_tick(bencher: Bencher<'_, '_>) {
+    let config = config();
+    let inputs = inputs(&config);
+    bencher.counter(ItemsCount::new(inputs.len())).bench_local(|| {
+        let mut state = State::new(&config);
+        let mut last: Option<Frame> = None;
+        for input in &inputs {
+            last = Some(tick(&config, &mut state, black_box(input)));
+        }
+        last
+    });
+}
+
+/// The closed arm of `evaluate` on the paper twin at 1 kHz: one item is one simulated second.
+#[divan::bench(sample_count = 5)]
+fn closed_arm(bencher: Bencher<'_, '_>) {
+    let config = config();
+    let seconds = (paper().len() as f64 * HOLD_S) as usize;
+    bencher.counter(ItemsCount::new(seconds)).bench_local(|| {
+        let mut world = sim();
+        arm::run("closed", &mut Rig::new(config.clone(), &mut world), &paper(), &mut || ()).unwrap().bend_rmse_deg
+    });
+}
+
+/// The plant alone: one item is one simulated second.
+#[divan::bench(sample_count = 5)]
+fn plant_alone(bencher: Bencher<'_, '_>) {
+    bencher.counter(ItemsCount::new(20usize)).bench_local(|| {
+        let mut world = sim();
+        (0..20_000).fold(0.0, |sum, k| sum + world.step(&Steps([k / 50, -k / 50, 0])).unwrap().t.0)
+    });
+}

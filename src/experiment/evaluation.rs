@@ -1,0 +1,187 @@
+//! The whole evaluation: identify on a plant of its own, then every arm on a fresh one.
+
+use crate::experiment::arm::{self, ArmResult};
+use crate::experiment::identify::{self, Identified, IdentifyError};
+use crate::experiment::rig::{Rig, RigError};
+use crate::experiment::schedule::paper;
+use crate::model::drive::Drive;
+use crate::model::transmission::Line;
+use crate::tick::Config;
+use crate::world::{World, WorldError};
+use serde::Serialize;
+
+/// What is compensated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Arm {
+    /// Kinematics alone.
+    None,
+    /// Kinematics and extension.
+    Extension,
+    /// Kinematics, extension and backlash.
+    Backlash,
+    /// All of it inside the orientation loop.
+    Closed,
+}
+
+impl Arm {
+    /// All four, in the order of the paper's story.
+    pub const ALL: [Self; 4] = [Self::None, Self::Extension, Self::Backlash, Self::Closed];
+
+    /// Name as on the command line and in results.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Extension => "extension",
+            Self::Backlash => "backlash",
+            Self::Closed => "closed",
+        }
+    }
+
+    /// The loop of this arm, from the one with everything in it.
+    #[must_use]
+    pub fn config(self, base: &Config) -> Config {
+        let lines = match self {
+            Self::None => [Line { k_epsilon: 0.0, k_lambda_mm: 0.0 }; 3],
+            Self::Extension => base.lines.map(|l| Line { k_lambda_mm: 0.0, ..l }),
+            Self::Backlash | Self::Closed => base.lines,
+        };
+        let feedback = if self == Self::Closed { base.feedback } else { None };
+        Config { lines, feedback, ..base.clone() }
+    }
+}
+
+/// What a world is opened for; each purpose gets a fresh one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Purpose {
+    /// Algorithm 1.
+    Identify,
+    /// One arm.
+    Arm(Arm),
+}
+
+/// Opens a fresh world at rest.
+pub type Open<'a> = dyn FnMut(Purpose) -> Result<Box<dyn World>, WorldError> + 'a;
+
+/// Worth of one channel's gains.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ChannelFigures {
+    /// 1 σ of k_ε.
+    pub k_eps_sigma: f64,
+    /// 1 σ of k_λ, mm.
+    pub k_lambda_sigma_mm: f64,
+    /// Condition number of the channel's scaled normal matrix.
+    pub condition: f64,
+    /// Root mean square residual of its rows, mm of piston.
+    pub residual_mm: f64,
+}
+
+/// Everything an evaluation found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Evaluation {
+    /// The plant's name for itself.
+    pub plant: String,
+    /// Seed of the built-in plant.
+    pub seed: u64,
+    /// Arms in the order asked for.
+    pub arms: Vec<ArmResult>,
+    /// Extension gains used.
+    pub k_eps: [f64; 3],
+    /// Backlash half-widths used, mm.
+    pub k_lambda_mm: [f64; 3],
+    /// Lag used at the start, s.
+    pub lag_s: f64,
+    /// Dead time used at the start, s.
+    pub delay_s: f64,
+    /// Passes of Algorithm 1; 0 with a calibration.
+    pub iterations: usize,
+    /// The paper's 2 % were reached (or a calibration was given).
+    pub converged: bool,
+    /// `[k_ε, k_λ in mm]` per channel after every pass, from the start on.
+    pub history: Vec<[[f64; 2]; 3]>,
+    /// What the identification says of its own worth; empty with a calibration.
+    pub identified: Vec<ChannelFigures>,
+}
+
+impl Evaluation {
+    /// The arm of that name, if it ran.
+    #[must_use]
+    pub fn arm(&self, arm: Arm) -> Option<&ArmResult> {
+        self.arms.iter().find(|a| a.name == arm.name())
+    }
+}
+
+/// How an evaluation is to be done.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// The loop, with its calibration or, if there is none, with the gains to start Algorithm 1 from.
+    pub config: Config,
+    /// Whether the gains are found first.
+    pub identify: bool,
+    /// Arms to run.
+    pub arms: Vec<Arm>,
+    /// Seed, for the record.
+    pub seed: u64,
+}
+
+/// Runs it; `progress` is told what is going on after every held state.
+///
+/// # Errors
+/// [`IdentifyError`] from a world or from data that do not fix the gains.
+pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> Result<Evaluation, IdentifyError> {
+    let mut base = plan.config.clone();
+    let mut found = None;
+    let mut plant = String::new();
+    if plan.identify {
+        let mut world = open(Purpose::Identify).map_err(RigError::from)?;
+        plant.clone_from(&world.nature().name);
+        let config = for_world(&base, world.as_ref());
+        let result = identify::algorithm_1(&config, world.as_mut(), &paper(), &mut |pass| progress(&format!("identify, pass {pass}")))?;
+        (base.lines, base.dynamics) = (result.lines(), result.dynamics);
+        found = Some(result);
+    }
+    let mut arms = Vec::with_capacity(plan.arms.len());
+    for &arm in &plan.arms {
+        let mut world = open(Purpose::Arm(arm)).map_err(RigError::from)?;
+        plant.clone_from(&world.nature().name);
+        let config = arm.config(&for_world(&base, world.as_ref()));
+        let name = format!("arm {}", arm.name());
+        arms.push(arm::run(arm.name(), &mut Rig::new(config, world.as_mut()), &paper(), &mut || progress(&name))?);
+    }
+    Ok(gather(plan, &base, found.as_ref(), plant, arms))
+}
+
+/// The plant's own step and rest length take the board's place.
+#[must_use]
+pub fn for_world(config: &Config, world: &dyn World) -> Config {
+    let nature = world.nature();
+    let mut config = config.clone();
+    config.drive = Drive { step_mm: nature.step_mm };
+    config.geometry.rest_length_mm = nature.rest_length_mm;
+    config
+}
+
+fn gather(plan: &Plan, base: &Config, found: Option<&Identified>, plant: String, arms: Vec<ArmResult>) -> Evaluation {
+    Evaluation {
+        plant,
+        seed: plan.seed,
+        arms,
+        k_eps: base.lines.map(|l| l.k_epsilon),
+        k_lambda_mm: base.lines.map(|l| l.k_lambda_mm),
+        lag_s: base.dynamics.lag_s,
+        delay_s: base.dynamics.delay_s,
+        iterations: found.map_or(0, |f| f.history.len() - 1),
+        converged: found.is_none_or(|f| f.converged),
+        history: found.map_or(Vec::new(), |f| f.history.iter().map(|ls| ls.map(|l| [l.k_epsilon, l.k_lambda_mm])).collect()),
+        identified: found.map_or(Vec::new(), |f| f.channels.iter().map(figures).collect()),
+    }
+}
+
+fn figures(e: &crate::refine::batch::Estimate) -> ChannelFigures {
+    ChannelFigures {
+        k_eps_sigma: e.covariance[(0, 0)].max(0.0).sqrt(),
+        k_lambda_sigma_mm: e.covariance[(1, 1)].max(0.0).sqrt(),
+        condition: e.condition,
+        residual_mm: e.residual_mm,
+    }
+}

@@ -1,0 +1,214 @@
+//! The evaluation as pictures: the paper's Figure 6 redrawn, and the closed loop beside it.
+//!
+//! Figure 6 shows measured against desired bend, mean over the directions with ± 1 σ: (a) no
+//! compensation and extension, (b) no compensation and extension with backlash, (c) the gains pass by
+//! pass. Here the way out is solid and the way back dashed, since the backlash lies between them.
+
+use crate::experiment::arm::{ArmResult, Held};
+use crate::experiment::evaluation::{Arm, Evaluation};
+use crate::experiment::schedule::ANGLES_DEG;
+use crate::report::page::Page;
+use crate::report::svg::{Axis, Chart, Ink, Series, Stroke, sheet};
+
+/// What the paper measured on its prototype: bend RMSE per open-loop arm, degrees.
+const PAPER_RMSE_DEG: [(Arm, f64); 3] = [(Arm::None, 36.96), (Arm::Extension, 8.04), (Arm::Backlash, 7.76)];
+
+/// Name of an arm as people say it.
+#[must_use]
+pub fn title(arm: Arm) -> &'static str {
+    match arm {
+        Arm::None => "no compensation",
+        Arm::Extension => "extension",
+        Arm::Backlash => "extension + backlash",
+        Arm::Closed => "closed loop",
+    }
+}
+
+fn ink(arm: Arm) -> Ink {
+    match arm {
+        Arm::None => Ink::RED,
+        Arm::Extension => Ink::ORANGE,
+        Arm::Backlash => Ink::BLUE,
+        Arm::Closed => Ink::GREEN,
+    }
+}
+
+/// The charts that this evaluation has data for.
+#[must_use]
+pub fn charts(e: &Evaluation) -> Vec<Chart> {
+    let pairs = [
+        ("(a) Extension compensation", vec![Arm::None, Arm::Extension]),
+        ("(b) Extension and backlash compensation", vec![Arm::None, Arm::Backlash]),
+    ];
+    let mut all: Vec<Chart> = pairs.iter().filter_map(|(t, arms)| bends(e, t, arms)).collect();
+    all.extend(convergence(e));
+    all.extend(e.arm(Arm::Closed).and_then(|_| bends(e, "(d) Closed loop", &[Arm::Backlash, Arm::Closed])));
+    all.extend(e.arm(Arm::Closed).map(errors));
+    all.extend(settling(e));
+    all
+}
+
+/// The charts on one drawing.
+#[must_use]
+pub fn svg(e: &Evaluation) -> String {
+    sheet(&charts(e), 3)
+}
+
+/// Mean and standard deviation over the directions, at one desired angle and way.
+fn over_directions(held: &[Held], angle_deg: f64, outward: bool, f: impl Fn(&Held) -> f64) -> Option<(f64, f64)> {
+    let values: Vec<f64> = held.iter().filter(|h| h.bend_deg == angle_deg && h.outward == outward).map(f).collect();
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    (!values.is_empty()).then_some((mean, variance.sqrt()))
+}
+
+/// Two bands and two lines: the way out and the way back.
+fn out_and_back(arm: &ArmResult, name: &str, ink: Ink, f: impl Fn(&Held) -> f64) -> Vec<Series> {
+    [(true, Stroke::Solid, format!("{name}, out")), (false, Stroke::Dashed, "back".to_owned())]
+        .into_iter()
+        .flat_map(|(outward, stroke, label)| {
+            let at = |a: f64| over_directions(&arm.held, a, outward, &f).map(|(m, s)| (a, m, s));
+            let points: Vec<_> = ANGLES_DEG.iter().filter_map(|&a| at(a)).collect();
+            let band = points.iter().map(|&(a, m, s)| (a, m - s, m + s)).collect();
+            [Series::band(ink, band), Series::line(&label, ink, stroke, points.iter().map(|p| (p.0, p.1)).collect())]
+        })
+        .collect()
+}
+
+fn bends(e: &Evaluation, title_text: &str, arms: &[Arm]) -> Option<Chart> {
+    let ran: Vec<_> = arms.iter().filter_map(|&a| e.arm(a).map(|r| (a, r))).collect();
+    if ran.is_empty() {
+        return None;
+    }
+    let mut series = vec![Series { name: None, ..Series::line("", Ink::GREY, Stroke::Dotted, vec![(0.0, 0.0), (90.0, 90.0)]) }];
+    for (arm, result) in ran {
+        series.extend(out_and_back(result, title(arm), ink(arm), |h| h.bend_deg - h.bend_error_deg));
+    }
+    let x = Axis { ticks: ANGLES_DEG.to_vec(), ..Axis::new("desired bend / °", 10.0, 80.0, 5) };
+    Some(Chart { title: title_text.to_owned(), x, y: Axis::new("measured bend / °", 0.0, 90.0, 6), series })
+}
+
+fn convergence(e: &Evaluation) -> Option<Chart> {
+    if e.history.len() < 2 {
+        return None;
+    }
+    let strokes = [Stroke::Solid, Stroke::Dashed, Stroke::Dotted];
+    let track = |i: usize, g: usize| e.history.iter().enumerate().map(|(n, pass)| (n as f64, pass[i][g])).collect::<Vec<_>>();
+    let mut series = Vec::new();
+    for (g, symbol, ink) in [(0, "k_ε", Ink::BLUE), (1, "k_λ / mm", Ink::PURPLE)] {
+        for (i, stroke) in strokes.into_iter().enumerate() {
+            series.push(Series::line(&format!("{symbol} {}", i + 1), ink, stroke, track(i, g)));
+            series.push(Series::dots(ink, track(i, g)));
+        }
+    }
+    let values = e.history.iter().flatten().flatten().copied();
+    Some(Chart {
+        title: "(c) Algorithm 1, pass by pass".to_owned(),
+        x: Axis::new("pass", 0.0, (e.history.len() - 1) as f64, e.history.len()),
+        y: Axis::around("gain", values, &[0.0], 6),
+        series,
+    })
+}
+
+/// The closed loop under the magnifying glass.
+fn errors(arm: &ArmResult) -> Chart {
+    let mut series = out_and_back(arm, "mean ± σ", Ink::GREEN, |h| h.bend_error_deg);
+    let dots = |h: &Held| (h.bend_deg + if h.outward { -1.2 } else { 1.2 }, h.bend_error_deg);
+    series.push(Series::dots(Ink::GREEN, arm.held.iter().map(dots).collect()));
+    Chart {
+        title: "(e) Closed loop, error of every held state".to_owned(),
+        x: Axis { ticks: ANGLES_DEG.to_vec(), ..Axis::new("desired bend / °", 10.0, 80.0, 5) },
+        y: Axis::around("desired − measured bend / °", arm.held.iter().map(|h| h.bend_error_deg), &[-0.5, 0.5], 6),
+        series,
+    }
+}
+
+/// Which share of the states has come within 1° for good after a time.
+fn settling(e: &Evaluation) -> Option<Chart> {
+    let mut series = Vec::new();
+    for arm in Arm::ALL {
+        let Some(result) = e.arm(arm) else { continue };
+        let mut times: Vec<f64> = result.held.iter().map(|h| h.settle_s).filter(|&s| s < crate::experiment::schedule::HOLD_S).collect();
+        times.sort_by(f64::total_cmp);
+        let n = result.held.len().max(1) as f64;
+        let mut steps = vec![(0.0, 0.0)];
+        for (k, &t) in times.iter().enumerate() {
+            steps.extend([(t, 100.0 * k as f64 / n), (t, 100.0 * (k + 1) as f64 / n)]);
+        }
+        steps.push((crate::experiment::schedule::HOLD_S, 100.0 * times.len() as f64 / n));
+        series.push(Series::line(title(arm), ink(arm), Stroke::Solid, steps));
+    }
+    (!series.is_empty()).then(|| Chart {
+        title: "(f) States within 1° for good".to_owned(),
+        x: Axis::new("time since the command / s", 0.0, crate::experiment::schedule::HOLD_S, 6),
+        y: Axis::new("share of the 120 states / %", 0.0, 100.0, 5),
+        series,
+    })
+}
+
+/// The page.
+#[must_use]
+pub fn html(e: &Evaluation) -> String {
+    let mut page = Page::new("retroflex evaluate");
+    page.text(&format!("Plant “{}”, seed {}. Twelve directions, 15 to 75° out and back: 120 held states of 1.5 s an arm. The bend error is desired less true bend over the last 0.3 s of each state.", e.plant, e.seed));
+    page.table(&["arm", "bend RMSE", "paper", "orientation RMSE", "felt − true", "median to 1°", "moves at most", "states", "held by a wall"], &arm_rows(e));
+    page.heading("The paper's Figure 6, redrawn, and the closed loop");
+    let drawn: Vec<_> = charts(e).iter().map(|c| (c.svg(), caption(&c.title).to_owned())).collect();
+    page.charts(&drawn);
+    page.heading("Gains");
+    page.text(&if e.iterations == 0 {
+        "Given by a calibration file.".to_owned()
+    } else {
+        let end = if e.converged { "converged to 2 %" } else { "did not converge to 2 %" };
+        format!("Algorithm 1 from zero {end} after {} passes of 120 states. Lag {:.0} ms, dead time {:.0} ms.", e.iterations, 1e3 * e.lag_s, 1e3 * e.delay_s)
+    });
+    page.table(&["channel", "k_ε", "± σ", "k_λ / mm", "± σ / mm", "condition", "residual / mm"], &gain_rows(e));
+    page.quiet("For research. Not a medical device.");
+    page.html()
+}
+
+fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
+    let row = |arm: Arm| {
+        let a = e.arm(arm)?;
+        let paper = PAPER_RMSE_DEG.iter().find(|p| p.0 == arm).map_or("–".to_owned(), |p| format!("{:.2}°", p.1));
+        Some(vec![
+            title(arm).to_owned(),
+            format!("{:.2}°", a.bend_rmse_deg),
+            paper,
+            format!("{:.2}°", a.orientation_rmse_deg),
+            format!("{:.2}°", a.felt_rmse_deg),
+            format!("{:.2} s", a.settle_s_median),
+            format!("{:.2}°", a.peak_to_peak_max_deg),
+            a.states.to_string(),
+            a.blocked.to_string(),
+        ])
+    };
+    Arm::ALL.into_iter().filter_map(row).collect()
+}
+
+fn gain_rows(e: &Evaluation) -> Vec<Vec<String>> {
+    let or_dash = |i: usize, f: fn(&crate::experiment::evaluation::ChannelFigures) -> String| e.identified.get(i).map_or("–".to_owned(), f);
+    (0..3)
+        .map(|i| {
+            vec![
+                (i + 1).to_string(),
+                format!("{:.3}", e.k_eps[i]),
+                or_dash(i, |c| format!("{:.3}", c.k_eps_sigma)),
+                format!("{:.3}", e.k_lambda_mm[i]),
+                or_dash(i, |c| format!("{:.3}", c.k_lambda_sigma_mm)),
+                or_dash(i, |c| format!("{:.1}", c.condition)),
+                or_dash(i, |c| format!("{:.2}", c.residual_mm)),
+            ]
+        })
+        .collect()
+}
+
+fn caption(title: &str) -> &'static str {
+    match title.as_bytes().get(1) {
+        Some(b'a' | b'b' | b'd') => "Mean over twelve directions, ± 1 σ shaded; solid on the way out, dashed on the way back; dotted: perfect.",
+        Some(b'c') => "From zero; 120 measured states a pass.",
+        Some(b'e') => "Dots: mean of each held state, way out left of its angle, way back right of it.",
+        _ => "A state counts from the moment after which its bend error stays below 1°.",
+    }
+}

@@ -1,0 +1,52 @@
+//! What the tests share: the paper twin as a world, and the loop for it.
+#![allow(dead_code, reason = "every test binary takes its own part of this")]
+
+use retroflex::config::assemble;
+use retroflex::config::board::{Board, PlantSection};
+use retroflex::config::calib::Calibration;
+use retroflex::config::gains::Gains;
+use retroflex::config::source;
+use retroflex::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose};
+use retroflex::sim::Sim;
+use retroflex::tick::Config;
+use retroflex::world::World;
+use std::path::{Path, PathBuf};
+
+/// A file of the repository.
+pub fn repo(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// The board that `evaluate` uses when none is named.
+pub fn twin() -> Board {
+    source::read(&repo("boards/sim.toml")).unwrap()
+}
+
+/// Its plant.
+pub fn plant() -> PlantSection {
+    twin().plant.unwrap()
+}
+
+/// The loop with nothing calibrated.
+pub fn uncalibrated() -> Config {
+    assemble(&twin(), &Calibration::default(), &Gains::default())
+}
+
+/// Unit `seed` of the twin, with noise of its own for every `noise`.
+pub fn unit(seed: u64, noise: u64) -> Sim {
+    let plant = plant();
+    Sim::new(&plant.make(), seed, noise, plant.period_s).unwrap()
+}
+
+/// Identification and arms on unit `seed`, as the command does it.
+pub fn evaluate(seed: u64, arms: &[Arm]) -> Evaluation {
+    let plan = Plan { config: uncalibrated(), identify: true, arms: arms.to_vec(), seed };
+    let mut open = |purpose: Purpose| {
+        let noise = match purpose {
+            Purpose::Identify => 0,
+            Purpose::Arm(arm) => 1 + arm as u64,
+        };
+        Ok(Box::new(unit(seed, noise)) as Box<dyn World>)
+    };
+    evaluation::run(&plan, &mut open, &mut |_| ()).unwrap()
+}

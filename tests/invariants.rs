@@ -1,0 +1,73 @@
+//! What must hold bit for bit: equal seeds give equal frames, and the loop never sees the truth.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::{uncalibrated, unit};
+use nalgebra::{UnitQuaternion, Vector3};
+use retroflex::experiment::evaluation::for_world;
+use retroflex::experiment::rig::Rig;
+use retroflex::experiment::schedule::paper;
+use retroflex::frames::Rotation;
+use retroflex::model::transmission::Line;
+use retroflex::tick::{Command, Config, Frame};
+use retroflex::units::{Mm, Steps};
+use retroflex::world::{Nature, Reply, World, WorldError};
+
+/// Thirty seconds of closed loop on a world.
+fn frames(world: &mut dyn World) -> Vec<Frame> {
+    let config = for_world(&uncalibrated(), world);
+    let lines = [2.3, 2.4, 2.2].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.8 });
+    let length = Mm(config.geometry.rest_length_mm);
+    let mut rig = Rig::new(Config { lines, ..config }, world);
+    rig.align().unwrap();
+    let mut all = Vec::new();
+    for pose in paper().iter().step_by(6) {
+        let mut command = Some(Command { bend: pose.bend(), length });
+        for _ in 0..1500 {
+            all.push(rig.advance(command.take()).unwrap().0);
+        }
+    }
+    all
+}
+
+/// Bits of everything in a frame that the loop decided; `==` would let −0 pass for 0 and NaN for unequal.
+fn bits(frame: &Frame) -> Vec<u64> {
+    let numbers = [frame.t.0, frame.error.x, frame.error.y, frame.feedback.x, frame.feedback.y, frame.dynamics.lag_s, frame.dynamics.delay_s];
+    let felt = frame.felt.map_or([0.0; 3], |f| [f.bend.0.x, f.bend.0.y, f.sigma_rad]);
+    let steps = frame.steps.0.map(f64::from);
+    let vectors = [frame.bellow_mm, frame.piston_target_mm].into_iter().flat_map(|v| [v.x, v.y, v.z]);
+    numbers.into_iter().chain(felt).chain(steps).chain(frame.k_epsilon).chain(vectors).map(f64::to_bits).collect()
+}
+
+#[test]
+fn equal_seeds_give_equal_frames_to_the_last_bit() {
+    let (a, b, other) = (frames(&mut unit(3, 1)), frames(&mut unit(3, 1)), frames(&mut unit(3, 2)));
+    assert!(a.len() > 20_000);
+    for (x, y) in a.iter().zip(&b) {
+        assert_eq!(bits(x), bits(y), "at {} s", x.t.0);
+    }
+    assert!(a.iter().zip(&other).any(|(x, y)| bits(x) != bits(y)), "noise of another seed is other noise");
+}
+
+/// A world whose judge is told lies.
+struct Liar<W>(W);
+
+impl<W: World> World for Liar<W> {
+    fn nature(&self) -> &Nature {
+        self.0.nature()
+    }
+    fn step(&mut self, steps: &Steps) -> Result<Reply, WorldError> {
+        let reply = self.0.step(steps)?;
+        let lie = UnitQuaternion::from_scaled_axis(Vector3::new(reply.t.0.sin(), 0.7, -0.2 * reply.t.0));
+        Ok(Reply { truth: Some(Rotation::assert_frames(lie)), ..reply })
+    }
+}
+
+#[test]
+fn the_loop_never_sees_the_truth() {
+    let (honest, lied_to) = (frames(&mut unit(5, 1)), frames(&mut Liar(unit(5, 1))));
+    for (x, y) in honest.iter().zip(&lied_to) {
+        assert_eq!(bits(x), bits(y), "at {} s", x.t.0);
+    }
+}

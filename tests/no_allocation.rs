@@ -1,0 +1,84 @@
+//! A tick allocates nothing: a counting allocator watches it work.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(unsafe_code, reason = "a global allocator is unsafe to implement; this one only counts and forwards")]
+
+mod common;
+
+use common::{uncalibrated, unit};
+use retroflex::experiment::evaluation::for_world;
+use retroflex::experiment::schedule::paper;
+use retroflex::model::transmission::Line;
+use retroflex::tick::{Command, Config, Input, State, tick};
+use retroflex::units::{Mm, Seconds, Steps};
+use retroflex::world::World;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+struct Counting;
+
+thread_local! {
+    /// Allocations of this thread; the harness has threads of its own.
+    static TAKEN: Cell<u64> = const { Cell::new(0) };
+}
+
+fn count() {
+    // a thread that is being taken down has no counter any more, and no tick
+    let _ = TAKEN.try_with(|n| n.set(n.get() + 1));
+}
+
+fn taken() -> u64 {
+    TAKEN.with(Cell::get)
+}
+
+// SAFETY: every call goes to the system's allocator with the caller's own arguments, whose contract
+// is the same; the counter has no part in it
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: forwarded as it came
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: forwarded as it came
+        unsafe { System.dealloc(at, layout) }
+    }
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: forwarded as it came
+        unsafe { System.realloc(at, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Allocations during ticks alone, over alignment, moves and rests, in closed loop with everything on.
+fn during_ticks(config: &Config, world: &mut dyn World) -> u64 {
+    let mut state = State::new(config);
+    let mut input = Input { t: Seconds(0.0), dt_s: world.nature().period_s, imu: None, command: None, steps: Steps::default() };
+    let mut poses = paper().into_iter().step_by(7).cycle();
+    let mut during = 0;
+    for k in 0..40_000 {
+        if k > 3000 && k % 1500 == 0 {
+            input.command = poses.next().map(|p| Command { bend: p.bend(), length: Mm(config.geometry.rest_length_mm) });
+        }
+        let before = taken();
+        let frame = tick(config, &mut state, &input);
+        during += taken() - before;
+        let reply = world.step(&frame.steps).unwrap();
+        input = Input { t: reply.t, imu: reply.imu, steps: frame.steps, command: None, ..input };
+    }
+    assert!(state.fusion.felt().is_some_and(|f| f.bend.beta() > 0.1), "it was to move");
+    during
+}
+
+#[test]
+fn a_tick_allocates_nothing() {
+    let mut world = unit(1, 1);
+    let lines = [2.2, 2.5, 2.2].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.85 });
+    let config = Config { lines, ..for_world(&uncalibrated(), &world) };
+    let before = taken();
+    drop(std::hint::black_box(vec![1u8; 64]));
+    assert!(taken() > before, "the counter counts");
+    assert_eq!(during_ticks(&config, &mut world), 0);
+}

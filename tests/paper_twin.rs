@@ -1,0 +1,61 @@
+//! The paper's experiment on the paper twin: what the paper found, and what the loop adds.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::evaluate;
+use rayon::prelude::*;
+use retroflex::experiment::arm::ArmResult;
+use retroflex::experiment::evaluation::Arm;
+
+/// Bend RMSE of the three open-loop arms on the paper's prototype, degrees.
+const PAPER_DEG: [(Arm, f64); 3] = [(Arm::None, 36.96), (Arm::Extension, 8.04), (Arm::Backlash, 7.76)];
+
+#[test]
+fn the_three_open_loop_arms_are_the_papers() {
+    let e = evaluate(1, &[Arm::None, Arm::Extension, Arm::Backlash]);
+    for (arm, paper) in PAPER_DEG {
+        let ours = e.arm(arm).unwrap().bend_rmse_deg;
+        println!("{}: {ours:.2}°, the paper {paper:.2}°", arm.name());
+        assert!((ours / paper - 1.0).abs() <= 0.1, "{}: {ours:.2}° against {paper:.2}°", arm.name());
+    }
+    assert!(e.converged && e.iterations <= 7, "{} passes", e.iterations);
+}
+
+fn keeps_its_promise(closed: &ArmResult) -> Result<(), String> {
+    let bounds = [
+        ("bend RMSE / °", closed.bend_rmse_deg, 1.0),
+        ("orientation RMSE / °", closed.orientation_rmse_deg, 1.5),
+        ("largest movement of a held state / °", closed.peak_to_peak_max_deg, 0.3),
+        ("median settling / s", closed.settle_s_median, 1.0),
+    ];
+    match bounds.iter().find(|(_, value, bound)| value.is_nan() || value > bound) {
+        None => Ok(()),
+        Some((what, value, bound)) => Err(format!("{what}: {value:.3}, at most {bound}")),
+    }
+}
+
+type Figure = fn(&ArmResult) -> f64;
+
+#[test]
+fn twenty_units_keep_the_closed_loops_promise() {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    let all: Vec<_> = pool.install(|| (1..=20u64).into_par_iter().map(|seed| (seed, evaluate(seed, &[Arm::Closed]))).collect());
+    let closed = |i: usize| all[i].1.arm(Arm::Closed).unwrap();
+    let worst = |f: Figure| (0..all.len()).max_by(|&a, &b| f(closed(a)).total_cmp(&f(closed(b)))).unwrap();
+    let figures: [(&str, Figure); 4] = [
+        ("bend RMSE / °", |a| a.bend_rmse_deg),
+        ("orientation RMSE / °", |a| a.orientation_rmse_deg),
+        ("movement of a held state / °", |a| a.peak_to_peak_max_deg),
+        ("median settling / s", |a| a.settle_s_median),
+    ];
+    for (what, f) in figures {
+        let i = worst(f);
+        println!("worst {what}: {:.3}, seed {}", f(closed(i)), all[i].0);
+    }
+    for (i, (seed, e)) in all.iter().enumerate() {
+        assert!(e.converged && e.iterations <= 7, "seed {seed}: {} passes", e.iterations);
+        assert_eq!(closed(i).states, 120);
+        keeps_its_promise(closed(i)).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
+    }
+}
