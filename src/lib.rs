@@ -6,8 +6,10 @@
 //! |---|---|
 //! | F0 words | [`units`], [`frames`], [`sample`] |
 //! | F1 laws | [`model`] |
+//! | F3 twins, judges | [`plant`] |
 
 pub mod frames;
 pub mod model;
+pub mod plant;
 pub mod sample;
 pub mod units;
