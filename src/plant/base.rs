@@ -8,7 +8,7 @@ use crate::frames::{Rotation, World};
 use crate::plant::cause::Cause;
 use crate::plant::check::{PlantError, range, ranges};
 use crate::plant::lot::Lot;
-use crate::plant::shape::Plate;
+use crate::plant::shape::arc::Plate;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -151,7 +151,7 @@ mod tests {
         assert!((m.angle(18.0).to_degrees() - 2.5).abs() < 1e-9 && (m.angle(30.0).to_degrees() - 5.0).abs() < 1e-9);
         let sway = BaseMotion { sway_deg: 1.0, ..BaseMotion::default() };
         assert_eq!(sway.angle(2.9), 0.0);
-        assert!((30..100).any(|k| sway.angle(f64::from(k) * 0.1).to_degrees().abs() > 0.4));
+        assert!((30..300).any(|k| sway.angle(f64::from(k) * 0.1).to_degrees().abs() > 0.4));
     }
 
     #[test]

@@ -7,14 +7,11 @@ use crate::frames::{Rotation, World};
 use crate::model::drive::Drive;
 use crate::plant::check::{PlantError, range, ranges};
 use crate::plant::effects::Effects;
-use crate::plant::imu::ImuConfig;
-use crate::plant::shape::Plate;
-use crate::plant::unit::Spread;
+use crate::plant::imu::chip::ImuConfig;
+use crate::plant::shape::arc::Plate;
+use crate::plant::spread::Spread;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
-
-/// Standard gravity, m/s².
-pub(crate) const GRAVITY_M_S2: f64 = 9.81;
 
 /// One plant, fully described. Everything has a default; see each table.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

@@ -198,7 +198,7 @@ impl Plant {
     }
 
     fn break_sensor(&mut self, fault: Fault) {
-        let g = crate::plant::config::GRAVITY_M_S2;
+        let g = crate::plant::imu::GRAVITY_M_S2;
         let broken = &mut self.imu.broken;
         match fault {
             Fault::NoSample => broken.silent = true,

@@ -13,6 +13,7 @@ pub mod base;
 pub mod bellows;
 mod cause;
 mod check;
+mod choice;
 pub mod config;
 pub mod drive;
 pub mod effects;
@@ -22,8 +23,9 @@ pub mod line;
 mod lot;
 mod memory;
 pub mod shape;
+pub mod spread;
 pub mod timing;
-pub mod unit;
+mod unit;
 
 pub use check::PlantError;
 pub use config::PlantConfig;
@@ -38,7 +40,8 @@ use crate::plant::drive::Drive;
 use crate::plant::imu::motor_field::Motors;
 use crate::plant::imu::{Imu, Surroundings};
 use crate::plant::line::Line;
-use crate::plant::shape::{Plate, Pose, Shape};
+use crate::plant::shape::arc::Plate;
+use crate::plant::shape::{Pose, Shape};
 use crate::plant::timing::DeadTime;
 use crate::sample::ImuSample;
 use crate::units::{Seconds, Steps};
@@ -140,7 +143,7 @@ impl Plant {
         let sent = Vector3::from(steps.0.map(f64::from));
         let counts = self.commands.as_mut().map_or(sent, |c| c.pass(t, dt_s, sent));
         let plunger_mm = self.drive.step(&counts, t, dt_s);
-        let air_mm = self.line.step(&plunger_mm, &self.bellows.felt, t, dt_s);
+        let air_mm = self.line.step(&plunger_mm, &self.bellows.felt, dt_s);
         let bellow_mm = self.bellows.step(&air_mm, t, dt_s);
         let pose = self.shape.step(&bellow_mm, &self.stand.attitude(t), dt_s);
         let (imu, base_imu) = self.sense(&pose, &counts);
@@ -178,5 +181,5 @@ impl Plant {
 /// What surrounds the tip in a pose.
 fn surroundings(stand: &Stand, pose: &Pose, t: f64, field_ut: Vector3<f64>) -> Surroundings {
     let r_world_plate = stand.attitude(t);
-    Surroundings { t, r_world_tip: r_world_plate * pose.r_plate_tip, at_mm: r_world_plate.apply(&pose.at_mm), field_ut }
+    Surroundings { t, r_world_tip: r_world_plate * pose.r_plate_tip, at_mm: r_world_plate.apply(&pose.tip_mm()), field_ut }
 }

@@ -1,7 +1,7 @@
 //! A bellow that resists elongation and contraction differently.
 //!
 //! Folds open one after another, so the stiffness turns over smoothly around rest:
-//! `dW/dq = 1 + a tanh(q/s)`, hence `W = q + a s ln cosh(q/s)`.
+//! `dW/dq = 1 + a x/√(1 + x²)` with `x = q/s`, hence `W = q + a s (√(1 + x²) − 1)`.
 
 use crate::plant::cause::Cause;
 use crate::plant::check::{PlantError, range};
@@ -45,12 +45,9 @@ impl Cause for Asymmetry {
 impl Asymmetry {
     /// Extra force over the mean stiffness, mm, and its slope.
     pub(crate) fn extra(&self, q_mm: f64) -> (f64, f64) {
-        let x = (q_mm / self.knee_mm).abs();
-        // e^(−2x) gives both: tanh x = (1 − e)/(1 + e), ln cosh x = x + ln(1 + e) − ln 2
-        let e = (-2.0 * x).exp();
-        let ln_cosh = x + e.ln_1p() - std::f64::consts::LN_2;
-        let tanh = (1.0 - e) / (1.0 + e);
-        (self.share * self.knee_mm * ln_cosh, self.share * tanh.copysign(q_mm))
+        let x = q_mm / self.knee_mm;
+        let root = (1.0 + x * x).sqrt();
+        (self.share * self.knee_mm * (root - 1.0), self.share * x / root)
     }
 }
 
@@ -61,7 +58,7 @@ mod tests {
     #[test]
     fn one_side_is_stiffer_than_the_other() {
         let a = Asymmetry { share: 0.2, ..Asymmetry::default() };
-        assert!((a.extra(5.0).1 - 0.2).abs() < 1e-6 && (a.extra(-5.0).1 + 0.2).abs() < 1e-6);
+        assert!((a.extra(5.0).1 - 0.2).abs() < 2e-3 && (a.extra(-5.0).1 + 0.2).abs() < 2e-3);
         assert!(a.extra(0.0).0.abs() < 1e-15 && a.extra(3.0).0 > 0.0 && a.extra(-3.0).0 > 0.0);
         for q in [-2.0, -0.1, 0.3, 4.0] {
             let numeric = (a.extra(q + 1e-6).0 - a.extra(q - 1e-6).0) / 2e-6;

@@ -3,11 +3,12 @@
 //! The wall answers an elongation `q` with the pressure `p = c D W(q)`: `c` kPa per mm, `D` what
 //! damage has left of it, `W` its curve (nominally `W = q`). The air in the line gives way by
 //! `ε = (k_ε / c) G(p)`, `G` the gas curve (nominally `G = p`). The air delivered is `z = q + ε`. The
-//! left side rises with q throughout, so Newton's method from the last balance finds the only root;
-//! where both curves are straight it is `q = z / (1 + k_ε D)`.
+//! left side rises with q throughout, so Newton's method finds the only root; it starts from the last
+//! balance and slope, which is near enough that one round does. Where both curves are straight the
+//! root is `q = z / (1 + k_ε D)`.
 
 use crate::plant::bellows::asymmetry::Asymmetry;
-use crate::plant::bellows::stiffening::Stiffening;
+use crate::plant::bellows::stiffening::Hardening;
 use crate::plant::cause::active;
 use crate::plant::config::PlantConfig;
 use crate::plant::line::gas_compression::GasCompression;
@@ -19,58 +20,70 @@ pub(crate) struct Balance {
     k_epsilon: Vector3<f64>,
     kpa_per_mm: f64,
     gas: Option<GasCompression>,
-    stiffening: Option<Stiffening>,
+    stiffening: Option<Hardening>,
     asymmetry: Option<Asymmetry>,
     straight: bool,
-    last_mm: Vector3<f64>,
+    last: [Point; 3],
 }
 
-/// Newton ends below this step, mm.
-const CLOSE_MM: f64 = 1e-10;
-/// Newton's steps at most; from the last balance it takes two or three.
-const STEPS_MAX: usize = 30;
+/// A balance that was found.
+#[derive(Debug, Clone, Copy, Default)]
+struct Point {
+    air_mm: f64,
+    bellow_mm: f64,
+    /// dq/dz there.
+    slope: f64,
+    pressure_kpa: f64,
+}
+
+/// Newton ends below this step, mm: its error is of the order of the square of that.
+const CLOSE_MM: f64 = 1e-5;
+/// Newton's rounds at most.
+const ROUNDS: usize = 30;
 
 impl Balance {
     pub(crate) fn new(config: &PlantConfig) -> Self {
         let effects = &config.effects;
         let gas = active(effects.gas_compression.as_ref());
-        let stiffening = active(effects.stiffening.as_ref());
+        let stiffening = active(effects.stiffening.as_ref()).map(|c| Hardening::new(&c));
         let asymmetry = active(effects.asymmetry.as_ref());
         let straight = gas.is_none() && stiffening.is_none() && asymmetry.is_none();
         let k_epsilon = Vector3::from(config.line.k_epsilon);
-        Self { k_epsilon, kpa_per_mm: config.line.kpa_per_mm, gas, stiffening, asymmetry, straight, last_mm: Vector3::zeros() }
+        Self { k_epsilon, kpa_per_mm: config.line.kpa_per_mm, gas, stiffening, asymmetry, straight, last: [Point::default(); 3] }
     }
 
     /// Elongations, mm, and gauge pressures, kPa, for the air delivered (mm of piston).
     pub(crate) fn solve(&mut self, air_mm: &Vector3<f64>, compliance: &Vector3<f64>, softness: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
-        let mut pressure = Vector3::zeros();
         for i in 0..3 {
             let k = self.k_epsilon[i] * compliance[i];
-            if self.straight {
-                self.last_mm[i] = air_mm[i] / (1.0 + k * softness[i]);
-                pressure[i] = self.kpa_per_mm * softness[i] * self.last_mm[i];
-            } else {
-                (self.last_mm[i], pressure[i]) = self.newton(air_mm[i], k, softness[i], self.last_mm[i]);
-            }
+            self.last[i] = if self.straight { self.line(air_mm[i], k, softness[i]) } else { self.newton(air_mm[i], k, softness[i], &self.last[i]) };
         }
-        (self.last_mm, pressure)
+        let [a, b, c] = &self.last;
+        (Vector3::new(a.bellow_mm, b.bellow_mm, c.bellow_mm), Vector3::new(a.pressure_kpa, b.pressure_kpa, c.pressure_kpa))
     }
 
-    fn newton(&self, air_mm: f64, k: f64, softness: f64, start_mm: f64) -> (f64, f64) {
+    fn line(&self, air_mm: f64, k: f64, softness: f64) -> Point {
+        let slope = 1.0 / (1.0 + k * softness);
+        let bellow_mm = air_mm * slope;
+        Point { air_mm, bellow_mm, slope, pressure_kpa: self.kpa_per_mm * softness * bellow_mm }
+    }
+
+    fn newton(&self, air_mm: f64, k: f64, softness: f64, last: &Point) -> Point {
         let stiffness = self.kpa_per_mm * softness;
-        let (mut q, mut pressure) = (start_mm, 0.0);
-        for _ in 0..STEPS_MAX {
-            let (wall, wall_slope) = self.wall(q);
-            pressure = stiffness * wall;
-            let (squeeze, gas_slope) = self.gas.as_ref().map_or((pressure, 1.0), |g| g.linearised_kpa(pressure));
-            let miss = q + k / self.kpa_per_mm * squeeze - air_mm;
-            let step = miss / (1.0 + k * softness * gas_slope * wall_slope);
-            q -= step;
+        let mut p = Point { air_mm, bellow_mm: last.bellow_mm + last.slope * (air_mm - last.air_mm), ..*last };
+        for _ in 0..ROUNDS {
+            let (wall, wall_slope) = self.wall(p.bellow_mm);
+            p.pressure_kpa = stiffness * wall;
+            let (squeeze, gas_slope) = self.gas.as_ref().map_or((p.pressure_kpa, 1.0), |g| g.linearised_kpa(p.pressure_kpa));
+            p.slope = 1.0 / (1.0 + k * softness * gas_slope * wall_slope);
+            let step = (p.bellow_mm + k / self.kpa_per_mm * squeeze - air_mm) * p.slope;
+            p.bellow_mm -= step;
+            p.pressure_kpa -= stiffness * wall_slope * step;
             if step.abs() < CLOSE_MM {
                 break;
             }
         }
-        (q, pressure)
+        p
     }
 
     /// W and dW/dq.
@@ -91,6 +104,7 @@ impl Balance {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plant::bellows::stiffening::Stiffening;
     use crate::plant::effects::Effects;
     use proptest::prelude::*;
 

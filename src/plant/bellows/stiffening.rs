@@ -45,13 +45,22 @@ impl Cause for Stiffening {
     }
 }
 
-impl Stiffening {
+/// A wall that hardens.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Hardening {
+    h: f64,
+    onset_mm: f64,
+}
+
+impl Hardening {
+    pub(crate) fn new(config: &Stiffening) -> Self {
+        Self { h: config.share / (FULL_MM / config.onset_mm).exp_m1(), onset_mm: config.onset_mm }
+    }
     /// Extra force over the linear stiffness, mm, and its slope.
     pub(crate) fn extra(&self, q_mm: f64) -> (f64, f64) {
-        let h = self.share / (FULL_MM / self.onset_mm).exp_m1();
         let x = q_mm.abs() / self.onset_mm;
-        let grown = x.exp_m1();
-        (h * q_mm * grown, h * (grown + x * (grown + 1.0)))
+        let grown = x.exp() - 1.0;
+        (self.h * q_mm * grown, self.h * (grown + x * (grown + 1.0)))
     }
 }
 
@@ -61,7 +70,7 @@ mod tests {
 
     #[test]
     fn is_odd_hardens_and_has_its_share_at_full_stretch() {
-        let s = Stiffening { share: 0.3, ..Stiffening::default() };
+        let s = Hardening::new(&Stiffening { share: 0.3, ..Stiffening::default() });
         assert!((s.extra(5.0).0 - 1.5).abs() < 1e-12 && s.extra(-5.0).0 == -s.extra(5.0).0);
         let gain = |q: f64| s.extra(q).0 / q;
         assert!(gain(1.0) < gain(2.0) && gain(2.0) < gain(4.0) && gain(1.0) < 0.03);

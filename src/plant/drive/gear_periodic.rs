@@ -58,11 +58,33 @@ impl Cause for GearPeriodic {
     }
 }
 
-impl GearPeriodic {
-    /// Error of the three racks at their positions, mm.
-    pub(crate) fn error_mm(&self, rack_mm: &Vector3<f64>) -> Vector3<f64> {
-        Vector3::from_fn(|i, _| self.wave(i, rack_mm[i]) - self.wave(i, 0.0))
+/// Racks with the tooth errors where they stand.
+#[derive(Debug, Clone)]
+pub(crate) struct Teeth {
+    config: GearPeriodic,
+    rest_mm: Vector3<f64>,
+    rack_mm: Vector3<f64>,
+    error_mm: Vector3<f64>,
+}
+
+impl Teeth {
+    pub(crate) fn new(config: GearPeriodic) -> Self {
+        let rest_mm = Vector3::from_fn(|i, _| config.wave(i, 0.0));
+        Self { config, rest_mm, rack_mm: Vector3::zeros(), error_mm: Vector3::zeros() }
     }
+    /// Error of the three racks at their positions, mm; only racks that moved are worked out anew.
+    pub(crate) fn error_mm(&mut self, rack_mm: &Vector3<f64>) -> Vector3<f64> {
+        for i in 0..3 {
+            if rack_mm[i] != self.rack_mm[i] {
+                self.error_mm[i] = self.config.wave(i, rack_mm[i]) - self.rest_mm[i];
+            }
+        }
+        self.rack_mm = *rack_mm;
+        self.error_mm
+    }
+}
+
+impl GearPeriodic {
     fn wave(&self, i: usize, rack_mm: f64) -> f64 {
         let theta = TAU * rack_mm / self.pitch_mm + self.phase_deg[i].to_radians();
         self.amplitude_mm * (1.0 + self.variation * (0.37 * theta).sin()) * (theta + self.skew * theta.sin()).sin()
@@ -75,7 +97,8 @@ mod tests {
 
     #[test]
     fn repeats_every_pitch_and_is_zero_at_rest() {
-        let g = GearPeriodic { amplitude_mm: 0.2, variation: 0.0, ..GearPeriodic::default() };
+        let config = GearPeriodic { amplitude_mm: 0.2, variation: 0.0, ..GearPeriodic::default() };
+        let mut g = Teeth::new(config.clone());
         assert!(g.error_mm(&Vector3::zeros()).norm() < 1e-15);
         for k in 0..60 {
             let u = Vector3::repeat(0.1 * f64::from(k));
@@ -83,6 +106,6 @@ mod tests {
         }
         // and is no plain sine: half a pitch on is not the mirror image
         let u = Vector3::repeat(0.4);
-        assert!((g.wave(0, u.x) + g.wave(0, u.x + PI / 2.0)).abs() > 0.01);
+        assert!((config.wave(0, u.x) + config.wave(0, u.x + PI / 2.0)).abs() > 0.01);
     }
 }

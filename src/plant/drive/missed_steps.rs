@@ -7,7 +7,6 @@
 
 use crate::plant::cause::Cause;
 use crate::plant::check::{PlantError, channel, range};
-use crate::plant::config::DriveConfig;
 use crate::plant::lot::Lot;
 use crate::plant::memory::Decay;
 use nalgebra::Vector3;
@@ -68,7 +67,8 @@ impl Cause for MissedSteps {
 #[derive(Debug, Clone)]
 pub(crate) struct Stall {
     config: MissedSteps,
-    drive: DriveConfig,
+    step_mm: f64,
+    microsteps: f64,
     quick: (Decay, f64),
     slow: (Decay, f64),
     to_lose: f64,
@@ -81,17 +81,17 @@ const QUICK_S: f64 = 0.01;
 const SLOW_S: f64 = 0.04;
 
 impl Stall {
-    pub(crate) fn new(config: MissedSteps, drive: &DriveConfig) -> Self {
+    pub(crate) fn new(config: MissedSteps, step_mm: f64, microsteps: f64) -> Self {
         let (quick, slow) = ((Decay::new(QUICK_S), 0.0), (Decay::new(SLOW_S), 0.0));
-        Self { config, drive: drive.clone(), quick, slow, to_lose: 0.0, stalls: 0, ready: true }
+        Self { config, step_mm, microsteps, quick, slow, to_lose: 0.0, stalls: 0, ready: true }
     }
 
     /// Takes from `turned` (microsteps of this step) what a stalled rotor does not follow.
     pub(crate) fn hold_back(&mut self, turned: &mut Vector3<f64>, t: f64, dt_s: f64) {
         let sent = &mut turned[self.config.channel - 1];
-        if self.overloaded(*sent * self.drive.step_mm / dt_s, dt_s) && t >= self.config.after_s && self.stalls < self.config.stalls_max {
+        if self.overloaded(*sent * self.step_mm / dt_s, dt_s) && t >= self.config.after_s && self.stalls < self.config.stalls_max {
             self.stalls += 1;
-            self.to_lose = self.config.full_steps * self.drive.microsteps;
+            self.to_lose = self.config.full_steps * self.microsteps;
         }
         let lost = sent.abs().min(self.to_lose);
         self.to_lose -= lost;
@@ -116,7 +116,7 @@ mod tests {
 
     /// Drives 0 → 300 → 0 microsteps at `rate` microsteps a millisecond; returns what was lost.
     fn lost(config: MissedSteps, rate: f64) -> f64 {
-        let mut stall = Stall::new(config, &DriveConfig::default());
+        let mut stall = Stall::new(config, 0.029452, 16.0);
         let (mut sent, mut turned, mut t) = (0.0, 0.0, 20.0);
         for leg in [300.0, 0.0] {
             while sent != leg {

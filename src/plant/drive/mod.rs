@@ -9,7 +9,7 @@ pub mod stick_slip;
 
 use crate::plant::cause::active;
 use crate::plant::config::PlantConfig;
-use gear_periodic::GearPeriodic;
+use gear_periodic::Teeth;
 use missed_steps::Stall;
 use nalgebra::Vector3;
 use stick_slip::Sticking;
@@ -21,7 +21,7 @@ pub(crate) struct Drive {
     counts: Vector3<f64>,
     rotor: Vector3<f64>,
     stall: Option<Stall>,
-    gear: Option<GearPeriodic>,
+    gear: Option<Teeth>,
     sticking: Option<Sticking>,
     /// What was broken at run time.
     pub(crate) broken: Broken,
@@ -49,8 +49,8 @@ impl Drive {
             step_mm: config.drive.step_mm,
             counts: Vector3::zeros(),
             rotor: Vector3::zeros(),
-            stall: active(effects.missed_steps.as_ref()).map(|c| Stall::new(c, &config.drive)),
-            gear: active(effects.gear_periodic.as_ref()),
+            stall: active(effects.missed_steps.as_ref()).map(|c| Stall::new(c, config.drive.step_mm, config.drive.microsteps)),
+            gear: active(effects.gear_periodic.as_ref()).map(Teeth::new),
             sticking: active(effects.outside.stick_slip.as_ref()).map(Sticking::new),
             broken: Broken::default(),
         }
@@ -66,7 +66,7 @@ impl Drive {
         self.rotor += turned;
         let mut rack_mm = self.rotor * self.step_mm;
         self.stop_at_the_end(&mut rack_mm);
-        if let Some(gear) = &self.gear {
+        if let Some(gear) = &mut self.gear {
             rack_mm += gear.error_mm(&rack_mm);
         }
         match &mut self.sticking {

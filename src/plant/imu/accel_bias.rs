@@ -4,7 +4,7 @@
 
 use crate::plant::cause::{Cause, largest, scale_all};
 use crate::plant::check::{PlantError, ranges};
-use crate::plant::config::GRAVITY_M_S2;
+use crate::plant::imu::feeling::GRAVITY_M_S2;
 use crate::plant::lot::Lot;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};

@@ -5,8 +5,7 @@
 //! ±500 °/s and ±4 g, with its AK09916 at 100 Hz.
 
 use crate::plant::check::{PlantError, range, ranges};
-use crate::plant::config::GRAVITY_M_S2;
-use crate::plant::imu::Feeling;
+use crate::plant::imu::feeling::{Feeling, GRAVITY_M_S2};
 use crate::plant::lot::Lot;
 use crate::plant::memory::Wander;
 use crate::sample::ImuSample;

@@ -7,6 +7,7 @@
 
 pub mod accel_bias;
 pub mod chip;
+mod feeling;
 pub mod gyro_bias;
 pub mod hard_iron;
 pub mod motor_field;
@@ -15,42 +16,20 @@ pub mod scale;
 
 use crate::frames::{Rotation, Tip, World};
 use crate::plant::cause::active;
-use crate::plant::config::{GRAVITY_M_S2, PlantConfig};
+use crate::plant::config::PlantConfig;
 use crate::plant::effects::Effects;
 use crate::plant::lot::{Lot, Stream};
-use crate::plant::memory::Mix;
 use crate::plant::timing::{ClockDrift, DeadTime, SensorFreeze};
 use crate::sample::ImuSample;
 use crate::units::Seconds;
 use accel_bias::AccelBias;
-use chip::Chip;
-pub use chip::ImuConfig;
+use chip::{Chip, ImuConfig};
+pub(crate) use feeling::{Feeling, GRAVITY_M_S2};
 use gyro_bias::Drifting;
 use hard_iron::Iron;
 use mount_misalignment::MountMisalignment;
 use nalgebra::{UnitQuaternion, Vector3};
 use scale::{AccScale, GSensitivity, GyroScale, SoftIron};
-
-/// What there is to feel at one moment, tip frame.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Feeling {
-    /// Angular rate, rad/s.
-    pub(crate) rate: Vector3<f64>,
-    /// Specific force, m/s².
-    pub(crate) force: Vector3<f64>,
-    /// Magnetic field, µT.
-    pub(crate) field: Vector3<f64>,
-}
-
-impl Mix for Feeling {
-    fn mix(&self, other: &Self, share: f64) -> Self {
-        Self {
-            rate: self.rate.lerp(&other.rate, share),
-            force: self.force.lerp(&other.force, share),
-            field: self.field.lerp(&other.field, share),
-        }
-    }
-}
 
 /// Where a chip is and what surrounds it.
 #[derive(Debug, Clone, Copy)]
@@ -138,7 +117,7 @@ impl Imu {
             flaws,
             age: None,
             due_s: config.period_s,
-            mag_due_s: 0.0,
+            mag_due_s: config.mag_period_s,
             last: here,
             speed_m_s: Vector3::zeros(),
             shown: None,
@@ -160,7 +139,9 @@ impl Imu {
         if let Some(age) = &mut self.age {
             feeling = age.pass(t, dt_s, feeling);
         }
-        self.mounted(&mut feeling);
+        if let Some(mount) = &self.mount {
+            feeling = feeling.turned_by(mount);
+        }
         self.flaws.distort(&mut feeling, t, dt_s);
         feeling.rate += self.broken.rate;
         feeling.force += self.broken.force;
@@ -209,20 +190,6 @@ impl Imu {
             field: r_tip_world.apply(&here.field_ut),
         }
     }
-
-    /// Into the chip's axes as the board says they are.
-    fn mounted(&self, feeling: &mut Feeling) {
-        if let Some(mount) = &self.mount {
-            turned_by(mount, feeling);
-        }
-    }
-}
-
-/// The vectors of a feeling in axes that are turned by `r`.
-fn turned_by(r: &UnitQuaternion<f64>, feeling: &mut Feeling) {
-    feeling.rate = r.inverse_transform_vector(&feeling.rate);
-    feeling.force = r.inverse_transform_vector(&feeling.force);
-    feeling.field = r.inverse_transform_vector(&feeling.field);
 }
 
 /// The next moment of a periodic event after `t`; moments that a long step jumped over are dropped.
@@ -249,7 +216,7 @@ impl Flaws {
     }
     fn distort(&mut self, feeling: &mut Feeling, t: f64, dt_s: f64) {
         if let Some(mount) = &self.mount {
-            turned_by(&mount.turn(&feeling.force), feeling);
+            *feeling = feeling.turned_by(&mount.turn(&feeling.force));
         }
         if let Some(scale) = &self.gyro_scale {
             scale.apply(&mut feeling.rate);

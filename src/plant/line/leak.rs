@@ -80,7 +80,9 @@ impl Leaking {
     pub(crate) fn step(&mut self, pushed_mm: &Vector3<f64>, pressure_kpa: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
         for i in 0..3 {
             if self.leak.rate_per_s[i] > 0.0 {
-                let share = -(-self.leak.rate_per_s[i] * self.opening(pressure_kpa[i]) * dt_s).exp_m1();
+                let x = self.leak.rate_per_s[i] * self.opening(pressure_kpa[i]) * dt_s;
+                // 1 − e^(−x), for slow leaks by its first terms (error below x³)
+                let share = if x < 1e-4 { x * (1.0 - 0.5 * x) } else { -(-x).exp_m1() };
                 self.lost_mm[i] += (pushed_mm[i] - self.lost_mm[i]) * share;
             }
         }

@@ -19,7 +19,7 @@ use line_lag::Lumen;
 use nalgebra::Vector3;
 use play::Play;
 use rate_coupling::Dragging;
-use thermal_drift::ThermalDrift;
+use thermal_drift::Warming;
 
 /// The three lines with what they remember.
 #[derive(Debug, Clone)]
@@ -27,7 +27,7 @@ pub(crate) struct Line {
     k_epsilon: Vector3<f64>,
     play: Play,
     dragging: Option<Dragging>,
-    warmth: Option<ThermalDrift>,
+    warmth: Option<Warming>,
     crosstalk: Option<Crosstalk>,
     leaking: Option<Leaking>,
     lumen: Option<Lumen>,
@@ -80,7 +80,7 @@ impl Line {
             k_epsilon: Vector3::from(config.line.k_epsilon),
             play: Play::new(&config.line.k_lambda_mm, active(effects.outside.play_wear.as_ref())),
             dragging: active(effects.outside.rate_coupling.as_ref()).map(Dragging::new),
-            warmth: active(effects.thermal_drift.as_ref()),
+            warmth: active(effects.thermal_drift.as_ref()).map(Warming::new),
             crosstalk: active(effects.crosstalk.as_ref()),
             leaking: active(effects.leak.as_ref()).map(Leaking::new),
             lumen: active(effects.line_lag.as_ref()).map(Lumen::new),
@@ -94,15 +94,15 @@ impl Line {
         self.play.slack_mm()
     }
 
-    /// Air delivered to the bellows, mm of piston, after `dt_s` up to time `t`.
-    pub(crate) fn step(&mut self, plunger_mm: &Vector3<f64>, felt: &Felt, t: f64, dt_s: f64) -> Vector3<f64> {
+    /// Air delivered to the bellows, mm of piston, after `dt_s`.
+    pub(crate) fn step(&mut self, plunger_mm: &Vector3<f64>, felt: &Felt, dt_s: f64) -> Vector3<f64> {
         let slack = self.play.step(plunger_mm);
         let mut pushed = slack;
         if let Some(dragging) = &mut self.dragging {
             pushed += dragging.step(&slack, dt_s);
         }
-        if let Some(warmth) = &self.warmth {
-            pushed += warmth.offset_mm(t);
+        if let Some(warmth) = &mut self.warmth {
+            pushed += warmth.step(dt_s);
         }
         if let Some(crosstalk) = &self.crosstalk {
             pushed += crosstalk.squeezed_mm(&felt.bellow_mm, &self.k_epsilon);

@@ -6,6 +6,7 @@
 use crate::plant::cause::{Cause, largest, scale_all};
 use crate::plant::check::{PlantError, range, ranges};
 use crate::plant::lot::Lot;
+use crate::plant::memory::Decay;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -51,13 +52,29 @@ impl Cause for ThermalDrift {
     }
 }
 
-impl ThermalDrift {
-    /// Offset of the three lines at `t` seconds since the start, mm of piston.
-    pub(crate) fn offset_mm(&self, t: f64) -> Vector3<f64> {
+/// Air that is warming up.
+#[derive(Debug, Clone)]
+pub(crate) struct Warming {
+    offset_mm: Vector3<f64>,
+    air: (f64, Decay, f64),
+    case: (f64, Decay, f64),
+}
+
+impl Warming {
+    pub(crate) fn new(config: ThermalDrift) -> Self {
         // equal masses are the limit of unequal ones; a hair apart they are told apart stably
-        let case_s = if (self.case_s / self.air_s - 1.0).abs() < 1e-3 { self.case_s * 1.002 } else { self.case_s };
-        let cooling = case_s * (-t / case_s).exp() - self.air_s * (-t / self.air_s).exp();
-        Vector3::from(self.offset_mm) * (1.0 - cooling / (case_s - self.air_s))
+        let alike = (config.case_s / config.air_s - 1.0).abs() < 1e-3;
+        let case_s = if alike { config.case_s * 1.002 } else { config.case_s };
+        let mass = |tau_s: f64| (tau_s, Decay::new(tau_s), 1.0);
+        Self { offset_mm: Vector3::from(config.offset_mm), air: mass(config.air_s), case: mass(case_s) }
+    }
+    /// Offset of the three lines `dt_s` later, mm of piston.
+    pub(crate) fn step(&mut self, dt_s: f64) -> Vector3<f64> {
+        for (_, decay, left) in [&mut self.air, &mut self.case] {
+            *left -= *left * decay.share(dt_s);
+        }
+        let cooling = self.case.0 * self.case.2 - self.air.0 * self.air.2;
+        self.offset_mm * (1.0 - cooling / (self.case.0 - self.air.0))
     }
 }
 
@@ -68,10 +85,11 @@ mod tests {
     #[test]
     fn starts_softly_and_ends_at_its_size() {
         for case_s in [90.0, 20.0] {
-            let d = ThermalDrift { offset_mm: [1.0, 0.0, -0.5], case_s, ..ThermalDrift::default() };
-            assert!(d.offset_mm(0.0).norm() < 1e-9 && d.offset_mm(1.0).norm() < 2e-3);
-            assert!((d.offset_mm(2000.0) - Vector3::new(1.0, 0.0, -0.5)).norm() < 1e-4);
-            assert!((0..300).all(|k| d.offset_mm(f64::from(k) + 1.0).x > d.offset_mm(f64::from(k)).x));
+            let mut w = Warming::new(ThermalDrift { offset_mm: [1.0, 0.0, -0.5], case_s, ..ThermalDrift::default() });
+            let path: Vec<_> = (0..20_000).map(|_| w.step(0.1)).collect();
+            assert!(path[0].norm() < 1e-4 && path[9].norm() < 2e-3);
+            assert!((path[19_999] - Vector3::new(1.0, 0.0, -0.5)).norm() < 1e-4);
+            assert!(path[..3000].windows(2).all(|p| p[1].x > p[0].x));
         }
     }
 }

@@ -5,9 +5,13 @@
 //! The tip of an arc of length `l` lies at `(l V b_x, −l V b_y, l S)` with `S = sin β/β` and
 //! `V = (1 − cos β)/β²` (Eq. 6).
 
-use crate::plant::config::ShapeConfig;
 use nalgebra::{Matrix3, RowVector3, Vector2, Vector3};
 use std::f64::consts::TAU;
+
+/// The proximal plate itself. [`crate::frames::Base`] is the tip's attitude at rest, which differs
+/// from it by what weight bends a resting tip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Plate;
 
 /// Where the bellows sit.
 #[derive(Debug, Clone)]
@@ -20,9 +24,10 @@ pub(crate) struct Section {
 }
 
 impl Section {
-    pub(crate) fn new(config: &ShapeConfig) -> Self {
-        let angle = std::array::from_fn(|i| TAU / 3.0 * i as f64 + config.angle_deg[i].to_radians());
-        Self { r_mm: config.r_mm, angle, rest_length_mm: config.rest_length_mm, solve: Matrix3::identity() }.solved()
+    /// With each bellow at its distance from the axis and `offset` (rad) from its 120° place.
+    pub(crate) fn new(r_mm: [f64; 3], offset: &[f64; 3], rest_length_mm: f64) -> Self {
+        let angle = std::array::from_fn(|i| TAU / 3.0 * i as f64 + offset[i]);
+        Self { r_mm, angle, rest_length_mm, solve: Matrix3::identity() }.solved()
     }
     /// The same with bellows turned by `offset` (rad) about the axis.
     pub(crate) fn turned(&self, offset: &[f64; 3]) -> Self {
@@ -47,8 +52,6 @@ impl Section {
 /// S and V of a bend, and their slopes over β.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Terms {
-    /// cos β.
-    pub(crate) cos: f64,
     /// S = sin β / β.
     pub(crate) s: f64,
     /// V = (1 − cos β) / β².
@@ -67,12 +70,12 @@ impl Terms {
             let v = 0.5 - b2 / 24.0 * (1.0 - b2 / 30.0 * (1.0 - b2 / 56.0));
             let ds = -1.0 / 3.0 + b2 / 30.0 * (1.0 - b2 / 28.0);
             let dv = -1.0 / 12.0 + b2 / 180.0 * (1.0 - b2 / 37.333_333);
-            return Self { cos: 1.0 - b2 * v, s, v, ds, dv };
+            return Self { s, v, ds, dv };
         }
         let beta = b2.sqrt();
         let (sin, cos) = beta.sin_cos();
         let (s, v) = (sin / beta, (1.0 - cos) / b2);
-        Self { cos, s, v, ds: (cos - s) / b2, dv: (s - 2.0 * v) / b2 }
+        Self { s, v, ds: (cos - s) / b2, dv: (s - 2.0 * v) / b2 }
     }
     /// Where the tip of an arc of `length_mm` lies on the plate, mm.
     pub(crate) fn tip_mm(&self, bend: &Vector2<f64>, length_mm: f64) -> Vector3<f64> {
@@ -93,8 +96,9 @@ mod tests {
         #[test]
         fn to_plan_it_is_nominal(x in -1.7..1.7f64, y in -1.7..1.7f64, l in 15.0..28.0f64) {
             let nominal = Geometry::default();
+            let built = Section::new([nominal.r_mm; 3], &[0.0; 3], nominal.rest_length_mm);
             let want = Shape { bend: Bend(Vector2::new(x, y)), length: Mm(l) };
-            let (bend, length) = Section::new(&ShapeConfig::default()).shape(&nominal.lengths(&want));
+            let (bend, length) = built.shape(&nominal.lengths(&want));
             prop_assert!((bend - want.bend.0).norm() < 1e-9 && (length - l).abs() < 1e-9);
             let tip = Terms::of(&bend).tip_mm(&bend, length);
             prop_assert!((tip - nominal.position(&want)).norm() < 1e-6);
@@ -112,10 +116,11 @@ mod tests {
 
     #[test]
     fn a_bellow_out_of_place_skews_the_bend() {
-        let off = Section::new(&ShapeConfig { angle_deg: [10.0, 0.0, 0.0], ..ShapeConfig::default() });
-        let q = Geometry::default().lengths(&Shape { bend: Bend::from_deg(60.0, 0.0), length: Mm(20.0) });
-        assert!(Bend(off.shape(&q).0).delta().to_degrees().abs() > 2.0);
-        let all = Section::new(&ShapeConfig::default()).turned(&[0.2; 3]);
-        assert!((Bend(all.shape(&q).0).delta().abs() - 0.2).abs() < 1e-9);
+        let section = |offset: f64| Section::new([Geometry::default().r_mm; 3], &[offset, 0.0, 0.0], 20.0);
+        let off = section(10f64.to_radians());
+        let q = Geometry::default().lengths(&Shape { bend: Bend::from_deg(60.0, 90.0), length: Mm(20.0) });
+        assert!((Bend(off.shape(&q).0).delta().to_degrees() - 90.0).abs() > 2.0);
+        let all = section(0.0).turned(&[0.2; 3]);
+        assert!(((Bend(all.shape(&q).0).delta() - 90f64.to_radians()).abs() - 0.2).abs() < 1e-9);
     }
 }

@@ -1,7 +1,8 @@
 //! A camera cable or an irrigation line beside the axis: bending across it is easy, along it is not,
 //! and it pulls taut one way and buckles the other.
 //!
-//! With `x = b·u` the bend along the cable's side `u`, it takes back `c x (1 + o tanh(x/0.3)) u`.
+//! With `x = b·u` the bend along the cable's side `u`, it takes back `c x (1 + o y/√(1 + y²)) u`,
+//! `y = x / 0.3`.
 
 use crate::plant::cause::Cause;
 use crate::plant::check::{PlantError, range};
@@ -48,13 +49,24 @@ impl Cause for CableStiffness {
     }
 }
 
-impl CableStiffness {
+/// A cable in its place.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Cable {
+    side: Vector2<f64>,
+    share: f64,
+    one_sided: f64,
+}
+
+impl Cable {
+    pub(crate) fn new(config: &CableStiffness) -> Self {
+        let (sin, cos) = config.direction_deg.to_radians().sin_cos();
+        Self { side: Vector2::new(cos, sin), share: config.share, one_sided: config.one_sided }
+    }
     /// Bend that the cable takes back, rad.
     pub(crate) fn held_back(&self, bend: &Vector2<f64>) -> Vector2<f64> {
-        let (sin, cos) = self.direction_deg.to_radians().sin_cos();
-        let side = Vector2::new(cos, sin);
-        let x = bend.dot(&side);
-        side * (self.share * x * (1.0 + self.one_sided * (x / KNEE).tanh()))
+        let x = bend.dot(&self.side);
+        let y = x / KNEE;
+        self.side * (self.share * x * (1.0 + self.one_sided * y / (1.0 + y * y).sqrt()))
     }
 }
 
@@ -64,7 +76,7 @@ mod tests {
 
     #[test]
     fn is_two_fold_and_stiffer_taut() {
-        let c = CableStiffness { share: 0.2, direction_deg: 30.0, one_sided: 0.3 };
+        let c = Cable::new(&CableStiffness { share: 0.2, direction_deg: 30.0, one_sided: 0.3 });
         let along = |deg: f64| c.held_back(&Vector2::new(deg.to_radians().cos(), deg.to_radians().sin())).norm();
         assert!(along(120.0) < 1e-12 && along(300.0) < 1e-12);
         assert!(along(30.0) > along(210.0) && along(210.0) > 0.13);

@@ -8,8 +8,7 @@ use crate::frames::{Rotation, World};
 use crate::plant::cause::Cause;
 use crate::plant::check::{PlantError, range};
 use crate::plant::lot::Lot;
-use crate::plant::shape::Plate;
-use crate::plant::shape::arc::Terms;
+use crate::plant::shape::arc::{Plate, Terms};
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -50,7 +49,7 @@ impl Cause for Gravity {
 /// Rounds of the fixed point at most.
 const ROUNDS: usize = 12;
 /// The fixed point ends below this step, rad.
-const CLOSE: f64 = 1e-10;
+const CLOSE: f64 = 1e-8;
 
 /// The weight with the last solution.
 #[derive(Debug, Clone)]
@@ -95,10 +94,10 @@ impl Weight {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::config::BaseConfig;
+    use nalgebra::UnitQuaternion;
 
     fn attitude(pitch_deg: f64) -> Rotation<World, Plate> {
-        BaseConfig { pitch_deg, ..BaseConfig::default() }.attitude()
+        Rotation::assert_frames(UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch_deg.to_radians()))
     }
 
     #[test]
@@ -107,7 +106,7 @@ mod tests {
         let up = Vector3::new(0.4, -0.5, 0.3);
         let height = |b: Vector2<f64>| {
             let t = Terms::of(&b);
-            (t.tip_mm(&b, 21.0) + Vector3::new(b.x * t.s, -b.y * t.s, t.cos) * 6.0).dot(&up)
+            (t.tip_mm(&b, 21.0) + Vector3::new(b.x * t.s, -b.y * t.s, b.norm().cos()) * 6.0).dot(&up)
         };
         for b in [Vector2::new(0.9, -0.4), Vector2::new(0.02, 0.01), Vector2::zeros()] {
             let h = 1e-6;

@@ -17,8 +17,8 @@ use crate::frames::{Rotation, Tip, World};
 use crate::model::bend::Bend;
 use crate::plant::cause::active;
 use crate::plant::config::PlantConfig;
-use arc::Section;
-use cable_stiffness::CableStiffness;
+use arc::{Plate, Section, Terms};
+use cable_stiffness::Cable;
 use clocking::Clocking;
 use contact::Touching;
 use curvature::Curvature;
@@ -28,11 +28,6 @@ use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use torsion::Torsion;
 use twist_creep::Twisting;
 
-/// The proximal plate itself. [`crate::frames::Base`] is the tip's attitude at rest, which differs
-/// from it by what weight bends a resting tip.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Plate;
-
 /// The bending section with what it remembers.
 #[derive(Debug, Clone)]
 pub(crate) struct Shape {
@@ -40,7 +35,7 @@ pub(crate) struct Shape {
     clocking: Option<Clocking>,
     length_gain: Option<LengthGain>,
     curvature: Option<Curvature>,
-    cable: Option<CableStiffness>,
+    cable: Option<Cable>,
     weight: Option<Weight>,
     wall: Option<Touching>,
     own_wall: Option<Touching>,
@@ -55,21 +50,28 @@ pub(crate) struct Shape {
 pub(crate) struct Pose {
     /// Orientation, tip to plate.
     pub(crate) r_plate_tip: Rotation<Plate, Tip>,
-    /// Position of the tip on the plate, mm.
-    pub(crate) at_mm: Vector3<f64>,
+    bend: Vector2<f64>,
+    length_mm: f64,
     /// A wall holds it.
     pub(crate) touched: bool,
+}
+
+impl Pose {
+    /// Position of the tip on the plate, mm.
+    pub(crate) fn tip_mm(&self) -> Vector3<f64> {
+        Terms::of(&self.bend).tip_mm(&self.bend, self.length_mm)
+    }
 }
 
 impl Shape {
     pub(crate) fn new(config: &PlantConfig) -> Self {
         let effects = &config.effects;
         Self {
-            section: Section::new(&config.shape),
+            section: Section::new(config.shape.r_mm, &config.shape.angle_deg.map(f64::to_radians), config.shape.rest_length_mm),
             clocking: active(effects.clocking.as_ref()),
             length_gain: active(effects.outside.length_gain.as_ref()),
             curvature: active(effects.curvature.as_ref()),
-            cable: active(effects.cable_stiffness.as_ref()),
+            cable: active(effects.cable_stiffness.as_ref()).map(|c| Cable::new(&c)),
             weight: active(effects.gravity.as_ref()).map(|c| Weight::new(c, config.shape.rest_length_mm)),
             wall: active(effects.contact.as_ref()).map(Touching::new),
             own_wall: active(effects.contact.as_ref()).map(Touching::new),
@@ -102,8 +104,7 @@ impl Shape {
         if let Some(wall) = &mut self.wall {
             (bend, touched) = wall.step(&bend);
         }
-        let at_mm = arc::Terms::of(&bend).tip_mm(&bend, length_mm);
-        Pose { r_plate_tip: self.oriented(&bend, dt_s), at_mm, touched }
+        Pose { r_plate_tip: self.oriented(&bend, dt_s), bend, length_mm, touched }
     }
 
     /// Puts a wall in the way, or gives back the one that the configuration has.
