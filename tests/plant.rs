@@ -1,0 +1,16 @@
+//! The built-in plant from outside: laws, signatures, sensors, faults, and the paper twin.
+
+#[path = "plant/faults.rs"]
+mod faults;
+#[path = "plant/laws.rs"]
+mod laws;
+#[path = "plant/open_loop.rs"]
+mod open_loop;
+#[path = "plant/rig.rs"]
+mod rig;
+#[path = "plant/sensors.rs"]
+mod sensors;
+#[path = "plant/signatures.rs"]
+mod signatures;
+#[path = "plant/twin.rs"]
+mod twin;

@@ -1,0 +1,53 @@
+//! The paper twin repeats the paper's open-loop figures.
+
+use crate::open_loop::{Arm, arm, identify, rmse};
+use retroflex::plant::PlantConfig;
+use serde::Deserialize;
+
+/// The paper's RMSE of the bend angle, degrees: none, extension, extension + backlash.
+const PAPER_DEG: [f64; 3] = [36.96, 8.04, 7.76];
+
+#[derive(Deserialize)]
+struct Board {
+    plant: PlantConfig,
+}
+
+/// The twin as its file has it.
+pub fn paper_twin() -> PlantConfig {
+    let text = include_str!("../../boards/paper-twin.plant.toml");
+    toml::from_str::<Board>(text).unwrap().plant
+}
+
+fn arms(config: &PlantConfig, seed: u64) -> ([f64; 3], [f64; 6], usize) {
+    let (lines, passes) = identify(config, seed);
+    let rmse = [Arm::None, Arm::Extension, Arm::Backlash].map(|a| rmse(&arm(config, seed + 1000, &lines, a)));
+    let k = std::array::from_fn(|i| if i < 3 { lines[i].k_epsilon } else { lines[i - 3].k_lambda_mm });
+    (rmse, k, passes)
+}
+
+#[test]
+fn three_arms_are_the_papers_within_ten_percent() {
+    let (rmse, k, passes) = arms(&paper_twin(), 1);
+    println!("rmse {rmse:.2?}  k* {k:.2?}  passes {passes}");
+    for (got, want) in rmse.iter().zip(PAPER_DEG) {
+        assert!((got / want - 1.0).abs() < 0.10, "{rmse:?}");
+    }
+    for (got, want) in k.iter().zip([2.22, 2.53, 2.21, 0.87, 0.92, 0.81]) {
+        assert!((got / want - 1.0).abs() < 0.10, "{k:?}");
+    }
+    assert!(passes <= 7, "the paper converged within 7, here {passes}");
+    assert!(rmse[1] > rmse[2], "backlash compensation helps, if little");
+}
+
+#[test]
+fn units_spread_around_it() {
+    let units: Vec<_> = (1..=20).map(|seed| arms(&paper_twin().drawn(seed), seed)).collect();
+    for a in 0..3 {
+        let all: Vec<f64> = units.iter().map(|u| u.0[a]).collect();
+        let (low, high) = all.iter().fold((f64::MAX, 0.0f64), |(l, h), &x| (l.min(x), h.max(x)));
+        let mean = all.iter().sum::<f64>() / 20.0;
+        println!("arm {a}: {low:.2} to {high:.2}, mean {mean:.2} deg (paper {:.2})", PAPER_DEG[a]);
+        assert!((mean / PAPER_DEG[a] - 1.0).abs() < 0.15 && high / low < 2.2);
+    }
+    assert!(units.iter().filter(|u| u.2 < 12).count() >= 18, "Algorithm 1 ends on nearly every unit");
+}
