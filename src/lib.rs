@@ -9,5 +9,6 @@
 
 pub mod frames;
 pub mod model;
+pub mod motion;
 pub mod sample;
 pub mod units;
