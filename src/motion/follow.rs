@@ -345,6 +345,52 @@ mod tests {
         assert_eq!(m.state()[0], State::rest(20.0));
     }
 
+    /// A plan that turns round at the very end of travel while still decelerating hard: within every
+    /// limit, yet from just before the turn no stop stays inside.
+    #[test]
+    fn a_plan_that_leaves_no_room_for_a_stop_is_braked_in_time() {
+        struct Brinkman(f64);
+        impl Solver for Brinkman {
+            fn solve(&mut self, l: &Limits, from: &[State; 3], _: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
+                let t = self.0;
+                *out = Plan::resting([0.0; 3]);
+                let mut at = from[0];
+                let mut plan = crate::motion::plan::ChannelPlan::default();
+                for (d, sign) in [(t, 1.0), (3.0 * t, -1.0), (2.0 * t, 1.0), (3.0_f64.sqrt() * t, 1.0), (3.0_f64.sqrt() * t, -1.0)] {
+                    plan.push(at, sign * l.jerk_max_mm_s3, d);
+                    at = at.after(sign * l.jerk_max_mm_s3, d);
+                }
+                plan.end_mm = at.position_mm;
+                out.channels[0] = plan;
+                Ok(())
+            }
+        }
+        let far = |t: f64| {
+            // highest point of that way, from its legs
+            let s = State::rest(0.0).after(6000.0, t);
+            s.reach(-6000.0, 3.0 * t).1
+        };
+        let t = 0.03;
+        let start_mm = 20.0;
+        let l = Limits { travel_max_mm: start_mm + far(t) + 1e-6, acceleration_max_mm_s2: 1e4, ..limits() };
+        let mut m = Motion::with_solver(&l, Brinkman(t));
+        m.reset([start_mm, 0.0, 0.0]);
+        let mut highest: f64 = 0.0;
+        let mut cornered = false;
+        for _ in 0..1000 {
+            let segment = if cornered { m.brake(1e-3) } else { m.tick([19.0, 0.0, 0.0], 1e-3) };
+            cornered |= m.outcome() == Outcome::Braking(Some(Refusal::NoStop { channel: 0 }));
+            let mut s = segment.channels[0].start;
+            for &(d, j) in segment.channels[0].pieces() {
+                highest = highest.max(s.reach(j, d).1);
+                s = s.after(j, d);
+            }
+        }
+        assert!(cornered, "{:?} {:?}", m.outcome(), m.counts());
+        assert!(m.state()[0].is_rest());
+        assert!(highest <= l.travel_max_mm + 1e-7 && highest > l.travel_max_mm - 0.1, "{highest}");
+    }
+
     #[test]
     fn time_that_does_not_pass_moves_nothing() {
         let mut m = Motion::new(&limits());
