@@ -22,6 +22,7 @@
 //! survived by braking.
 
 pub mod config;
+pub mod cruise;
 pub mod follow;
 pub mod histogram;
 pub mod limits;

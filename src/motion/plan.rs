@@ -6,7 +6,8 @@
 //! * brake: up to two phases that bring a state just outside the limits back in;
 //! * step 1, per channel: the time-optimal seven-phase profile to (p_f, 0, 0), hence its least time;
 //! * synchronisation: T = the greatest of the least times (moved behind any blocked interval);
-//! * step 2, per channel: the profile that takes exactly T.
+//! * step 2, per channel: the profile that takes exactly T: [`crate::motion::cruise`] finds it
+//!   quickest; Ruckig's own step 2 is asked when that finds none.
 //!
 //! `rsruckig`'s own `calculate` does the same, allocates nothing when it succeeds, and formats a long
 //! error string when it does not (`format!` of the whole input, whatever the error handler). The
@@ -16,6 +17,7 @@
 //! No plan is believed unseen: [`Plan::verify`] checks limits, travel, continuity and arrival on the
 //! closed form of every phase.
 
+use crate::motion::cruise::arrive_in;
 use crate::motion::limits::{Limits, POSITION_SLACK_MM, SLACK};
 use crate::motion::segment::ChannelSegment;
 use crate::motion::state::State;
@@ -259,9 +261,6 @@ struct Scratch {
     profiles: [Profile; 3],
 }
 
-/// Factors by which the common duration is stretched when step 2 finds nothing at exactly T.
-const STRETCH: [f64; 3] = [1.0, 1.0 + 1e-6, 1.01];
-
 impl Solver for Ruckig {
     fn solve(&mut self, limits: &Limits, from: &[State; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
         let mut least_s = 0.0_f64;
@@ -270,15 +269,8 @@ impl Solver for Ruckig {
                 least_s = least_s.max(self.scratch.fastest(limits, &from[channel], target_mm[channel], channel)?);
             }
         }
-        let mut result = Ok(());
-        for stretch in STRETCH {
-            let common_s = self.scratch.unblocked(least_s * stretch, from, target_mm);
-            result = self.scratch.synchronise(limits, from, target_mm, common_s, out);
-            if result.is_ok() {
-                break;
-            }
-        }
-        result
+        let common_s = self.scratch.unblocked(least_s, from, target_mm);
+        self.scratch.synchronise(limits, from, target_mm, common_s, out)
     }
 }
 
@@ -326,33 +318,35 @@ impl Scratch {
 
     /// Step 2: every channel's profile of the common duration.
     fn synchronise(&mut self, l: &Limits, from: &[State; 3], target_mm: &[f64; 3], common_s: f64, out: &mut Plan) -> Result<(), Refusal> {
-        let (v, a, j) = (l.speed_max_mm_s, l.acceleration_max_mm_s2, l.jerk_max_mm_s3);
         for channel in 0..3 {
-            let to = target_mm[channel];
+            let (to, plan) = (target_mm[channel], &mut out.channels[channel]);
+            let fastest = &self.blocks[channel].p_min;
             if still(&from[channel], to) {
-                out.channels[channel] = ChannelPlan::resting(to);
-                continue;
+                *plan = ChannelPlan::resting(to);
+            } else if common_s - self.blocks[channel].t_min < 1e-12 {
+                *plan = transcribe(fastest, to);
+            } else if let Some(found) = arrive_in(l, &from[channel], to, common_s, fastest.v[3].abs()) {
+                *plan = found;
+            } else {
+                *plan = self.step2(l, to, common_s, channel)?;
             }
-            let block = &self.blocks[channel];
-            if common_s - block.t_min < 1e-12 {
-                transcribe(&block.p_min, to, &mut out.channels[channel]);
-                continue;
-            }
-            let p = &mut self.profiles[channel];
-            let left_s = common_s - p.brake.duration;
-            let mut step2 = PositionThirdOrderStep2::new(left_s, p.p[0], p.v[0], p.a[0], to, 0.0, 0.0, v, -v, a, -a, j);
-            if !step2.get_profile(p) {
-                return Err(Refusal::NoSynchronisation { channel });
-            }
-            transcribe(p, to, &mut out.channels[channel]);
         }
         Ok(())
+    }
+
+    /// Ruckig's step 2 for one channel, from the boundary that [`Scratch::fastest`] has set.
+    fn step2(&mut self, l: &Limits, target_mm: f64, common_s: f64, channel: usize) -> Result<ChannelPlan, Refusal> {
+        let (v, a, j) = (l.speed_max_mm_s, l.acceleration_max_mm_s2, l.jerk_max_mm_s3);
+        let p = &mut self.profiles[channel];
+        let left_s = common_s - p.brake.duration;
+        let mut step2 = PositionThirdOrderStep2::new(left_s, p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, a, -a, j);
+        if step2.get_profile(p) { Ok(transcribe(p, target_mm)) } else { Err(Refusal::NoSynchronisation { channel }) }
     }
 }
 
 /// A profile's phases in the words of this house.
-fn transcribe(p: &Profile, end_mm: f64, out: &mut ChannelPlan) {
-    *out = ChannelPlan::resting(end_mm);
+fn transcribe(p: &Profile, end_mm: f64) -> ChannelPlan {
+    let mut out = ChannelPlan::resting(end_mm);
     let state = |position_mm, velocity_mm_s, acceleration_mm_s2| State { position_mm, velocity_mm_s, acceleration_mm_s2 };
     if p.brake.duration > 0.0 {
         for i in 0..2 {
@@ -362,6 +356,7 @@ fn transcribe(p: &Profile, end_mm: f64, out: &mut ChannelPlan) {
     for i in 0..7 {
         out.push(state(p.p[i], p.v[i], p.a[i]), p.j[i], p.t[i]);
     }
+    out
 }
 
 #[cfg(test)]
@@ -393,6 +388,21 @@ mod tests {
             prop_assert_eq!(plan.verify(&from, &roomy), Ok(()));
             for c in &plan.channels {
                 prop_assert!((c.duration_s() - plan.duration_s()).abs() < 1e-9);
+            }
+        }
+
+        /// Ruckig's own step 2 and the cruise are two answers to one question: both sound, both of
+        /// the duration asked for.
+        #[test]
+        fn step_2_agrees_with_the_cruise(from in state(), to in -10.0..10.0f64, extra in 1e-3..2.0f64) {
+            let l = Limits { travel_max_mm: 60.0, ..limits() };
+            let mut scratch = Scratch::default();
+            let common_s = scratch.fastest(&l, &from, to, 0).unwrap() + extra;
+            let cruise = arrive_in(&l, &from, to, common_s, l.speed_max_mm_s).unwrap();
+            let step2 = scratch.step2(&l, to, common_s, 0).unwrap();
+            for plan in [cruise, step2] {
+                prop_assert!(plan.is_sound(&from, &l));
+                prop_assert!((plan.duration_s() - common_s).abs() < 1e-8);
             }
         }
 

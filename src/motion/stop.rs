@@ -24,19 +24,27 @@ pub struct Stop {
     pub end_mm: f64,
 }
 
+/// The three phases, (s, mm/s³), that take away a speed `excess_mm_s` and an acceleration in least
+/// time. With the excess over another speed than zero this is the quickest way to that speed.
+#[inline]
+#[must_use]
+pub fn settling(excess_mm_s: f64, acceleration_mm_s2: f64, limits: &Limits) -> [(f64, f64); 3] {
+    let (j, a_max) = (limits.jerk_max_mm_s3, limits.acceleration_max_mm_s2);
+    let a = acceleration_mm_s2;
+    let released = excess_mm_s + a * a.abs() / (2.0 * j);
+    let s = if released < 0.0 { -1.0 } else { 1.0 };
+    let (v, a) = (excess_mm_s * s, a * s);
+    let impulse = (v + a * a / (2.0 * j)).max(0.0);
+    let peak = (j * impulse).sqrt();
+    let (brake, hold_s) = if peak <= a_max { (peak, 0.0) } else { (a_max, impulse / a_max - a_max / j) };
+    [(((a + brake) / j).max(0.0), -s * j), (hold_s.max(0.0), 0.0), (brake / j, s * j)]
+}
+
 impl Stop {
     /// The shortest stop from a state.
     #[must_use]
     pub fn from(state: State, limits: &Limits) -> Self {
-        let (j, a_max) = (limits.jerk_max_mm_s3, limits.acceleration_max_mm_s2);
-        let a = state.acceleration_mm_s2;
-        let released = state.velocity_mm_s + a * a.abs() / (2.0 * j);
-        let s = if released < 0.0 { -1.0 } else { 1.0 };
-        let (v, a) = (state.velocity_mm_s * s, a * s);
-        let impulse = (v + a * a / (2.0 * j)).max(0.0);
-        let peak = (j * impulse).sqrt();
-        let (brake, hold_s) = if peak <= a_max { (peak, 0.0) } else { (a_max, impulse / a_max - a_max / j) };
-        let phases = [(((a + brake) / j).max(0.0), -s * j), (hold_s.max(0.0), 0.0), (brake / j, s * j)];
+        let phases = settling(state.velocity_mm_s, state.acceleration_mm_s2, limits);
         let end = phases.iter().fold(state, |at, &(t, jerk)| at.after(jerk, t));
         Self { from: state, phases, end_mm: end.position_mm }
     }
