@@ -8,6 +8,7 @@
 //! | F1 laws | [`model`] |
 
 pub mod frames;
+pub mod io;
 pub mod model;
 pub mod motion;
 pub mod sample;

@@ -230,6 +230,24 @@ impl StepCore {
         self.mode
     }
 
+    /// Segments of this epoch are taken.
+    #[must_use]
+    pub fn epoch(&self) -> u32 {
+        self.epoch
+    }
+
+    /// The drivers are energised.
+    #[must_use]
+    pub fn is_energised(&self) -> bool {
+        self.levels.enable
+    }
+
+    /// Input lines as last read.
+    #[must_use]
+    pub fn inputs(&self) -> Inputs {
+        self.inputs
+    }
+
     /// Steps really pulsed, signed, since zero.
     #[must_use]
     pub fn counted(&self) -> Steps {

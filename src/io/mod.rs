@@ -1,0 +1,6 @@
+//! Edges to the machine: everything that touches a device, a clock or a thread.
+
+pub mod bench_rt;
+pub mod pins;
+pub mod rt;
+pub mod stepper;
