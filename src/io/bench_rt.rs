@@ -6,7 +6,7 @@
 //! of every interval between steps. The loop's part, planning and queueing a tick, is timed as well.
 
 use crate::io::pins::Pins;
-use crate::io::rt::{self, RtStatus};
+use crate::io::rt::{self, RtStatus, RtWish};
 use crate::io::stepper::{StartError, Stepper, Sync};
 use crate::motion::config::{MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
@@ -80,7 +80,7 @@ const STEP_MM: f64 = 0.01;
 ///
 /// # Errors
 /// [`StartError`]: a rate the configuration forbids, or no thread.
-pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBench, Option<P>), StartError> {
+pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBench, P), StartError> {
     let speed = config.rate_hz * STEP_MM;
     let motion_config = MotionConfig {
         speed_max_mm_s: speed,
@@ -93,7 +93,15 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
     let mut stepper = Stepper::start(pins, &config.stepper, &motion_config, STEP_MM)?;
     let status = stepper.status().clone();
     let begun_ns = rt::monotonic_ns();
-    let tick = drive(config, &motion_config, &mut stepper)?;
+    // The loop runs below the step thread, as in the service.
+    let wish = RtWish { priority: (config.stepper.priority - 10).max(0), cpu: None };
+    let tick = std::thread::scope(|scope| {
+        let control = scope.spawn(|| {
+            let (_status, _guard) = rt::enter(&wish);
+            drive(config, &motion_config, &mut stepper)
+        });
+        control.join().unwrap_or(Err(StartError::Died))
+    })?;
     let elapsed_s = (rt::monotonic_ns() - begun_ns) as f64 * 1e-9;
     let (summary, pins) = stepper.finish().ok_or(StartError::Died)?;
     drop(busy);
@@ -110,7 +118,7 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
         fault,
         dry: summary.report.dry,
     };
-    Ok((bench, Some(pins)))
+    Ok((bench, pins))
 }
 
 /// The loop's part: to and fro between the ends of travel, a tick at a time, at absolute times.
@@ -289,4 +297,34 @@ fn panel(svg: &mut String, name: &str, h: &Histogram, frame: [f64; 4], late_max_
     let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{most}</text>", left - 4.0, floor - room + 8.0);
     let x = left + width * across(late_max_us * 1e3);
     let _ = write!(svg, "<path d=\"M{x:.1} {floor}v{:.1}\" stroke=\"#cc3311\" stroke-dasharray=\"4 3\"/>", -room);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::pins::map::LineMap;
+    use crate::io::pins::{MockPins, PinsConfig};
+
+    /// A short run on the mock: what is shown is what was pulsed. No time is asserted.
+    #[test]
+    fn shows_what_was_pulsed() {
+        let stepper = StepperConfig { priority: 0, late_max_us: 100_000.0, lead_ms: 60.0, ..RtBenchConfig::default().stepper };
+        let config = RtBenchConfig { rate_hz: 2000.0, duration_s: 0.4, stepper, ..RtBenchConfig::default() };
+        let map = LineMap::new(&PinsConfig::default(), 16).unwrap();
+        let (bench, pins) = run(&config, MockPins::new(map, 100_000)).unwrap();
+        assert!(bench.steps > 300 && bench.fault.is_none(), "{}", bench.table());
+        assert!(pins.record().len() as u64 > 2 * bench.steps && pins.dropped() == 0);
+        let table = bench.table();
+        for words in ["step lateness", "99.9 %", "SCHED_FIFO: not asked", &format!("{} steps in", bench.steps)] {
+            assert!(table.contains(words), "{table}");
+        }
+        let svg = bench.svg();
+        assert!(svg.starts_with("<svg") && svg.ends_with("</svg>") && svg.matches("<text").count() > 20);
+        for bar in svg.split("<rect ").skip(1) {
+            let value = |key: &str| bar.split(&format!("{key}=\"")).nth(1).and_then(|r| r.split('"').next()).and_then(|n| n.parse::<f64>().ok());
+            let (x, y) = (value("x").unwrap(), value("y").unwrap());
+            let (w, h) = (value(" width").unwrap(), value("height").unwrap());
+            assert!(x >= 56.0 && x + w <= 708.0 && y >= 0.0 && y + h <= 450.0, "{bar}");
+        }
+    }
 }
