@@ -1,6 +1,8 @@
 //! What motion promises, for targets nobody would choose: limits never passed, arrival together,
 //! steps exact to the last one, nothing allocated on the control path.
 
+#![allow(clippy::unwrap_used)] // a test's helper fails the test
+
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};

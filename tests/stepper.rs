@@ -1,6 +1,8 @@
 //! The step core under a clock of the test's own: late wake-ups, slow pins, preemption between the
 //! look at the clock and the write, and what is left of the chip's timing then. Last, the real thread.
 
+#![allow(clippy::unwrap_used)] // a test's helper fails the test
+
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};

@@ -12,7 +12,8 @@
 //! Björck, BIT 1973) finds in about six trials. All parts keep acceleration and jerk by construction.
 //!
 //! This is what Ruckig's step 2 gives when there is a plateau, at a third of the cost of going through
-//! all its cases; those remain for what is not covered here.
+//! all its cases. Not all profiles have one: a channel that is braking hard gains a little time by
+//! easing the brake. There the root has no time left to cruise, and the answer is `None`.
 
 use crate::motion::limits::Limits;
 use crate::motion::plan::ChannelPlan;
@@ -55,8 +56,8 @@ impl Cruise<'_> {
         let ramp_s = phases[0].0 + phases[1].0 + phases[2].0;
         let ramp_mm = phases.iter().fold(self.from, |s, &(t, jerk)| s.after(jerk, t)).position_mm;
         let (stop_s, stop_mm) = self.stopping(speed_mm_s);
-        let cruise_s = (self.duration_s - ramp_s - stop_s).max(0.0);
-        Trial { gap_mm: self.way_mm - ramp_mm - stop_mm - speed_mm_s * cruise_s, cruise_s }
+        let cruise_s = self.duration_s - ramp_s - stop_s;
+        Trial { gap_mm: self.way_mm - ramp_mm - stop_mm - speed_mm_s * cruise_s.max(0.0), cruise_s }
     }
 
     /// The cruising speed that closes the gap, and the time spent at it.
@@ -75,7 +76,7 @@ impl Cruise<'_> {
             let speed = (low * gap_high - high * gap_low) / (gap_high - gap_low);
             let Trial { gap_mm, cruise_s } = self.attempt(speed);
             if gap_mm.abs() < CLOSE_MM {
-                return Some((speed, cruise_s));
+                return (cruise_s >= -1e-12).then_some((speed, cruise_s));
             }
             // An end that stays put twice counts for less, so that both ends close in.
             let slow = gap_mm > 0.0;
@@ -95,7 +96,7 @@ impl Cruise<'_> {
 /// The plan from `from` to rest at `target_mm` that takes `duration_s`.
 ///
 /// `peak_mm_s` is a guess of the speed that would be too high, best that of the time-optimal profile.
-/// `None` when no cruise closes the way in time: less than the least time was asked for, or the
+/// `None` when no cruise takes that long: see above, or less than the least time was asked for, or the
 /// target is exactly where the shortest stop ends. The duration is kept to rounding.
 #[must_use]
 pub fn arrive_in(limits: &Limits, from: &State, target_mm: f64, duration_s: f64, peak_mm_s: f64) -> Option<ChannelPlan> {
@@ -132,11 +133,13 @@ pub fn arrive_in(limits: &Limits, from: &State, target_mm: f64, duration_s: f64,
 mod tests {
     use super::*;
     use crate::motion::config::MotionConfig;
-    use crate::motion::plan::{Plan, Ruckig, Solver};
+    use crate::motion::plan::Plan;
+    use crate::motion::solver::{Ruckig, Solver};
     use proptest::prelude::*;
 
     proptest! {
-        /// From any state, any duration from the least on: sound, and as long as asked.
+        /// From any state, any duration from the least on: if there is a cruise it is sound and as long
+        /// as asked, and with time to spare there is one.
         #[test]
         fn takes_as_long_as_asked(
             v in -20.0..20.0f64, a in -300.0..300.0f64, to in -15.0..15.0f64, extra in 1e-6..4.0f64,
@@ -146,10 +149,13 @@ mod tests {
             let mut fastest = Plan::default();
             Ruckig::default().solve(&l, &[from, State::rest(0.0), State::rest(0.0)], &[to, 0.0, 0.0], &mut fastest).unwrap();
             let least_s = fastest.duration_s();
-            let plan = arrive_in(&l, &from, to, least_s + extra, 0.0).unwrap();
-            prop_assert!(plan.is_sound(&from, &l));
-            prop_assert!((plan.duration_s() - least_s - extra).abs() < 1e-9);
-            prop_assert!(arrive_in(&l, &from, to, least_s * 0.99, 0.0).is_none_or(|p| p.duration_s() >= least_s * (1.0 - 1e-9)));
+            let plan = arrive_in(&l, &from, to, least_s + extra, 0.0);
+            prop_assert!(plan.is_some() || extra < 0.5);
+            if let Some(plan) = plan {
+                prop_assert!(plan.is_sound(&from, &l));
+                prop_assert!((plan.duration_s() - least_s - extra).abs() < 1e-9);
+            }
+            prop_assert_eq!(arrive_in(&l, &from, to, least_s * 0.99, 0.0), None);
         }
     }
 }

@@ -7,8 +7,9 @@
 //! same target the plan in hand is followed, and only a new target is planned for.
 
 use crate::motion::limits::Limits;
-use crate::motion::plan::{Plan, Refusal, Ruckig, Solver};
+use crate::motion::plan::{Plan, Refusal};
 use crate::motion::segment::Segment;
+use crate::motion::solver::{Ruckig, Solver};
 use crate::motion::state::State;
 use crate::motion::stop::stops_within_travel;
 

@@ -3,7 +3,7 @@
 //! The way of one move, room by room:
 //!
 //! 1. The loop calls [`Motion::tick`] once a control tick with the three wanted piston positions.
-//! 2. When they changed, [`plan::Ruckig`] plans from the position, velocity and acceleration of this
+//! 2. When they changed, [`solver::Ruckig`] plans from the position, velocity and acceleration of this
 //!    instant to rest at the new target: jerk-limited, time-optimal for the slowest channel and
 //!    stretched for the two others so that all three arrive together. No stop in between.
 //! 3. The plan is believed only after [`plan::Plan::verify`] has gone over every phase of it. A plan
@@ -32,6 +32,7 @@ pub mod pulse;
 pub mod queue;
 pub mod report;
 pub mod segment;
+pub mod solver;
 pub mod state;
 pub mod steps;
 pub mod stop;

@@ -2,7 +2,7 @@
 //!
 //! | backend | what | one change of levels costs |
 //! |---|---|---|
-//! | [`rppal`](self::rppal) | registers of the Raspberry Pi, mapped | one store a line |
+//! | [`rppal`] | registers of the Raspberry Pi, mapped | one store a line |
 //! | [`cdev`] | GPIO character device of any Linux board | one ioctl for all lines |
 //! | [`mock`] | none: records every edge with its time | a push |
 //!
