@@ -143,20 +143,21 @@ impl ChannelPlan {
         let mut at = *from;
         for leg in self.legs() {
             let end = leg.start.after(leg.jerk_mm_s3, leg.duration_s);
-            if !joins(&at, &leg.start) || !leg_holds(leg, &end, limits) {
+            if !joins(&at, &leg.start, limits) || !leg_holds(leg, &end, limits) {
                 return false;
             }
             at = end;
         }
-        joins(&at, &State::rest(self.end_mm)) && limits.travel_holds(self.end_mm)
+        joins(&at, &State::rest(self.end_mm), limits) && limits.travel_holds(self.end_mm)
     }
 }
 
-/// States that are one up to rounding and the solver's own precision.
-fn joins(a: &State, b: &State) -> bool {
+/// States that are one up to rounding and the solver's own precision (1e-8 mm/τ, see [`super::solver`]).
+fn joins(a: &State, b: &State, limits: &Limits) -> bool {
+    let a_max = limits.acceleration_max_mm_s2;
     (a.position_mm - b.position_mm).abs() <= POSITION_SLACK_MM
-        && (a.velocity_mm_s - b.velocity_mm_s).abs() <= 1e-7
-        && (a.acceleration_mm_s2 - b.acceleration_mm_s2).abs() <= 1e-6
+        && (a.velocity_mm_s - b.velocity_mm_s).abs() <= 1e-7 * (1.0 + a_max.sqrt())
+        && (a.acceleration_mm_s2 - b.acceleration_mm_s2).abs() <= 1e-7 * (1.0 + a_max)
 }
 
 /// Limits over one phase: jerk; acceleration at its ends; speed there and where the acceleration

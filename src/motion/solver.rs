@@ -13,6 +13,10 @@
 //! error string when it does not (`format!` of the whole input, whatever the error handler). The
 //! control path must not allocate then either, so the published building blocks are called here
 //! directly; a failure is a [`Refusal`].
+//!
+//! `rsruckig` compares with fixed tolerances (1e-8 for position and speed, 1e-10 for acceleration),
+//! which presume numbers near one. So it is given a unit of time τ = √(mm / A) in which the greatest
+//! acceleration is 1 mm/τ². In seconds, accelerations of 10⁴ mm/s² make it refuse one plan in a thousand.
 
 use crate::motion::cruise::arrive_in;
 use crate::motion::limits::Limits;
@@ -40,6 +44,9 @@ pub struct Ruckig {
 
 #[derive(Debug, Clone, Default)]
 struct Scratch {
+    unit_s: f64,
+    speed_max: f64,
+    jerk_max: f64,
     step1: PositionThirdOrderStep1,
     blocks: [Block; 3],
     profiles: [Profile; 3],
@@ -47,14 +54,15 @@ struct Scratch {
 
 impl Solver for Ruckig {
     fn solve(&mut self, limits: &Limits, from: &[State; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
-        let mut least_s = 0.0_f64;
+        self.scratch.choose_unit(limits);
+        let mut least = 0.0_f64;
         for channel in 0..3 {
             if !still(&from[channel], target_mm[channel]) {
-                least_s = least_s.max(self.scratch.fastest(limits, &from[channel], target_mm[channel], channel)?);
+                least = least.max(self.scratch.fastest(&from[channel], target_mm[channel], channel)?);
             }
         }
-        let common_s = self.scratch.unblocked(least_s, from, target_mm);
-        self.scratch.synchronise(limits, from, target_mm, common_s, out)
+        let common = self.scratch.unblocked(least, from, target_mm);
+        self.scratch.synchronise(limits, from, target_mm, common, out)
     }
 }
 
@@ -64,14 +72,23 @@ fn still(from: &State, target_mm: f64) -> bool {
 }
 
 impl Scratch {
-    /// Brake and step 1: the least time of one channel, s.
-    fn fastest(&mut self, l: &Limits, from: &State, target_mm: f64, channel: usize) -> Result<f64, Refusal> {
-        let (v, a, j) = (l.speed_max_mm_s, l.acceleration_max_mm_s2, l.jerk_max_mm_s3);
+    /// The unit of time in which the greatest acceleration is 1 mm/τ².
+    fn choose_unit(&mut self, l: &Limits) {
+        let unit_s = l.acceleration_max_mm_s2.sqrt().recip();
+        self.unit_s = unit_s;
+        self.speed_max = l.speed_max_mm_s * unit_s;
+        self.jerk_max = l.jerk_max_mm_s3 * unit_s * unit_s * unit_s;
+    }
+
+    /// Brake and step 1: the least time of one channel, τ.
+    fn fastest(&mut self, from: &State, target_mm: f64, channel: usize) -> Result<f64, Refusal> {
+        let (v, j) = (self.speed_max, self.jerk_max);
+        let (v0, a0) = (from.velocity_mm_s * self.unit_s, from.acceleration_mm_s2 * self.unit_s * self.unit_s);
         let p = &mut self.profiles[channel];
-        p.brake.get_position_brake_trajectory(from.velocity_mm_s, from.acceleration_mm_s2, v, -v, a, -a, j);
-        p.set_boundary(from.position_mm, from.velocity_mm_s, from.acceleration_mm_s2, target_mm, 0.0, 0.0);
+        p.brake.get_position_brake_trajectory(v0, a0, v, -v, 1.0, -1.0, j);
+        p.set_boundary(from.position_mm, v0, a0, target_mm, 0.0, 0.0);
         p.brake.finalize(&mut p.p[0], &mut p.v[0], &mut p.a[0]);
-        self.step1.reset(p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, a, -a, j);
+        self.step1.reset(p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j);
         let block = &mut self.blocks[channel];
         if self.step1.get_profile(p, block) && block.t_min.is_finite() {
             Ok(block.t_min)
@@ -80,65 +97,70 @@ impl Scratch {
         }
     }
 
-    /// The first duration from `t_s` on that lies in no channel's blocked interval.
-    fn unblocked(&self, mut t_s: f64, from: &[State; 3], target_mm: &[f64; 3]) -> f64 {
+    /// The first duration from `t` (τ) on that lies in no channel's blocked interval.
+    fn unblocked(&self, mut t: f64, from: &[State; 3], target_mm: &[f64; 3]) -> f64 {
         // Each channel has at most two intervals, so six moves are enough.
         for _ in 0..6 {
-            let before = t_s;
+            let before = t;
             for channel in (0..3).filter(|&c| !still(&from[c], target_mm[c])) {
                 let block = &self.blocks[channel];
                 for interval in [&block.a, &block.b].into_iter().flatten() {
-                    if t_s > interval.left && t_s < interval.right {
-                        t_s = interval.right;
+                    if t > interval.left && t < interval.right {
+                        t = interval.right;
                     }
                 }
             }
-            if t_s == before {
+            if t == before {
                 break;
             }
         }
-        t_s
+        t
     }
 
-    /// Step 2: every channel's profile of the common duration.
-    fn synchronise(&mut self, l: &Limits, from: &[State; 3], target_mm: &[f64; 3], common_s: f64, out: &mut Plan) -> Result<(), Refusal> {
+    /// Step 2: every channel's profile of the common duration, τ.
+    fn synchronise(&mut self, l: &Limits, from: &[State; 3], target_mm: &[f64; 3], common: f64, out: &mut Plan) -> Result<(), Refusal> {
         for channel in 0..3 {
             let (to, plan) = (target_mm[channel], &mut out.channels[channel]);
-            let fastest = &self.blocks[channel].p_min;
+            let block = &self.blocks[channel];
+            let peak_mm_s = block.p_min.v[3].abs() / self.unit_s;
             if still(&from[channel], to) {
                 *plan = ChannelPlan::resting(to);
-            } else if common_s - self.blocks[channel].t_min < 1e-12 {
-                *plan = transcribe(fastest, to);
-            } else if let Some(found) = arrive_in(l, &from[channel], to, common_s, fastest.v[3].abs()) {
+            } else if common - block.t_min < 1e-12 {
+                *plan = transcribe(&block.p_min, self.unit_s, to);
+            } else if let Some(found) = arrive_in(l, &from[channel], to, common * self.unit_s, peak_mm_s) {
                 *plan = found;
             } else {
-                *plan = self.step2(l, to, common_s, channel)?;
+                *plan = self.step2(to, common, channel)?;
             }
         }
         Ok(())
     }
 
     /// Ruckig's step 2 for one channel, from the boundary that [`Scratch::fastest`] has set.
-    fn step2(&mut self, l: &Limits, target_mm: f64, common_s: f64, channel: usize) -> Result<ChannelPlan, Refusal> {
-        let (v, a, j) = (l.speed_max_mm_s, l.acceleration_max_mm_s2, l.jerk_max_mm_s3);
+    fn step2(&mut self, target_mm: f64, common: f64, channel: usize) -> Result<ChannelPlan, Refusal> {
+        let (v, j) = (self.speed_max, self.jerk_max);
         let p = &mut self.profiles[channel];
-        let left_s = common_s - p.brake.duration;
-        let mut step2 = PositionThirdOrderStep2::new(left_s, p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, a, -a, j);
-        if step2.get_profile(p) { Ok(transcribe(p, target_mm)) } else { Err(Refusal::NoSynchronisation { channel }) }
+        let left = common - p.brake.duration;
+        let mut step2 = PositionThirdOrderStep2::new(left, p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j);
+        if step2.get_profile(p) { Ok(transcribe(p, self.unit_s, target_mm)) } else { Err(Refusal::NoSynchronisation { channel }) }
     }
 }
 
-/// A profile's phases in the words of this house.
-fn transcribe(p: &Profile, end_mm: f64) -> ChannelPlan {
+/// A profile's phases in the words and units of this house.
+fn transcribe(p: &Profile, unit_s: f64, end_mm: f64) -> ChannelPlan {
     let mut out = ChannelPlan::resting(end_mm);
-    let state = |position_mm, velocity_mm_s, acceleration_mm_s2| State { position_mm, velocity_mm_s, acceleration_mm_s2 };
+    let rate = unit_s.recip();
+    let mut push = |p: f64, v: f64, a: f64, j: f64, t: f64| {
+        let start = State { position_mm: p, velocity_mm_s: v * rate, acceleration_mm_s2: a * rate * rate };
+        out.push(start, j * rate * rate * rate, t * unit_s);
+    };
     if p.brake.duration > 0.0 {
         for i in 0..2 {
-            out.push(state(p.brake.p[i], p.brake.v[i], p.brake.a[i]), p.brake.j[i], p.brake.t[i]);
+            push(p.brake.p[i], p.brake.v[i], p.brake.a[i], p.brake.j[i], p.brake.t[i]);
         }
     }
     for i in 0..7 {
-        out.push(state(p.p[i], p.v[i], p.a[i]), p.j[i], p.t[i]);
+        push(p.p[i], p.v[i], p.a[i], p.j[i], p.t[i]);
     }
     out
 }
@@ -181,10 +203,12 @@ mod tests {
         fn step_2_agrees_with_the_cruise(from in state(), to in -10.0..10.0f64, extra in 1e-3..2.0f64) {
             let l = Limits { travel_max_mm: 60.0, ..limits() };
             let mut scratch = Scratch::default();
-            let common_s = scratch.fastest(&l, &from, to, 0).unwrap() + extra;
+            scratch.choose_unit(&l);
+            let common = scratch.fastest(&from, to, 0).unwrap() + extra / scratch.unit_s;
+            let common_s = common * scratch.unit_s;
             let cruise = arrive_in(&l, &from, to, common_s, l.speed_max_mm_s);
             prop_assert!(cruise.is_some() || extra < 0.5, "only a little more than the least time has no cruise");
-            let step2 = scratch.step2(&l, to, common_s, 0).unwrap();
+            let step2 = scratch.step2(to, common, 0).unwrap();
             for plan in cruise.iter().chain([&step2]) {
                 prop_assert!(plan.is_sound(&from, &l));
                 prop_assert!((plan.duration_s() - common_s).abs() < 1e-8);
@@ -218,9 +242,11 @@ mod tests {
         let l = limits();
         let braking = State { position_mm: -5.316_876, velocity_mm_s: 22.819_162, acceleration_mm_s2: -186.081_428 };
         let mut scratch = Scratch::default();
-        let least_s = scratch.fastest(&l, &braking, -3.938_170, 0).unwrap();
+        scratch.choose_unit(&l);
+        let least = scratch.fastest(&braking, -3.938_170, 0).unwrap();
+        let least_s = least * scratch.unit_s;
         assert_eq!(arrive_in(&l, &braking, -3.938_170, least_s + 0.001, 30.0), None);
-        let eased = scratch.step2(&l, -3.938_170, least_s + 0.001, 0).unwrap();
+        let eased = scratch.step2(-3.938_170, least + 0.001 / scratch.unit_s, 0).unwrap();
         assert!(eased.is_sound(&braking, &l) && (eased.duration_s() - least_s - 0.001).abs() < 1e-8);
     }
 }
