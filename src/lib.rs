@@ -5,13 +5,14 @@
 //!
 //! | floor | rooms, lowest first |
 //! |---|---|
-//! | F0 words | [`units`], [`frames`], [`sample`] |
+//! | F0 words | [`units`], [`frames`], [`sample`], [`check`] |
 //! | F1 laws: pure, stateless | [`model`] |
-//! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`refine`], [`tick`] |
+//! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`] |
 //! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
 //! | F4 edges | [`config`], [`io`], [`sim`], [`link`], [`cli`] |
 
 pub mod calib_imu;
+pub mod check;
 pub mod cli;
 pub mod config;
 pub mod control;
@@ -25,6 +26,7 @@ pub mod io;
 pub mod link;
 pub mod log;
 pub mod model;
+pub mod motion;
 pub mod plant;
 pub mod refine;
 pub mod report;

@@ -1,6 +1,7 @@
 //! `retroflex gap …`: diagnose a bend log, check a saved model on a fresh one.
 
-use crate::cli::{Outcome, write_whole as write};
+use crate::cli::Outcome;
+use crate::cli::output::write;
 use crate::config::calib::Calibration;
 use crate::config::source;
 use crate::effects::{Effect, catalogue};

@@ -1,6 +1,6 @@
 //! Board files: what the machine is.
 
-use crate::config::check::{Check, Checker};
+use crate::check::{Check, Checker};
 use crate::control::follow::Pace;
 use crate::control::limit::Limits;
 use crate::model::arc::Geometry;

@@ -1,6 +1,6 @@
 //! Calibration files: what this tip is.
 
-use crate::config::check::{Check, Checker};
+use crate::check::{Check, Checker};
 use crate::control::pi::Dynamics;
 use crate::model::transmission::Line;
 use crate::refine::batch::Prior;

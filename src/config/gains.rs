@@ -1,6 +1,6 @@
 //! Gains files: how the loop behaves.
 
-use crate::config::check::{Check, Checker};
+use crate::check::{Check, Checker};
 use crate::control::follow::Pace;
 use crate::control::rest::RestConfig;
 use crate::control::wall::WallConfig;

@@ -6,7 +6,6 @@
 
 pub mod board;
 pub mod calib;
-pub mod check;
 pub mod gains;
 pub mod source;
 

@@ -1,6 +1,6 @@
 //! A diagnosis kept as TOML, and its check on a fresh log of the same unit.
 
-use crate::config::check::{Check, Checker};
+use crate::check::{Check, Checker};
 use crate::effects::Effect;
 use crate::gap::chain::{LAG_MAX_S, NOMINAL, run};
 use crate::gap::decide::floor;

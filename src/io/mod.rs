@@ -1,3 +1,7 @@
-//! Edges: the only rooms that touch hardware.
+//! Edges to the machine: everything that touches a device, a clock or a thread.
 
+pub mod bench_rt;
 pub mod imu;
+pub mod pins;
+pub mod rt;
+pub mod stepper;

@@ -1,0 +1,95 @@
+//! The words the step thread and the loop speak: faults, modes, orders, inputs, reports.
+
+use crate::motion::histogram::Histogram;
+use crate::units::Steps;
+
+/// Why the core does not move any more.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum Fault {
+    /// A step could not be made in time.
+    #[error("a step of channel {} was {:.3} ms late: the step thread was kept from running (see `retroflex bench rt`)", .channel + 1, *.late_ns as f64 * 1e-6)]
+    Late {
+        /// Channel, from 0.
+        channel: usize,
+        /// How late, ns.
+        late_ns: u64,
+    },
+    /// A segment does not start where the last one ended, is faster than the limits or no number.
+    #[error("the motion handed to channel {} jumps by {gap_mm} mm", .channel + 1)]
+    Torn {
+        /// Channel, from 0.
+        channel: usize,
+        /// The jump, mm.
+        gap_mm: f64,
+    },
+    /// The pins refused a write or a read.
+    #[error("the pins refused to be written or read")]
+    Pins,
+    /// The emergency stop was pressed.
+    #[error("the emergency stop was pressed")]
+    EmergencyStop,
+}
+
+/// What the core is at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Mode {
+    /// At rest, waiting for segments.
+    Resting,
+    /// Working off segments.
+    Following,
+    /// Braking within the limits.
+    Stopping,
+    /// Stopped for good, until cleared.
+    Faulted(Fault),
+}
+
+/// What the loop can order past the queue.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Order {
+    /// Brake within the limits; drop what is queued.
+    Stop,
+    /// Energise the drivers.
+    Energise,
+    /// Release the drivers, once at rest.
+    Release,
+    /// Leave a fault. Ignored while the emergency stop is pressed.
+    Clear,
+    /// At rest: these are the piston positions now, mm.
+    Rebase([f64; 3]),
+    /// Brake, release the drivers, be done.
+    Finish,
+}
+
+/// What the input lines say, polarity already taken care of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Inputs {
+    /// Home switches of channels 1 to 3 are closed.
+    pub home: [bool; 3],
+    /// The emergency stop is pressed.
+    pub emergency_stop: bool,
+}
+
+/// Everything the core tells the loop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Report {
+    /// When, ns of the monotonic clock.
+    pub t_ns: u64,
+    /// What it is at.
+    pub mode: Mode,
+    /// Segments of this epoch are taken.
+    pub epoch: u32,
+    /// Steps really pulsed, signed, since zero.
+    pub counted: Steps,
+    /// Where the pistons rest, mm; meaningful in [`Mode::Resting`] and [`Mode::Faulted`].
+    pub rest_mm: [f64; 3],
+    /// The drivers are energised.
+    pub energised: bool,
+    /// Input lines.
+    pub inputs: Inputs,
+    /// How often the queue ran dry in motion.
+    pub dry: u32,
+    /// Segments refused: of an old epoch, or too late to be begun.
+    pub refused: u32,
+    /// From the instant a step was due to the end of the write that made it.
+    pub lateness: Histogram,
+}
