@@ -13,13 +13,13 @@ pub struct Sim {
 }
 
 impl Sim {
-    /// The unit that `unit_seed` draws from the make's spread, with noise of its own for every
-    /// `noise_seed`, stepped once per `period_s`.
+    /// The unit that `unit_seed` draws from the make's spread (0 is the make itself), with noise of its own
+    /// for every `noise_seed`, stepped once per `period_s`.
     ///
     /// # Errors
     /// [`PlantError`] for a parameter that the physics cannot run with.
     pub fn new(make: &PlantConfig, unit_seed: u64, noise_seed: u64, period_s: f64) -> Result<Self, PlantError> {
-        let unit = make.drawn(unit_seed);
+        let unit = if unit_seed == 0 { make.clone() } else { make.drawn(unit_seed) };
         let nature = Nature {
             name: "built-in".to_owned(),
             period_s,

@@ -375,11 +375,11 @@ fn command_pistons(config: &Config, state: &mut State, felt: Bend, moving: bool,
 fn invert_transmission(config: &Config, state: &mut State, bellow_mm: &Vector3<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector3<f64> {
     let nudging = config.feedback.is_some() && !moving;
     let reach = if nudging { state.reach.share } else { 1.0 };
-    let mut turned = false;
+    let mut turned = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {
         let wanted = Wanted { q_mm: bellow_mm[i], dt_s, reach };
         let (u, next) = config.side.invert(&state.lines[i], state.sides[i], &wanted);
-        turned |= next.way != state.sides[i].way;
+        turned[i] = next.way != state.sides[i].way;
         state.sides[i] = next;
         u
     });

@@ -46,7 +46,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "none,extension,backlash,closed")]
     arms: Vec<Arm>,
     /// Seed of the built-in plant: which unit of its make, and its noise.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 0)]
     seed: u64,
 }
 
