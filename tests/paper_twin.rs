@@ -13,7 +13,7 @@ const PAPER_DEG: [(Arm, f64); 3] = [(Arm::None, 36.96), (Arm::Extension, 8.04), 
 
 #[test]
 fn the_three_open_loop_arms_are_the_papers() {
-    let e = evaluate(1, &[Arm::None, Arm::Extension, Arm::Backlash]);
+    let e = evaluate(0, &[Arm::None, Arm::Extension, Arm::Backlash]);
     for (arm, paper) in PAPER_DEG {
         let ours = e.arm(arm).unwrap().bend_rmse_deg;
         println!("{}: {ours:.2}°, the paper {paper:.2}°", arm.name());

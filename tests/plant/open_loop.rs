@@ -7,7 +7,7 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 use retroflex::model::arc::{Geometry, Shape};
 use retroflex::model::bend::Bend;
 use retroflex::model::drive::Drive;
-use retroflex::model::transmission::{Line, Side, SideState};
+use retroflex::model::transmission::{Line, Side, SideState, Wanted};
 use retroflex::plant::{Output, Plant, PlantConfig};
 use retroflex::units::Mm;
 
@@ -90,7 +90,7 @@ impl Bench {
             Arm::None => q[i],
             Arm::Extension => lines[i].slack_mm(q[i]),
             Arm::Backlash => {
-                let (u, next) = Side::Band { band_mm: 0.05 }.invert(&lines[i], self.sides[i], q[i], DT_S);
+                let (u, next) = Side::Band { band_mm: 0.05 }.invert(&lines[i], self.sides[i], &Wanted { q_mm: q[i], dt_s: DT_S, reach: 1.0 });
                 self.sides[i] = next;
                 u
             }

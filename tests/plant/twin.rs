@@ -1,21 +1,17 @@
 //! The paper twin repeats the paper's open-loop figures.
 
 use crate::open_loop::{Arm, arm, identify, rmse};
+use retroflex::config::board::Board;
+use retroflex::config::source;
 use retroflex::plant::PlantConfig;
-use serde::Deserialize;
 
 /// The paper's RMSE of the bend angle, degrees: none, extension, extension + backlash.
 const PAPER_DEG: [f64; 3] = [36.96, 8.04, 7.76];
 
-#[derive(Deserialize)]
-struct Board {
-    plant: PlantConfig,
-}
-
 /// The twin as its file has it.
 pub fn paper_twin() -> PlantConfig {
-    let text = include_str!("../../boards/paper-twin.plant.toml");
-    toml::from_str::<Board>(text).unwrap().plant
+    let board: Board = source::parse("boards/sim.toml", include_str!("../../boards/sim.toml")).unwrap();
+    board.plant.unwrap().make()
 }
 
 fn arms(config: &PlantConfig, seed: u64) -> ([f64; 3], [f64; 6], usize) {
