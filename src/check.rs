@@ -1,6 +1,5 @@
 //! Range checks that remember which key they were about.
 
-use crate::plant::PlantError;
 use std::ops::RangeInclusive;
 
 /// A value that is not allowed.
@@ -40,21 +39,8 @@ impl Checker {
             self.refuse(key, problem.to_owned(), mend);
         }
     }
-    /// What the built-in plant says of its parameters; it counts channels from 1, files from 0.
-    pub fn plant(&mut self, verdict: Result<(), PlantError>) {
-        match verdict {
-            Ok(()) => {}
-            Err(PlantError::Range { name, value, low, high, mend }) => {
-                let key = match name.strip_suffix(']').and_then(|n| n.split_once('[')) {
-                    Some((array, index)) => format!("plant.{array}.{}", index.parse::<usize>().map_or(0, |i| i.saturating_sub(1))),
-                    None => format!("plant.{name}"),
-                };
-                self.refuse(&key, format!("{value} is outside {low} to {high}"), mend);
-            }
-            Err(other) => self.refuse("plant", other.to_string(), "see the tables of boards/sim.toml"),
-        }
-    }
-    fn refuse(&mut self, key: &str, problem: String, mend: &str) {
+    /// A value is refused, whatever the reason.
+    pub fn refuse(&mut self, key: &str, problem: String, mend: &str) {
         self.first.get_or_insert(Invalid { key: key.to_owned(), problem, mend: mend.to_owned() });
     }
     /// The verdict.

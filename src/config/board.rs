@@ -5,7 +5,7 @@ use crate::control::follow::Pace;
 use crate::control::limit::Limits;
 use crate::model::arc::Geometry;
 use crate::model::drive::Drive;
-use crate::plant::PlantConfig;
+use crate::plant::{PlantConfig, PlantError};
 use crate::plant::config::{BaseConfig, DriveConfig, FieldConfig, LineConfig, ShapeConfig};
 use crate::plant::effects::Effects;
 use crate::plant::imu::chip::ImuConfig;
@@ -207,7 +207,22 @@ impl Check for Board {
    
         if let Some(plant) = &self.plant {
             to.range("plant.period_s", plant.period_s, 1e-4..=0.01, "s", "0.001 is a loop at 1 kHz");
-            to.plant(plant.make().validate());
+            check_plant(to, plant.make().validate());
         }
+    }
+}
+
+/// What the built-in plant says of its parameters; it counts channels from 1, files from 0.
+fn check_plant(to: &mut Checker, verdict: Result<(), PlantError>) {
+    match verdict {
+        Ok(()) => {}
+        Err(PlantError::Range { name, value, low, high, mend }) => {
+            let key = match name.strip_suffix(']').and_then(|n| n.split_once('[')) {
+                Some((array, index)) => format!("plant.{array}.{}", index.parse::<usize>().map_or(0, |i| i.saturating_sub(1))),
+                None => format!("plant.{name}"),
+            };
+            to.refuse(&key, format!("{value} is outside {low} to {high}"), mend);
+        }
+        Err(other) => to.refuse("plant", other.to_string(), "see the tables of boards/sim.toml"),
     }
 }

@@ -49,7 +49,7 @@ impl Effect for GyroBias {
         NAMES.iter().map(|name| Param::new(name, "rad/s", 0.0, 0.02, (-0.3, 0.3))).collect()
     }
     fn starts(&self) -> Starts {
-        vec![vec![0.0; NAMES.len()]]
+        vec![vec![1e-4; NAMES.len()]]
     }
     fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut Reading) {
         let next = KNOTS_S.iter().position(|&k| at.t_s < k);

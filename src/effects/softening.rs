@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn a_fit_finds_it_again() {
-        proof::found_again(&Softening, &[0.4, 2.5]);
+        proof::explained(&Softening, &[0.4, 2.5, 0.3, 0.01]);
     }
 
     #[test]

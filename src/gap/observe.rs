@@ -212,7 +212,7 @@ fn refuse(log: &BendLog) -> Result<(), Unfit> {
 fn clipped(name: &'static str, values: &[Vector3<f64>], log: &BendLog) -> Result<(), Unfit> {
     let moving: Vec<usize> = (1..log.piston_mm.len()).filter(|&k| log.piston_mm[k] != log.piston_mm[k - 1]).collect();
     for axis in 0..3 {
-        let column = || moving.iter().map(|&k| values[k][axis]).filter(|v| !v.is_nan());
+        let column = || moving.iter().filter_map(|&k| values.get(k)).map(|v| v[axis]).filter(|v| !v.is_nan());
         let n = column().count();
         for extreme in [column().fold(f64::NEG_INFINITY, f64::max), column().fold(f64::INFINITY, f64::min)] {
             let share = column().filter(|&v| v == extreme).count() as f64 / n.max(1) as f64;

@@ -230,7 +230,7 @@ fn folds(log: &Observed) -> Vec<(usize, bool)> {
         .map(|b| {
             let phase = (b.t_s - t0) / BLOCK_S;
             let within = phase.fract() * BLOCK_S;
-            ((phase.floor() as usize) % 2, within < MARGIN_S || within > BLOCK_S - MARGIN_S)
+            ((phase.floor() as usize) % 2, !(MARGIN_S..=BLOCK_S - MARGIN_S).contains(&within))
         })
         .collect()
 }
@@ -249,8 +249,8 @@ pub fn leave_out(log: &Observed, catalogue: &[Box<dyn Effect>], candidate: &Cand
         for (k, (of, near)) in folds.iter().enumerate() {
             if *of == fold && !near {
                 used[k] = 1.0;
-                for kind in 0..4 {
-                    residual[kind][k] = s.residual[kind][k];
+                for (all, these) in residual.iter_mut().zip(&s.residual) {
+                    all[k] = these[k];
                 }
             }
         }

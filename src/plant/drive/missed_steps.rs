@@ -120,7 +120,7 @@ mod tests {
         let (mut sent, mut turned, mut t) = (0.0, 0.0, 20.0);
         for leg in [300.0, 0.0] {
             while sent != leg {
-                let step: f64 = (leg - sent as f64).clamp(-rate, rate);
+                let step: f64 = f64::clamp(leg - sent, -rate, rate);
                 let mut v = Vector3::new(step, 0.0, 0.0);
                 stall.hold_back(&mut v, t, 0.001);
                 (sent, turned, t) = (sent + step, turned + v.x, t + 0.001);
