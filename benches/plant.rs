@@ -1,5 +1,9 @@
 //! What a step of the plant costs, at 1 kHz with motion in it.
 
+#![allow(clippy::expect_used)]
+
+use retroflex::config::board::Board;
+use retroflex::config::source;
 use retroflex::plant::{Plant, PlantConfig, effect_names};
 use retroflex::units::Steps;
 use std::hint::black_box;
@@ -31,12 +35,9 @@ fn nominal(bencher: divan::Bencher<'_, '_>) {
 
 #[divan::bench]
 fn paper_twin(bencher: divan::Bencher<'_, '_>) {
-    #[derive(serde::Deserialize)]
-    struct Board {
-        plant: PlantConfig,
-    }
-    let board: Board = toml::from_str(include_str!("../boards/paper-twin.plant.toml")).expect("the twin's file is valid");
-    one_second(bencher, &board.plant);
+    let board: Board =
+        source::parse("boards/sim.toml", include_str!("../boards/sim.toml")).expect("the twin's file is valid");
+    one_second(bencher, &board.plant.expect("the twin has a plant").make());
 }
 
 #[divan::bench]
