@@ -35,8 +35,7 @@ fn nominal(bencher: divan::Bencher<'_, '_>) {
 
 #[divan::bench]
 fn paper_twin(bencher: divan::Bencher<'_, '_>) {
-    let board: Board =
-        source::parse("boards/sim.toml", include_str!("../boards/sim.toml")).expect("the twin's file is valid");
+    let board: Board = source::parse("boards/sim.toml", include_str!("../boards/sim.toml")).expect("the twin's file is valid");
     one_second(bencher, &board.plant.expect("the twin has a plant").make());
 }
 

@@ -60,9 +60,7 @@ pub enum ScoreError {
     #[error(transparent)]
     Read(#[from] ReadError),
     /// A recording has nothing to compare with.
-    #[error(
-        "{file}: no row has moving = 1 and a reference (ref_qw … ref_qz): there is no truth to score against"
-    )]
+    #[error("{file}: no row has moving = 1 and a reference (ref_qw … ref_qz): there is no truth to score against")]
     NoTruth {
         /// Name of the file.
         file: String,
@@ -157,13 +155,9 @@ pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
 /// The rows as a table: a line per file, a column per filter, the means last.
 #[must_use]
 pub fn table(rows: &[Row]) -> String {
-    let filters: Vec<FilterName> =
-        FilterName::ALL.into_iter().filter(|f| rows.iter().any(|r| r.filter == *f)).collect();
-    let cell = |s: Option<Score>| {
-        s.map_or_else(String::new, |s| {
-            format!("{:.2} / {:.2} / {:.2}", s.total_deg, s.heading_deg, s.inclination_deg)
-        })
-    };
+    let filters: Vec<FilterName> = FilterName::ALL.into_iter().filter(|f| rows.iter().any(|r| r.filter == *f)).collect();
+    let cell =
+        |s: Option<Score>| s.map_or_else(String::new, |s| format!("{:.2} / {:.2} / {:.2}", s.total_deg, s.heading_deg, s.inclination_deg));
     let mut files: Vec<&str> = Vec::new();
     for r in rows {
         if !files.contains(&r.file.as_str()) {
@@ -172,15 +166,10 @@ pub fn table(rows: &[Row]) -> String {
     }
     let mut table = Table::new();
     table.load_style(comfy_table::presets::ASCII_MARKDOWN);
-    table.set_header(
-        std::iter::once("total / heading / inclination, ° RMS".to_owned())
-            .chain(filters.iter().map(ToString::to_string)),
-    );
+    table.set_header(std::iter::once("total / heading / inclination, ° RMS".to_owned()).chain(filters.iter().map(ToString::to_string)));
     for file in files {
         let of_file: Vec<Row> = rows.iter().filter(|r| r.file == file).cloned().collect();
-        table.add_row(
-            std::iter::once(file.to_owned()).chain(filters.iter().map(|&f| cell(mean(&of_file, f)))),
-        );
+        table.add_row(std::iter::once(file.to_owned()).chain(filters.iter().map(|&f| cell(mean(&of_file, f)))));
     }
     table.add_row(std::iter::once("mean".to_owned()).chain(filters.iter().map(|&f| cell(mean(rows, f)))));
     for column in table.column_iter_mut().skip(1) {
@@ -224,9 +213,7 @@ mod tests {
         assert!((total - 25.0).abs() < 1e-9 && heading < 1e-9 && (inclination - 25.0).abs() < 1e-9);
         let [total, heading, inclination] = angles_deg(&(rotation_world(25.0, 60.0) * truth), &truth);
         let both = 2.0 * (12.5_f64.to_radians().cos() * 30.0_f64.to_radians().cos()).acos().to_degrees();
-        assert!(
-            (total - both).abs() < 1e-9 && (heading - 60.0).abs() < 1e-9 && (inclination - 25.0).abs() < 1e-9
-        );
+        assert!((total - both).abs() < 1e-9 && (heading - 60.0).abs() < 1e-9 && (inclination - 25.0).abs() < 1e-9);
     }
 
     #[test]
@@ -265,10 +252,7 @@ mod tests {
     fn every_filter_scores_a_constant_error_as_itself() {
         for filter in FilterName::ALL {
             let s = score(&lying_still(7.0, |k| k > 500, |k| k % 3 == 0), filter).unwrap();
-            assert!(
-                (s.total_deg - 7.0).abs() < 0.01 && (s.heading_deg - 7.0).abs() < 0.01,
-                "{filter}: {s:?}"
-            );
+            assert!((s.total_deg - 7.0).abs() < 0.01 && (s.heading_deg - 7.0).abs() < 0.01, "{filter}: {s:?}");
             assert!(s.inclination_deg < 0.01, "{filter}: {s:?}");
         }
     }
@@ -284,13 +268,7 @@ mod tests {
 
     #[test]
     fn rows_are_the_promised_json_and_the_table_ends_in_means() {
-        let row = |file: &str, filter, total_deg| Row {
-            file: file.into(),
-            filter,
-            total_deg,
-            heading_deg: 1.0,
-            inclination_deg: 0.5,
-        };
+        let row = |file: &str, filter, total_deg| Row { file: file.into(), filter, total_deg, heading_deg: 1.0, inclination_deg: 0.5 };
         let rows = [row("a", FilterName::VqfLong, 1.0), row("b", FilterName::VqfLong, 4.0)];
         assert_eq!(
             serde_json::to_string(&rows[0]).unwrap(),

@@ -65,12 +65,7 @@ impl Link {
     /// [`WorldError`] when it cannot be started or does not greet as the protocol says.
     pub fn start(program: &str, args: &[String]) -> Result<Self, WorldError> {
         let fail = |source| WorldError::Start { program: program.to_owned(), source };
-        let mut child = Command::new(program)
-            .args(args)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .map_err(fail)?;
+        let mut child = Command::new(program).args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().map_err(fail)?;
         let missing = || fail(std::io::Error::other("no pipe to it"));
         let to = BufWriter::new(child.stdin.take().ok_or_else(missing)?);
         let from = read_lines(child.stdout.take().ok_or_else(missing)?);
@@ -87,7 +82,9 @@ impl Link {
                 Ok(line)
             }
             Err(RecvTimeoutError::Timeout) => Err(WorldError::Silent { seconds: SILENCE_S, last: shown(&self.last) }),
-            Ok(Err(e)) => Err(WorldError::Malformed { line: shown(&self.last), problem: format!("then its output could not be read: {e}") }),
+            Ok(Err(e)) => {
+                Err(WorldError::Malformed { line: shown(&self.last), problem: format!("then its output could not be read: {e}") })
+            }
             Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => Err(self.died()),
         }
     }
@@ -175,7 +172,10 @@ fn malformed(line: &str, problem: impl Into<String>) -> WorldError {
 
 fn greeting(line: &str) -> Result<Nature, WorldError> {
     let h: Hello = serde_json::from_str(line).map_err(|e| {
-        malformed(line, format!("not a greeting ({e}); expected {{\"plant\":…,\"protocol\":1,\"imu_period_s\":…,\"step_mm\":…,\"rest_length_mm\":…}}"))
+        malformed(
+            line,
+            format!("not a greeting ({e}); expected {{\"plant\":…,\"protocol\":1,\"imu_period_s\":…,\"step_mm\":…,\"rest_length_mm\":…}}"),
+        )
     })?;
     if h.protocol != 1 {
         return Err(malformed(line, format!("protocol {} is not spoken here, 1 is", h.protocol)));
@@ -194,8 +194,9 @@ fn greeting(line: &str) -> Result<Nature, WorldError> {
 }
 
 fn reply(line: &str, t: f64) -> Result<Reply, WorldError> {
-    let a: Answer = serde_json::from_str(line)
-        .map_err(|e| malformed(line, format!("not an answer ({e}); expected {{\"t\":…,\"imu\":{{…}} or null,\"ref\":{{\"quat\":[w,x,y,z]}}}}")))?;
+    let a: Answer = serde_json::from_str(line).map_err(|e| {
+        malformed(line, format!("not an answer ({e}); expected {{\"t\":…,\"imu\":{{…}} or null,\"ref\":{{\"quat\":[w,x,y,z]}}}}"))
+    })?;
     if (a.t - t).abs() > 1e-4 {
         return Err(malformed(line, format!("answers for t = {} s, asked was {t:.6} s", a.t)));
     }

@@ -20,12 +20,8 @@ impl Sim {
     /// [`PlantError`] for a parameter that the physics cannot run with.
     pub fn new(make: &PlantConfig, unit_seed: u64, noise_seed: u64, period_s: f64) -> Result<Self, PlantError> {
         let unit = if unit_seed == 0 { make.clone() } else { make.drawn(unit_seed) };
-        let nature = Nature {
-            name: "built-in".to_owned(),
-            period_s,
-            step_mm: unit.drive.step_mm,
-            rest_length_mm: unit.shape.rest_length_mm,
-        };
+        let nature =
+            Nature { name: "built-in".to_owned(), period_s, step_mm: unit.drive.step_mm, rest_length_mm: unit.shape.rest_length_mm };
         // noise of one unit is not the noise of the next
         let seed = unit_seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(noise_seed);
         Ok(Self { plant: Plant::new(&unit, seed)?, nature, last: None })

@@ -55,9 +55,21 @@ fn bad_files_are_named_with_line_key_and_range() {
     refused(&["evaluate", "--board", "/nowhere/board.toml"], &["/nowhere/board.toml", "No such file"]);
     let cases: [(&str, &str, &[&str]); 12] = [
         ("--calib", "[transmission]\nk_epsilon = [2.2, 2.5]\nk_lambda_mm = [0.9, 0.9, 0.9]\n", &["line 2", "length 2"]),
-        ("--calib", "[transmission]\nk_epsilon = [2.2, nan, 2.2]\nk_lambda_mm = [0.9, 0.9, 0.9]\n", &["line 2", "k_epsilon.1", "NaN", "0 to 10"]),
-        ("--calib", "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.9, 0.9, -0.1]\n", &["line 3", "k_lambda_mm.2", "-0.1", "0 to 3"]),
-        ("--calib", "[transmission]\nk_epsilon = [2.2, 2.2, 55.0]\nk_lambda_mm = [0.9, 0.9, 0.9]\n", &["line 2", "k_epsilon.2", "55", "0 to 10"]),
+        (
+            "--calib",
+            "[transmission]\nk_epsilon = [2.2, nan, 2.2]\nk_lambda_mm = [0.9, 0.9, 0.9]\n",
+            &["line 2", "k_epsilon.1", "NaN", "0 to 10"],
+        ),
+        (
+            "--calib",
+            "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.9, 0.9, -0.1]\n",
+            &["line 3", "k_lambda_mm.2", "-0.1", "0 to 3"],
+        ),
+        (
+            "--calib",
+            "[transmission]\nk_epsilon = [2.2, 2.2, 55.0]\nk_lambda_mm = [0.9, 0.9, 0.9]\n",
+            &["line 2", "k_epsilon.2", "55", "0 to 10"],
+        ),
         ("--calib", "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\n", &["k_lambda_mm"]),
         ("--calib", "", &["transmission"]),
         ("--gains", "[loop]\ntau_s = 0.1\n", &["line 2", "tau_s", "tau_c_s"]),
@@ -120,10 +132,18 @@ fn plants_that_lie_hang_or_die_end_the_run() {
         ("rude.sh", "echo hello; sleep 1\n".to_owned(), &["`hello`", "not a greeting"]),
         ("later.sh", greet.replace("\"protocol\":1", "\"protocol\":2"), &["protocol 2"]),
         ("inches.sh", greet.replace("0.029452", "0"), &["step_mm = 0"]),
-        ("dies.sh", answer(&format!("[ $n -gt 50 ] && exit 3; echo \"{{\\\"t\\\":$t,{}}}\";", STILL.replace('"', "\\\""))), &["plant ended after", "0.25"]),
+        (
+            "dies.sh",
+            answer(&format!("[ $n -gt 50 ] && exit 3; echo \"{{\\\"t\\\":$t,{}}}\";", STILL.replace('"', "\\\""))),
+            &["plant ended after", "0.25"],
+        ),
         ("liar.sh", answer("echo \"{\\\"t\\\":9.5,\\\"imu\\\":null}\";"), &["answers for t = 9.5"]),
         ("garbage.sh", answer("echo \"{\\\"t\\\":$t,\\\"imu\\\":{\\\"acc\\\":[0,0]\";"), &["not an answer", "\"acc\":[0,0]"]),
-        ("nan.sh", answer("echo \"{\\\"t\\\":$t,\\\"imu\\\":{\\\"acc\\\":[0,0,NaN],\\\"gyr\\\":[0,0,0],\\\"mag\\\":null}}\";"), &["NaN", "not an answer"]),
+        (
+            "nan.sh",
+            answer("echo \"{\\\"t\\\":$t,\\\"imu\\\":{\\\"acc\\\":[0,0,NaN],\\\"gyr\\\":[0,0,0],\\\"mag\\\":null}}\";"),
+            &["NaN", "not an answer"],
+        ),
         ("secretive.sh", answer(&format!("echo \"{{\\\"t\\\":$t,{}}}\";", STILL.replace('"', "\\\""))), &["no `ref`"]),
     ];
     for (name, body, words) in &cases {
@@ -160,7 +180,15 @@ fn results_are_what_the_contract_says() {
     let folder = TempDir::new().unwrap();
     let [result, page, drawing]: [PathBuf; 3] = ["r.json", "r.html", "r.svg"].map(|n| folder.path().join(n));
     let (code, stdout, stderr) = retroflex(&[
-        "evaluate", "--seed", "4", "--json", result.to_str().unwrap(), "--html", page.to_str().unwrap(), "--svg", drawing.to_str().unwrap(),
+        "evaluate",
+        "--seed",
+        "4",
+        "--json",
+        result.to_str().unwrap(),
+        "--html",
+        page.to_str().unwrap(),
+        "--svg",
+        drawing.to_str().unwrap(),
     ]);
     assert_eq!(code, 0, "{stderr}");
     assert!(stdout.contains("seed 4") && stdout.contains("closed"), "{stdout}");
@@ -169,7 +197,10 @@ fn results_are_what_the_contract_says() {
     assert_eq!(names, ["none", "extension", "backlash", "closed"]);
     for a in r["arms"].as_array().unwrap() {
         assert_eq!(a["states"], 120);
-        assert!(["bend_rmse_deg", "orientation_rmse_deg", "settle_s_median"].iter().all(|k| a[k].as_f64().is_some_and(|v| v >= 0.0)), "{a}");
+        assert!(
+            ["bend_rmse_deg", "orientation_rmse_deg", "settle_s_median"].iter().all(|k| a[k].as_f64().is_some_and(|v| v >= 0.0)),
+            "{a}"
+        );
     }
     assert!(r["k_eps"].as_array().unwrap().len() == 3 && r["k_lambda_mm"].as_array().unwrap().len() == 3);
     assert!((1..=7).contains(&r["iterations"].as_u64().unwrap()));
@@ -188,7 +219,8 @@ fn an_answer_that_is_not_good_enough_is_written_too() {
     // a feedback that may add next to nothing cannot mend a calibration that is far off
     let gains = file(&folder, "weak.toml", "[loop]\nintegral_max_deg = 0.5\nkp_max = 0.01\n[refine]\nenabled = false\n");
     let calib = file(&folder, "off.toml", "[transmission]\nk_epsilon = [1.0, 1.0, 1.0]\nk_lambda_mm = [0.1, 0.1, 0.1]\n");
-    let (code, stdout, stderr) = retroflex(&["evaluate", "--arms", "closed", "--gains", &gains, "--calib", &calib, "--json", result.to_str().unwrap()]);
+    let (code, stdout, stderr) =
+        retroflex(&["evaluate", "--arms", "closed", "--gains", &gains, "--calib", &calib, "--json", result.to_str().unwrap()]);
     assert_eq!(code, 1, "{stdout}{stderr}");
     let r = json(&result);
     assert!(r["arms"][0]["bend_rmse_deg"].as_f64().unwrap() > 1.5);

@@ -69,8 +69,7 @@ fn held_out(tried: &[Tried], together: impl Fn(usize, usize) -> bool) -> f64 {
 
 /// Prints the cross-validation of a grid; returns the mean over leave-one-kind-out.
 fn validate(title: &str, recordings: &[Recording], grid: Vec<(String, Maker)>) -> f64 {
-    let tried: Vec<Tried> =
-        grid.into_iter().map(|(name, make)| Tried { name, total_deg: totals(recordings, &make) }).collect();
+    let tried: Vec<Tried> = grid.into_iter().map(|(name, make)| Tried { name, total_deg: totals(recordings, &make) }).collect();
     let overall = |t: &Tried| mean(t.total_deg.iter().copied());
     let best = tried.iter().min_by(|a, b| overall(a).total_cmp(&overall(b))).unwrap();
     let worst = tried.iter().map(overall).fold(0.0, f64::max);
@@ -98,8 +97,7 @@ fn madgwick_grid() -> Vec<(String, Maker)> {
     for beta_field in [0.003, 0.005, 0.008, 0.012, 0.02] {
         for input_tau_s in [1.0, 2.0, 3.0] {
             for beta_gravity in [0.01, 0.02, 0.03] {
-                let config =
-                    MadgwickConfig { beta_field, input_tau_s, beta_gravity, ..MadgwickConfig::default() };
+                let config = MadgwickConfig { beta_field, input_tau_s, beta_gravity, ..MadgwickConfig::default() };
                 let name = format!("field {beta_field}, inputs {input_tau_s} s, gravity {beta_gravity}");
                 grid.push((name, Box::new(move |_| Box::new(Madgwick::new(config)))));
             }
@@ -170,17 +168,13 @@ fn a_magnet_on_the_body_by_strength() {
     let clean: Vec<Recording> = recordings.into_iter().filter(|r| r.name.contains("undisturbed")).collect();
     println!("{:>10} {:>9} {:>9} {:>9} {:>9}", "µT", "madgwick", "vqf", "vqf-long", "mekf");
     for strength_ut in [0.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0] {
-        let disturbed: Vec<Recording> =
-            clean.iter().enumerate().map(|(k, r)| with_magnet(r, strength_ut, k % 3)).collect();
+        let disturbed: Vec<Recording> = clean.iter().enumerate().map(|(k, r)| with_magnet(r, strength_ut, k % 3)).collect();
         let of = |name: FilterName| {
             let make: Maker = Box::new(move |r| name.build(periods(r)));
             mean(totals(&disturbed, &make).into_iter())
         };
         let errors = FilterName::ALL.map(of);
-        println!(
-            "{strength_ut:>10} {:>9.2} {:>9.2} {:>9.2} {:>9.2}",
-            errors[0], errors[1], errors[2], errors[3]
-        );
+        println!("{strength_ut:>10} {:>9.2} {:>9.2} {:>9.2} {:>9.2}", errors[0], errors[1], errors[2], errors[3]);
         assert!(errors[3] < 3.0, "{strength_ut} µT: mekf {} deg", errors[3]);
     }
 }

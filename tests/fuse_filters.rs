@@ -46,8 +46,7 @@ impl Sensor {
             return Vector3::zeros();
         }
         let ramp = t.min(1.0);
-        Vector3::new((1.1 * t).sin(), (0.7 * t + 1.0).cos(), 0.8 * (0.5 * t).sin() + 0.3)
-            * (self.swing_rad_s * ramp)
+        Vector3::new((1.1 * t).sin(), (0.7 * t + 1.0).cos(), 0.8 * (0.5 * t).sin() + 0.3) * (self.swing_rad_s * ramp)
     }
 
     /// The next sample, `dt_s` after the last.
@@ -169,10 +168,7 @@ fn broken_samples_never_poison() {
         for k in 0..8 {
             let sample = sensor.sample(PERIOD_S);
             filter.update(&broken(&sample, k), PERIOD_S);
-            assert!(
-                filter.orientation().quat().coords.iter().all(|x| x.is_finite()),
-                "{name}: first samples"
-            );
+            assert!(filter.orientation().quat().coords.iter().all(|x| x.is_finite()), "{name}: first samples");
         }
         run(&mut *filter, &mut sensor, 15.0);
         for k in 0..2000 {
@@ -232,12 +228,8 @@ fn after_a_gap_the_filter_levels_anew_and_keeps_the_bias() {
 /// A magnet comes near for 15 s: in the room, then on the body.
 #[test]
 fn the_heading_is_held_through_a_magnet() {
-    let in_room = |s: &mut Sensor, on: bool| {
-        s.room_ut = if on { Vector3::new(-5.0, 28.0, 12.0) } else { Vector3::zeros() }
-    };
-    let on_body = |s: &mut Sensor, on: bool| {
-        s.iron_ut = if on { Vector3::new(18.0, -16.0, 14.0) } else { Vector3::zeros() }
-    };
+    let in_room = |s: &mut Sensor, on: bool| s.room_ut = if on { Vector3::new(-5.0, 28.0, 12.0) } else { Vector3::zeros() };
+    let on_body = |s: &mut Sensor, on: bool| s.iron_ut = if on { Vector3::new(18.0, -16.0, 14.0) } else { Vector3::zeros() };
     for name in FilterName::ALL {
         for (place, magnet) in [("room", &in_room as &dyn Fn(&mut Sensor, bool)), ("body", &on_body)] {
             let (mut filter, mut sensor) = (build(name), Sensor::new(starts()[3]));
@@ -280,8 +272,7 @@ fn without_a_magnetometer_the_tilt_is_still_known() {
 fn mekf_finds_the_faults_that_were_put_in() {
     let iron_ut = Vector3::new(6.0, -4.0, 5.0);
     let bias = Vector3::new(0.01, -0.01, 0.005);
-    let mut sensor =
-        Sensor { bias, scale: 1.008, latency_s: 0.02, swing_rad_s: 4.0, ..Sensor::new(starts()[1]) };
+    let mut sensor = Sensor { bias, scale: 1.008, latency_s: 0.02, swing_rad_s: 4.0, ..Sensor::new(starts()[1]) };
     let mut filter = Mekf::new(MekfConfig::default());
     run(&mut filter, &mut sensor, 60.0);
     sensor.iron_ut = iron_ut;

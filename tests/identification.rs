@@ -69,8 +69,16 @@ fn algorithm_1_converges_within_the_papers_count_to_the_effective_gains() {
         println!("unit {seed}: {} passes, found {:?}, effective {truth:?}", found.history.len() - 1, found.lines());
         assert!(found.converged && found.history.len() - 1 <= 7);
         for (i, (ours, true_line)) in found.lines().iter().zip(&truth).enumerate() {
-            assert!((ours.k_epsilon / true_line.k_epsilon - 1.0).abs() < 0.05, "unit {seed}, channel {}: k_ε {ours:?}, effective {true_line:?}", i + 1);
-            assert!((ours.k_lambda_mm / true_line.k_lambda_mm - 1.0).abs() < 0.05, "unit {seed}, channel {}: k_λ {ours:?}, effective {true_line:?}", i + 1);
+            assert!(
+                (ours.k_epsilon / true_line.k_epsilon - 1.0).abs() < 0.05,
+                "unit {seed}, channel {}: k_ε {ours:?}, effective {true_line:?}",
+                i + 1
+            );
+            assert!(
+                (ours.k_lambda_mm / true_line.k_lambda_mm - 1.0).abs() < 0.05,
+                "unit {seed}, channel {}: k_λ {ours:?}, effective {true_line:?}",
+                i + 1
+            );
         }
     }
 }

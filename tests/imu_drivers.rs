@@ -121,10 +121,7 @@ fn icm_reads_nine_axes_in_one_burst() {
     ];
     let r: Vec<_> = scripted_icm(tail, 0, 4).into_iter().map(|r| r.unwrap()).collect();
     assert_eq!((r[0].acc, r[0].gyro, r[0].temp), ([1, -2, 8192], [100, -200, 300], 1335));
-    assert_eq!(
-        r.iter().map(|r| r.mag).collect::<Vec<_>>(),
-        [Some([10, 20, -30]), None, Some([10, 21, -30]), Some([10, 20, -30])]
-    );
+    assert_eq!(r.iter().map(|r| r.mag).collect::<Vec<_>>(), [Some([10, 20, -30]), None, Some([10, 21, -30]), Some([10, 20, -30])]);
     assert_eq!(r.iter().map(|r| r.fresh).collect::<Vec<_>>(), [true, false, false, false]);
     assert!(r[3].mag_overflow && !r[0].mag_overflow);
     let mut unused = Icm20948::new(Mock::new(&[]), &icm20948::Config::default()).unwrap();
@@ -348,8 +345,7 @@ fn a_second_sensor_shares_the_bus() {
 fn the_magnetometer_misses_nothing_and_repeats_nothing_at_500_hz() {
     for part in 0..2 {
         let bus = if part == 0 { icm_bus(Noise::TYPICAL) } else { lsm_bus(Noise::TYPICAL, Axes::ALIGNED) };
-        let config =
-            if part == 0 { ImuConfig::default() } else { ImuConfig::Lsm6dsoLis2mdl(lsm6dso::Config::default()) };
+        let config = if part == 0 { ImuConfig::default() } else { ImuConfig::Lsm6dsoLis2mdl(lsm6dso::Config::default()) };
         let mut imu = open(&config, bus.clone()).unwrap();
         imu.init(&mut bus.delay()).unwrap();
         let mut fresh = 0;
@@ -631,8 +627,7 @@ fn a_flawed_sensor_is_calibrated_through_the_driver() {
 #[test]
 fn a_published_driver_reads_the_same_numbers() {
     use icm20948_oracle::{
-        AccelConfig, AccelDlpf, AccelFullScale, GyroConfig, GyroDlpf, GyroFullScale, I2cInterface, Icm20948Driver,
-        MagConfig,
+        AccelConfig, AccelDlpf, AccelFullScale, GyroConfig, GyroDlpf, GyroFullScale, I2cInterface, Icm20948Driver, MagConfig,
     };
     let acc_ranges = [AccelFullScale::G2, AccelFullScale::G4, AccelFullScale::G8, AccelFullScale::G16];
     let gyro_ranges = [GyroFullScale::Dps250, GyroFullScale::Dps500, GyroFullScale::Dps1000, GyroFullScale::Dps2000];

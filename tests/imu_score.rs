@@ -35,8 +35,7 @@ fn rows() -> Option<&'static [Row]> {
     static ROWS: OnceLock<Option<Vec<Row>>> = OnceLock::new();
     ROWS.get_or_init(|| {
         let folder = folder()?;
-        let files: Vec<PathBuf> =
-            VQF_PUBLISHED.iter().map(|(trial, _)| folder.join(format!("broad_{trial}.csv.gz"))).collect();
+        let files: Vec<PathBuf> = VQF_PUBLISHED.iter().map(|(trial, _)| folder.join(format!("broad_{trial}.csv.gz"))).collect();
         Some(imu_score::run(&files, None, true).unwrap())
     })
     .as_deref()

@@ -1,5 +1,12 @@
 //! The built-in plant from outside: laws, signatures, sensors, faults, and the paper twin.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code, clippy::needless_borrows_for_generic_args, clippy::unnecessary_operation)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    dead_code,
+    clippy::needless_borrows_for_generic_args,
+    clippy::unnecessary_operation
+)]
 
 #[path = "plant/faults.rs"]
 mod faults;

@@ -186,8 +186,7 @@ fn check_record(record: &[Edge], t: &PulseTiming) -> Result<(), TestCaseError> {
 }
 
 fn weather() -> impl Strategy<Value = Weather> {
-    (1u64..900_000, 1u64..60_000, 1u64..60_000)
-        .prop_map(|(wake_ns, preempt_ns, write_ns)| Weather { wake_ns, preempt_ns, write_ns })
+    (1u64..900_000, 1u64..60_000, 1u64..60_000).prop_map(|(wake_ns, preempt_ns, write_ns)| Weather { wake_ns, preempt_ns, write_ns })
 }
 
 fn config() -> impl Strategy<Value = StepperConfig> {
@@ -557,7 +556,10 @@ fn the_thread_pulses_what_the_loop_feeds() {
     assert_eq!(summary.report.counted.0, [-1.0, 0.5, 2.0_f64].map(|p| (p / STEP_MM).round() as i32));
     assert_eq!((summary.report.mode, pins.dropped(), pins.levels().enable), (Mode::Resting, 0, false));
     check_record(pins.record(), &timing(&c)).unwrap();
-    assert_eq!(summary.report.lateness.count(), pins.record().iter().filter(|e| e.high && matches!(e.line, LineName::Step(_))).count() as u64);
+    assert_eq!(
+        summary.report.lateness.count(),
+        pins.record().iter().filter(|e| e.high && matches!(e.line, LineName::Step(_))).count() as u64
+    );
 }
 
 #[test]

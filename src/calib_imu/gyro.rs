@@ -58,9 +58,8 @@ mod tests {
     /// A rest of `n` samples at 500 Hz; `rate` truly turns gravity and field.
     fn recording(n: u32, bias: Vector3<f64>, rate: Vector3<f64>, seed: u64) -> Vec<ImuSample> {
         let mut rng = StdRng::seed_from_u64(seed);
-        let mut noise = move |sigma: f64| {
-            Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng))
-        };
+        let mut noise =
+            move |sigma: f64| Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng));
         (0..n)
             .map(|k| {
                 let t = f64::from(k) * 0.002;

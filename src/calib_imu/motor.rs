@@ -171,12 +171,7 @@ pub fn fit(samples: &[MotorSample], limits: &Limits, from: Pedigree<'_>) -> Resu
             h[(k, k)] += variance / IDLE_PRIOR.1.powi(2);
             g[k] += variance / IDLE_PRIOR.1.powi(2) * (IDLE_PRIOR.0 - p[k]);
         }
-        let unknown = Refusal::TooUncertain {
-            what: "a motor's field",
-            sigma: f64::INFINITY,
-            limit: limits.motor_sigma_ut,
-            unit: "µT",
-        };
+        let unknown = Refusal::TooUncertain { what: "a motor's field", sigma: f64::INFINITY, limit: limits.motor_sigma_ut, unit: "µT" };
         inverse = h.cholesky().ok_or(unknown)?.inverse();
         let step = inverse * g;
         p += step;
@@ -255,9 +250,7 @@ mod tests {
                     counts = [counts[0]; 3];
                 }
                 let energised = [true; 3].map(|_| moving || !idles);
-                let noise = Vector3::from_fn(|_, _| {
-                    noise_ut * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng)
-                });
+                let noise = Vector3::from_fn(|_, _| noise_ut * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng));
                 let mag_ut = ambient + truth.at(&counts, &energised) + noise;
                 samples.push(MotorSample { mag_ut, counts, energised });
             }

@@ -64,8 +64,7 @@ pub fn from_bends(bends: &[BendTurn], limits: &Limits) -> Result<Mount, Refusal>
     if let Some(index) = bends.iter().position(|b| !b.turn_rad.iter().all(|x| x.is_finite())) {
         return Err(Refusal::NotFinite { index });
     }
-    let used: Vec<BendTurn> =
-        bends.iter().filter(|b| b.turn_rad.norm() >= limits.bend_min_deg.to_radians()).copied().collect();
+    let used: Vec<BendTurn> = bends.iter().filter(|b| b.turn_rad.norm() >= limits.bend_min_deg.to_radians()).copied().collect();
     if used.len() < 4 {
         return Err(Refusal::TooFewSamples { have: used.len(), want: 4 });
     }
@@ -81,12 +80,7 @@ pub fn from_bends(bends: &[BendTurn], limits: &Limits) -> Result<Mount, Refusal>
     let spread = eigen.eigenvalues[order[1]];
     if spread < limits.bend_spread {
         let advice = "bend in directions all round, 90° apart or less";
-        return Err(Refusal::PoorCoverage {
-            what: "the plane of bends",
-            have: spread,
-            want: limits.bend_spread,
-            advice,
-        });
+        return Err(Refusal::PoorCoverage { what: "the plane of bends", have: spread, want: limits.bend_spread, advice });
     }
     let (q, yaw_known) = match directed(&used) {
         Some(q) => (q, true),
@@ -115,13 +109,7 @@ fn upright(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
 }
 
 /// Residuals and sigmas of a rotation.
-fn judged(
-    bends: &[BendTurn],
-    q: UnitQuaternion<f64>,
-    yaw_known: bool,
-    spread: f64,
-    limits: &Limits,
-) -> Result<Mount, Refusal> {
+fn judged(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread: f64, limits: &Limits) -> Result<Mount, Refusal> {
     let turned: Vec<Vector3<f64>> = bends.iter().map(|b| q * b.turn_rad).collect();
     let weight: f64 = turned.iter().map(|t| t.norm_squared()).sum();
     let twist_per_bend = turned.iter().map(|t| t.z * t.norm()).sum::<f64>() / weight;
@@ -252,8 +240,7 @@ mod tests {
         assert!(matches!(from_bends(&one_way, &limits), Err(Refusal::PoorCoverage { .. })));
         let small: Vec<_> = all.iter().map(|b| BendTurn { turn_rad: b.turn_rad * 0.1, ..*b }).collect();
         assert!(matches!(from_bends(&small, &limits), Err(Refusal::TooFewSamples { have: 0, want: 4 })));
-        let wild: Vec<_> =
-            all.iter().map(|b| BendTurn { turn_rad: b.turn_rad + normal(&mut rng, 0.3), ..*b }).collect();
+        let wild: Vec<_> = all.iter().map(|b| BendTurn { turn_rad: b.turn_rad + normal(&mut rng, 0.3), ..*b }).collect();
         assert!(matches!(from_bends(&wild, &limits), Err(Refusal::PoorFit { unit: "deg", .. })));
     }
 }

@@ -71,9 +71,7 @@ pub fn rest(samples: &[ImuSample], limits: &Limits) -> Result<Rest, Refusal> {
         let want = (samples.len() as f64 * limits.still_min_s / duration_s.max(1e-9)).ceil() as usize;
         return Err(Refusal::TooFewSamples { have: samples.len(), want });
     }
-    let summary = |pick: fn(&ImuSample) -> Vector3<f64>| {
-        mean_std(samples.iter().map(pick)).unwrap_or((Vector3::zeros(), Vector3::zeros()))
-    };
+    let summary = |pick: fn(&ImuSample) -> Vector3<f64>| mean_std(samples.iter().map(pick)).unwrap_or((Vector3::zeros(), Vector3::zeros()));
     let (gyro_rad_s, gyro_std_rad_s) = summary(|s| s.gyro_rad_s);
     let (acc_m_s2, acc_std_m_s2) = summary(|s| s.acc_m_s2);
     let checks = [

@@ -66,11 +66,8 @@ pub fn run(command: &Gap) -> Result<Outcome> {
 }
 
 /// The paper's gains: where recalibration starts when no calibration is given.
-const PAPER: [Line; 3] = [
-    Line { k_epsilon: 2.22, k_lambda_mm: 0.87 },
-    Line { k_epsilon: 2.53, k_lambda_mm: 0.92 },
-    Line { k_epsilon: 2.21, k_lambda_mm: 0.81 },
-];
+const PAPER: [Line; 3] =
+    [Line { k_epsilon: 2.22, k_lambda_mm: 0.87 }, Line { k_epsilon: 2.53, k_lambda_mm: 0.92 }, Line { k_epsilon: 2.21, k_lambda_mm: 0.81 }];
 
 fn observe(path: &Path) -> Result<Observed> {
     let log = bend_log::read(path).into_diagnostic()?;

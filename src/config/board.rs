@@ -5,11 +5,11 @@ use crate::control::follow::Pace;
 use crate::control::limit::Limits;
 use crate::model::arc::Geometry;
 use crate::model::drive::Drive;
-use crate::plant::{PlantConfig, PlantError};
 use crate::plant::config::{BaseConfig, DriveConfig, FieldConfig, LineConfig, ShapeConfig};
 use crate::plant::effects::Effects;
 use crate::plant::imu::chip::ImuConfig;
 use crate::plant::spread::Spread;
+use crate::plant::{PlantConfig, PlantError};
 use serde::Deserialize;
 
 /// A board file.
@@ -190,21 +190,50 @@ impl Check for Board {
         let g = &self.geometry;
         to.range("geometry.triangle_side_mm", g.triangle_side_mm, 2.0..=30.0, "mm", "measure between two bellow axes");
         to.range("geometry.rest_length_mm", g.rest_length_mm, 5.0..=100.0, "mm", "measure a bellow at atmospheric pressure");
-        to.range("geometry.bellow_min_mm", g.bellow_min_mm, 1.0..=g.rest_length_mm, "mm", "the shortest bellow is shorter than the resting one");
-        to.range("geometry.bellow_max_mm", g.bellow_max_mm, g.rest_length_mm..=200.0, "mm", "the longest bellow is longer than the resting one");
+        to.range(
+            "geometry.bellow_min_mm",
+            g.bellow_min_mm,
+            1.0..=g.rest_length_mm,
+            "mm",
+            "the shortest bellow is shorter than the resting one",
+        );
+        to.range(
+            "geometry.bellow_max_mm",
+            g.bellow_max_mm,
+            g.rest_length_mm..=200.0,
+            "mm",
+            "the longest bellow is longer than the resting one",
+        );
         let d = &self.drive;
         to.range("drive.pinion_pitch_diameter_mm", d.pinion_pitch_diameter_mm, 2.0..=100.0, "mm", "module times number of teeth");
         to.range("drive.full_steps", f64::from(d.full_steps), 20.0..=800.0, "", "200 for a 1.8° motor");
         let powers = [1, 2, 4, 8, 16, 32];
-        to.holds("drive.microsteps", powers.contains(&d.microsteps), &format!("{} is not a microstep divider", d.microsteps), "use 1, 2, 4, 8, 16 or 32, as the driver is strapped");
+        to.holds(
+            "drive.microsteps",
+            powers.contains(&d.microsteps),
+            &format!("{} is not a microstep divider", d.microsteps),
+            "use 1, 2, 4, 8, 16 or 32, as the driver is strapped",
+        );
         let m = &self.motion;
-        to.range("motion.speed_max_mm_s", m.speed_max_mm_s, 0.1..=200.0, "mm/s", "30 is the paper's motor at about 1,000 microsteps a second");
+        to.range(
+            "motion.speed_max_mm_s",
+            m.speed_max_mm_s,
+            0.1..=200.0,
+            "mm/s",
+            "30 is the paper's motor at about 1,000 microsteps a second",
+        );
         to.range("motion.acceleration_max_mm_s2", m.acceleration_max_mm_s2, 1.0..=20_000.0, "mm/s²", "600 is gentle on a small stepper");
         let l = &self.limits;
         to.range("limits.travel_mm", l.travel_mm, 1.0..=100.0, "mm", "half the rack's length");
-        to.range("limits.pressure_kpa_per_mm", l.pressure_kpa_per_mm, 0.01..=100.0, "kPa/mm", "read a gauge while the piston moves by 1 mm against a blocked bellow");
+        to.range(
+            "limits.pressure_kpa_per_mm",
+            l.pressure_kpa_per_mm,
+            0.01..=100.0,
+            "kPa/mm",
+            "read a gauge while the piston moves by 1 mm against a blocked bellow",
+        );
         to.range("limits.pressure_max_kpa", l.pressure_max_kpa, 1.0..=200.0, "kPa", "the paper stays under 6 PSI = 41.4 kPa");
-   
+
         if let Some(plant) = &self.plant {
             to.range("plant.period_s", plant.period_s, 1e-4..=0.01, "s", "0.001 is a loop at 1 kHz");
             check_plant(to, plant.make().validate());

@@ -101,18 +101,20 @@ impl Calibration {
     #[must_use]
     pub fn prior(&self) -> [Prior; 3] {
         let (t, lines) = (&self.transmission, self.lines());
-        std::array::from_fn(|i| Prior {
-            line: lines[i],
-            k_epsilon_sigma: t.k_epsilon_sigma[i],
-            k_lambda_sigma_mm: t.k_lambda_sigma_mm[i],
-        })
+        std::array::from_fn(|i| Prior { line: lines[i], k_epsilon_sigma: t.k_epsilon_sigma[i], k_lambda_sigma_mm: t.k_lambda_sigma_mm[i] })
     }
 }
 
 impl Check for Calibration {
     fn check(&self, to: &mut Checker) {
         let t = &self.transmission;
-        to.ranges("transmission.k_epsilon", &t.k_epsilon, 0.0..=10.0, "", "the paper found 2.2 to 2.5; identify it with `retroflex evaluate`");
+        to.ranges(
+            "transmission.k_epsilon",
+            &t.k_epsilon,
+            0.0..=10.0,
+            "",
+            "the paper found 2.2 to 2.5; identify it with `retroflex evaluate`",
+        );
         to.ranges("transmission.k_lambda_mm", &t.k_lambda_mm, 0.0..=3.0, "mm", "the paper found 0.8 to 0.9 mm");
         to.ranges("transmission.k_epsilon_sigma", &t.k_epsilon_sigma, 1e-4..=5.0, "", "the spread between units is about 0.25");
         to.ranges("transmission.k_lambda_sigma_mm", &t.k_lambda_sigma_mm, 1e-4..=2.0, "mm", "the spread between units is about 0.08 mm");

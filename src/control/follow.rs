@@ -107,7 +107,12 @@ mod tests {
         let pace = Pace { speed: 1.0, acceleration: 10.0 };
         let mut f = Follower::<1>::resting(nalgebra::Vector1::zeros());
         let target = nalgebra::Vector1::new(1.0);
-        let ticks = (1..).find(|_| { f.step(&target, &pace, 0.001); f.arrived(&target) }).unwrap_or(0);
+        let ticks = (1..)
+            .find(|_| {
+                f.step(&target, &pace, 0.001);
+                f.arrived(&target)
+            })
+            .unwrap_or(0);
         // 1 / 1 + 1 / 10 = 1.1 s
         assert!((1050..1200).contains(&ticks), "{ticks}");
     }

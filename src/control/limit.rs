@@ -86,13 +86,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const LIMITS: Limits = Limits {
-        travel_mm: 30.0,
-        pressure_kpa_per_mm: 2.0,
-        pressure_max_kpa: 41.0,
-        bellow_min_mm: 14.0,
-        bellow_max_mm: 29.0,
-    };
+    const LIMITS: Limits =
+        Limits { travel_mm: 30.0, pressure_kpa_per_mm: 2.0, pressure_max_kpa: 41.0, bellow_min_mm: 14.0, bellow_max_mm: 29.0 };
 
     proptest! {
         #[test]

@@ -44,10 +44,7 @@ impl Effect for BaseMotion {
     }
     fn params(&self) -> Vec<Param> {
         let event = |time, lasting, turn: [&'static str; 3], start_s| {
-            let mut out = vec![
-                Param::new(time, "s", start_s, 100.0, (0.0, 36_000.0)),
-                Param::new(lasting, "s", 2.0, 40.0, (0.1, 900.0)),
-            ];
+            let mut out = vec![Param::new(time, "s", start_s, 100.0, (0.0, 36_000.0)), Param::new(lasting, "s", 2.0, 40.0, (0.1, 900.0))];
             out.extend(Param::new("", "rad", 0.0, 0.08, (-0.8, 0.8)).named(turn));
             out
         };
@@ -57,9 +54,7 @@ impl Effect for BaseMotion {
     }
     /// One slow turn from the beginning, then knocks at several times.
     fn starts(&self) -> Starts {
-        let at = |first: f64, lasting: f64, second: f64| {
-            vec![first, lasting, 0.01, 0.01, 0.01, second, 2.0, 0.0, 0.0, 0.0]
-        };
+        let at = |first: f64, lasting: f64, second: f64| vec![first, lasting, 0.01, 0.01, 0.01, second, 2.0, 0.0, 0.0, 0.0];
         vec![
             at(5.0, 200.0, 150.0),
             at(40.0, 2.0, 160.0),
@@ -70,9 +65,9 @@ impl Effect for BaseMotion {
         ]
     }
     fn base(&self, p: &[f64], at: &Moment) -> Option<UnitQuaternion<f64>> {
-        let turned = p.chunks_exact(5).fold(Vector3::zeros(), |sum: Vector3<f64>, e| {
-            sum + Vector3::new(e[2], e[3], e[4]) * smoothstep(at.t_s, e[0], e[1])
-        });
+        let turned = p
+            .chunks_exact(5)
+            .fold(Vector3::zeros(), |sum: Vector3<f64>, e| sum + Vector3::new(e[2], e[3], e[4]) * smoothstep(at.t_s, e[0], e[1]));
         (turned != Vector3::zeros()).then(|| UnitQuaternion::from_scaled_axis(turned))
     }
 }

@@ -23,8 +23,7 @@ use nalgebra::Vector3;
 const EDGE_MM: f64 = 0.2;
 
 /// Couplings: name, from line, into line.
-const PAIRS: [(&str, usize, usize); 6] =
-    [("c12", 0, 1), ("c13", 0, 2), ("c21", 1, 0), ("c23", 1, 2), ("c31", 2, 0), ("c32", 2, 1)];
+const PAIRS: [(&str, usize, usize); 6] = [("c12", 0, 1), ("c13", 0, 2), ("c21", 1, 0), ("c23", 1, 2), ("c31", 2, 0), ("c32", 2, 1)];
 
 /// Coupling of pressurised lines into their neighbours.
 #[derive(Debug, Clone, Copy, Default)]

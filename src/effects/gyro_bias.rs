@@ -21,8 +21,8 @@ use nalgebra::Vector3;
 const KNOTS_S: [f64; 8] = [12.0, 30.0, 60.0, 100.0, 150.0, 200.0, 250.0, 300.0];
 /// Names of the knots' values, axis by axis.
 const NAMES: [&str; 24] = [
-    "x1", "x2", "x3", "x4", "x5", "x6", "x7", "x8", "y1", "y2", "y3", "y4", "y5", "y6", "y7", "y8", "z1", "z2",
-    "z3", "z4", "z5", "z6", "z7", "z8",
+    "x1", "x2", "x3", "x4", "x5", "x6", "x7", "x8", "y1", "y2", "y3", "y4", "y5", "y6", "y7", "y8", "z1", "z2", "z3", "z4", "z5", "z6",
+    "z7", "z8",
 ];
 
 /// A wander of the three rates.

@@ -27,6 +27,8 @@ pub mod missed_steps;
 pub mod motor_field;
 pub mod mount_misalignment;
 pub mod param;
+#[cfg(test)]
+mod proof;
 pub mod sensor_latency;
 pub mod smooth;
 pub mod softening;
@@ -34,8 +36,6 @@ pub mod stiffening;
 pub mod thermal_drift;
 pub mod torsion;
 pub mod transport_delay;
-#[cfg(test)]
-mod proof;
 
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use std::fmt::Write as _;
@@ -246,9 +246,7 @@ pub fn by_name(name: &str) -> Option<Box<dyn Effect>> {
 /// The catalogue as a Markdown table, for the documentation command.
 #[must_use]
 pub fn describe() -> String {
-    let mut out = String::from(
-        "| effect | stage | signature | confused with | separated by | parameters |\n|---|---|---|---|---|---|\n",
-    );
+    let mut out = String::from("| effect | stage | signature | confused with | separated by | parameters |\n|---|---|---|---|---|---|\n");
     for e in catalogue() {
         let confused = e.confused_with().iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
         // writing to a String cannot fail

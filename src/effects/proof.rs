@@ -200,7 +200,13 @@ fn bounded_everywhere(e: &dyn Effect) {
             .map(|(k, p)| match trial {
                 0 => p.low,
                 1 => p.high,
-                2 | 3 => if (k + trial) % 2 == 0 { p.low } else { p.high },
+                2 | 3 => {
+                    if (k + trial) % 2 == 0 {
+                        p.low
+                    } else {
+                        p.high
+                    }
+                }
                 _ => p.low + (p.high - p.low) * rng.random::<f64>(),
             })
             .collect();

@@ -38,10 +38,7 @@ impl Effect for Torsion {
         "a reference or a clean magnetic field"
     }
     fn params(&self) -> Vec<Param> {
-        vec![
-            Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)),
-            Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4)),
-        ]
+        vec![Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)), Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4))]
     }
     fn starts(&self) -> Starts {
         vec![vec![0.02, 0.0]]

@@ -39,7 +39,9 @@ pub enum IdentifyError {
     #[error("identification: {0}")]
     Unidentifiable(#[from] Unidentifiable),
     /// A gain is outside anything physical.
-    #[error("identification: channel {channel} came to k_ε = {k_epsilon:.2}, k_λ = {k_lambda_mm:.2} mm; k_ε must lie in 0 to 10 and k_λ in 0 to 3 mm. Check that line {channel} reaches bellow {channel} and that the motor turns the right way")]
+    #[error(
+        "identification: channel {channel} came to k_ε = {k_epsilon:.2}, k_λ = {k_lambda_mm:.2} mm; k_ε must lie in 0 to 10 and k_λ in 0 to 3 mm. Check that line {channel} reaches bellow {channel} and that the motor turns the right way"
+    )]
     Unphysical {
         /// Channel, 1 to 3.
         channel: usize,
@@ -75,7 +77,12 @@ impl Identified {
 ///
 /// # Errors
 /// [`IdentifyError`] from the world or the data.
-pub fn algorithm_1(config: &Config, world: &mut dyn World, poses: &[Pose], progress: &mut dyn FnMut(usize)) -> Result<Identified, IdentifyError> {
+pub fn algorithm_1(
+    config: &Config,
+    world: &mut dyn World,
+    poses: &[Pose],
+    progress: &mut dyn FnMut(usize),
+) -> Result<Identified, IdentifyError> {
     let open = Config { feedback: None, ..config.clone() };
     let mut rig = Rig::new(open, world);
     rig.align()?;

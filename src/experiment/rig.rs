@@ -18,7 +18,9 @@ pub enum RigError {
     #[error("the tip was not still within {0} s of the start ({1}); alignment needs 2 s of rest with pistons at zero")]
     NotStill(f64, String),
     /// The judge has nothing to judge by.
-    #[error("the plant gives no `ref`; an evaluation is scored against the true orientation, so the plant must answer with \"ref\":{{\"quat\":[w,x,y,z]}}")]
+    #[error(
+        "the plant gives no `ref`; an evaluation is scored against the true orientation, so the plant must answer with \"ref\":{{\"quat\":[w,x,y,z]}}"
+    )]
     NoReference,
 }
 

@@ -25,8 +25,8 @@
 //! Innovations are averaged between corrections, so that the correction may run at a lower rate than
 //! the sensor without losing what the samples in between say.
 
-use crate::fuse::align::Alignment;
 use crate::frames::{Base, Rotation, Tip};
+use crate::fuse::align::Alignment;
 use crate::model::bend::Bend;
 use crate::sample::ImuSample;
 use nalgebra::{Matrix2, Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3};
@@ -257,10 +257,8 @@ impl BendFilter {
         self.x[1] += phi_rate.x * dt_s;
         let m = to_phi * mount;
         // δb = −dt · (rows y, x of J⁻¹ M) δb_g
-        let f: [[f64; 3]; 2] = [
-            [-dt_s * m[(1, 0)], -dt_s * m[(1, 1)], -dt_s * m[(1, 2)]],
-            [-dt_s * m[(0, 0)], -dt_s * m[(0, 1)], -dt_s * m[(0, 2)]],
-        ];
+        let f: [[f64; 3]; 2] =
+            [[-dt_s * m[(1, 0)], -dt_s * m[(1, 1)], -dt_s * m[(1, 2)]], [-dt_s * m[(0, 0)], -dt_s * m[(0, 1)], -dt_s * m[(0, 2)]]];
         for (i, row) in f.iter().enumerate() {
             for j in 0..N {
                 let add = row[0] * self.p[(GYRO, j)] + row[1] * self.p[(GYRO + 1, j)] + row[2] * self.p[(GYRO + 2, j)];

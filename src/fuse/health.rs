@@ -215,8 +215,7 @@ fn spike(config: &Config, state: &mut State, sample: &ImuSample, found: &mut Fou
 fn reachable(config: &Config, from: &ImuSample, to: &ImuSample) -> bool {
     let dt = (to.t.0 - from.t.0).clamp(0.0, config.jump_max_s);
     let gyro_max = config.gyro_jump_allowed_rad_s + config.angular_acceleration_max_rad_s2 * dt;
-    (to.gyro_rad_s - from.gyro_rad_s).norm() <= gyro_max
-        && (to.acc_m_s2 - from.acc_m_s2).norm() <= config.acc_jump_allowed_m_s2
+    (to.gyro_rad_s - from.gyro_rad_s).norm() <= gyro_max && (to.acc_m_s2 - from.acc_m_s2).norm() <= config.acc_jump_allowed_m_s2
 }
 
 fn magnet(config: &Config, state: &mut State, now: f64, sample: &ImuSample, quality: Quality, found: &mut Found) {
@@ -324,15 +323,5 @@ fn decide(
     if gyro {
         state.used_s = Some(now);
     }
-    Verdict {
-        gyro,
-        acc: acc && gyro,
-        mag: mag && gyro,
-        hold: hold || blind,
-        blind,
-        faults,
-        in_force,
-        raised,
-        recovered,
-    }
+    Verdict { gyro, acc: acc && gyro, mag: mag && gyro, hold: hold || blind, blind, faults, in_force, raised, recovered }
 }

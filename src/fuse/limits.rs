@@ -2,9 +2,7 @@
 
 /// A setting that would make a filter meaningless.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error(
-    "fusion setting {name} = {value} is outside {min} to {max}: leave it out to get the default {default}"
-)]
+#[error("fusion setting {name} = {value} is outside {min} to {max}: leave it out to get the default {default}")]
 pub struct OutOfRange {
     /// Name of the setting, as in TOML.
     pub name: &'static str,

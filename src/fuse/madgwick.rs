@@ -138,8 +138,7 @@ impl Madgwick {
         };
         match acc {
             Some(acc) if self.rest.update(&gyro, &acc, dt_s) => {
-                self.bias += intake::share(dt_s, self.config.bias_rest_tau_s)
-                    * (self.rest.gyro_mean_rad_s() - self.bias);
+                self.bias += intake::share(dt_s, self.config.bias_rest_tau_s) * (self.rest.gyro_mean_rad_s() - self.bias);
             }
             Some(_) => {}
             None => self.rest.miss(dt_s),
@@ -181,19 +180,13 @@ impl Madgwick {
     /// Descent on the field: the heading half, as far as the gate lets it.
     fn descend_on_field(&self, quat: UnitQuaternion<f64>, weight: f64, dt_s: f64) -> UnitQuaternion<f64> {
         let (Some(force), Some(field)) = (self.force, self.field) else { return quat };
-        let mut filter =
-            ahrs::Madgwick::new_with_quat(dt_s, weight * self.beta(self.config.beta_field), quat);
+        let mut filter = ahrs::Madgwick::new_with_quat(dt_s, weight * self.beta(self.config.beta_field), quat);
         filter.update(&Vector3::zeros(), &force, &field).copied().unwrap_or(quat)
     }
 }
 
 /// Low-pass in axes that turn with the sensor.
-fn follow(
-    state: &mut Option<Vector3<f64>>,
-    new: Option<Vector3<f64>>,
-    turn: &UnitQuaternion<f64>,
-    share: f64,
-) {
+fn follow(state: &mut Option<Vector3<f64>>, new: Option<Vector3<f64>>, turn: &UnitQuaternion<f64>, share: f64) {
     let turned = state.map(|v| turn * v);
     *state = match (turned, new) {
         (Some(v), Some(new)) => Some(v + share * (new - v)),

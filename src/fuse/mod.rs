@@ -125,10 +125,7 @@ impl fmt::Display for FilterName {
 impl FromStr for FilterName {
     type Err = UnknownFilter;
     fn from_str(name: &str) -> Result<Self, UnknownFilter> {
-        Self::ALL
-            .into_iter()
-            .find(|f| f.as_str() == name)
-            .ok_or_else(|| UnknownFilter { name: name.to_owned() })
+        Self::ALL.into_iter().find(|f| f.as_str() == name).ok_or_else(|| UnknownFilter { name: name.to_owned() })
     }
 }
 
@@ -162,9 +159,7 @@ mod tests {
             assert_eq!(f.as_str().parse(), Ok(f));
             assert_eq!(serde_json::to_string(&f).unwrap(), format!("\"{f}\""));
         }
-        assert!(
-            "kalman".parse::<FilterName>().unwrap_err().to_string().contains("madgwick, vqf, vqf-long, mekf")
-        );
+        assert!("kalman".parse::<FilterName>().unwrap_err().to_string().contains("madgwick, vqf, vqf-long, mekf"));
     }
 
     #[test]

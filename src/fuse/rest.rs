@@ -110,12 +110,9 @@ impl RestDetector {
 
     fn may_be_bias(&self, mean: &Vector3<f64>) -> bool {
         let c = &self.config;
-        let change_deg_s =
-            |since_s: f64| (c.bias_change_deg_s + c.bias_change_deg_s2 * since_s).min(c.bias_max_deg_s);
+        let change_deg_s = |since_s: f64| (c.bias_change_deg_s + c.bias_change_deg_s2 * since_s).min(c.bias_max_deg_s);
         mean.amax() < c.bias_max_deg_s.to_radians()
-            && self
-                .known
-                .is_none_or(|(bias, since_s)| (mean - bias).amax() < change_deg_s(since_s).to_radians())
+            && self.known.is_none_or(|(bias, since_s)| (mean - bias).amax() < change_deg_s(since_s).to_radians())
     }
     /// A sample was lost. When too many are, nobody knows whether the sensor moved.
     pub fn miss(&mut self, dt_s: f64) {
@@ -164,10 +161,7 @@ mod tests {
     fn slow_turning_is_not_rest_once_the_bias_is_known() {
         let mut rest = RestDetector::new(RestConfig::default());
         let (bias, up) = (Vector3::new(0.07, 0.0, 0.0), Vector3::new(0.0, 0.0, 9.81));
-        assert!(
-            (0..300).any(|_| rest.update(&bias, &up, 0.01)),
-            "4 deg/s of bias is learnt at the first rest"
-        );
+        assert!((0..300).any(|_| rest.update(&bias, &up, 0.01)), "4 deg/s of bias is learnt at the first rest");
         let turning = bias + Vector3::new(0.0, 0.0, 0.04);
         let settled = (0..1000).skip(300).map(|_| rest.update(&turning, &up, 0.01)).filter(|r| *r).count();
         assert_eq!(settled, 0, "2.3 deg/s of turning is no rest");

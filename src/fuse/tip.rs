@@ -1,8 +1,8 @@
 //! From IMU samples to tip orientation: alignment at rest, then the estimator.
 
+use crate::frames::{Base, Rotation, Tip};
 use crate::fuse::align::{AlignConfig, AlignState, Alignment};
 use crate::fuse::bend::{BendFilter, BendFilterConfig};
-use crate::frames::{Base, Rotation, Tip};
 use crate::model::bend::Bend;
 use crate::sample::ImuSample;
 use serde::Deserialize;

@@ -52,10 +52,7 @@ impl VqfConfig {
     /// The first setting that is out of range, with its range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         let d = Self::default();
-        let rows = [
-            ("tau_acc_s", self.tau_acc_s, d.tau_acc_s, 0.01, 1000.0),
-            ("tau_mag_s", self.tau_mag_s, d.tau_mag_s, 0.01, 10_000.0),
-        ];
+        let rows = [("tau_acc_s", self.tau_acc_s, d.tau_acc_s, 0.01, 1000.0), ("tau_mag_s", self.tau_mag_s, d.tau_mag_s, 0.01, 10_000.0)];
         limits::check(&rows)
     }
 }
@@ -80,11 +77,8 @@ impl Vqf {
     /// A filter for samples of the given nominal periods.
     #[must_use]
     pub fn new(periods: Periods, config: VqfConfig) -> Self {
-        let params = vqf_rs::Params {
-            tau_acc: config.tau_acc_s.max(1e-3),
-            tau_mag: config.tau_mag_s.max(0.0),
-            ..vqf_rs::Params::default()
-        };
+        let params =
+            vqf_rs::Params { tau_acc: config.tau_acc_s.max(1e-3), tau_mag: config.tau_mag_s.max(0.0), ..vqf_rs::Params::default() };
         let imu_s = period_or(periods.imu_s, 0.005);
         let mag_s = period_or(periods.mag_s, imu_s);
         Self {
@@ -147,11 +141,7 @@ impl OrientationFilter for Vqf {
     /// VQF's own frame has y to the north; ours has x there.
     fn orientation(&self) -> Rotation<World, Sensor> {
         let r_world_enu = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -std::f64::consts::FRAC_PI_2);
-        if self.levelled {
-            Rotation::assert_frames(r_world_enu * unit(self.inner.quat_9d()))
-        } else {
-            Rotation::identity()
-        }
+        if self.levelled { Rotation::assert_frames(r_world_enu * unit(self.inner.quat_9d())) } else { Rotation::identity() }
     }
 
     fn gyro_bias_rad_s(&self) -> Vector3<f64> {

@@ -115,7 +115,14 @@ fn from_rest(motion: &mut Motion) {
 }
 
 /// Pistons, play, extension and the rubber: bellow length changes before the mechanical lag.
-fn bellows(model: &Model<'_>, theta: &[f64], memory: &mut [Memory], at: &Moment, lines: &[Line; 3], w_mm: &mut Vector3<f64>) -> Vector3<f64> {
+fn bellows(
+    model: &Model<'_>,
+    theta: &[f64],
+    memory: &mut [Memory],
+    at: &Moment,
+    lines: &[Line; 3],
+    w_mm: &mut Vector3<f64>,
+) -> Vector3<f64> {
     let mut u = at.counted_mm;
     for (i, e) in model.effects.iter().enumerate() {
         e.pistons(model.of(theta, i), &mut memory[i], at, &mut u);
@@ -135,7 +142,14 @@ fn bellows(model: &Model<'_>, theta: &[f64], memory: &mut [Memory], at: &Moment,
 }
 
 /// Constant curvature, and what bends it.
-fn orientation(model: &Model<'_>, theta: &[f64], memory: &mut [Memory], at: &Moment, geometry: &Geometry, q: &Vector3<f64>) -> Matrix3<f64> {
+fn orientation(
+    model: &Model<'_>,
+    theta: &[f64],
+    memory: &mut [Memory],
+    at: &Moment,
+    geometry: &Geometry,
+    q: &Vector3<f64>,
+) -> Matrix3<f64> {
     let Shape { bend, length: Mm(_) } = geometry.shape(q);
     let mut pose = Pose { bend: bend.0, twist: 0.0, bellow_mm: *q };
     for (i, e) in model.effects.iter().enumerate() {
@@ -155,11 +169,7 @@ fn rotation(bend: &Bend) -> Matrix3<f64> {
     let beta = beta2.sqrt();
     let (s, v) = if beta < 1e-6 { (1.0, 0.5) } else { (beta.sin() / beta, (1.0 - beta.cos()) / beta2) };
     let (x, y) = (bend.0.y, bend.0.x);
-    Matrix3::new(
-        1.0 - v * y * y, v * x * y, s * y,
-        v * x * y, 1.0 - v * x * x, -s * x,
-        -s * y, s * x, 1.0 - v * beta2,
-    )
+    Matrix3::new(1.0 - v * y * y, v * x * y, s * y, v * x * y, 1.0 - v * x * x, -s * x, -s * y, s * x, 1.0 - v * beta2)
 }
 
 /// Reads the pistons as they were a while ago, between rows by straight lines.

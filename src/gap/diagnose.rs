@@ -188,16 +188,22 @@ fn held(c: &Candidate) -> HeldOut {
     c.held_out.clone().unwrap_or_else(|| HeldOut { rmse_deg: [0.0; 4], blocks: vec![], residual: Default::default() })
 }
 
-fn write(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], found: &Found, verdict: &Verdict, chosen: &Candidate, seed: u64) -> Diagnosis {
+fn write(
+    log: &Observed,
+    catalogue: &[Box<dyn Effect>],
+    lines: &[Line; 3],
+    found: &Found,
+    verdict: &Verdict,
+    chosen: &Candidate,
+    seed: u64,
+) -> Diagnosis {
     let kinds = log.has.iter().filter(|&&h| h).count() as f64;
     let rms = |energy: f64| (energy / kinds).sqrt();
     let (nominal, after) = (held(&found.nominal), held(chosen));
     let floor = floor(log);
     let believed = beliefs(log, found, verdict);
-    let mut effects: Vec<EffectEntry> = catalogue
-        .iter()
-        .map(|e| entry(log, catalogue, e.as_ref(), found, chosen, &believed, floor, seed))
-        .collect();
+    let mut effects: Vec<EffectEntry> =
+        catalogue.iter().map(|e| entry(log, catalogue, e.as_ref(), found, chosen, &believed, floor, seed)).collect();
     effects.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.closed.total_cmp(&a.closed)));
     let equivalent = equivalents(log, found, verdict);
     Diagnosis {
@@ -274,7 +280,16 @@ fn doubt(verdict: &Verdict, after: &HeldOut) -> f64 {
 }
 
 #[allow(clippy::too_many_arguments)]
-fn entry(log: &Observed, catalogue: &[Box<dyn Effect>], e: &dyn Effect, found: &Found, chosen: &Candidate, believed: &[(&'static str, f64)], floor: f64, seed: u64) -> EffectEntry {
+fn entry(
+    log: &Observed,
+    catalogue: &[Box<dyn Effect>],
+    e: &dyn Effect,
+    found: &Found,
+    chosen: &Candidate,
+    believed: &[(&'static str, f64)],
+    floor: f64,
+    seed: u64,
+) -> EffectEntry {
     let kinds = log.has.iter().filter(|&&h| h).count() as f64;
     let single = found.singles.iter().find(|s| s.names[0] == e.name());
     let nominal = held(&found.nominal);
@@ -340,7 +355,13 @@ fn params(log: &Observed, catalogue: &[Box<dyn Effect>], e: &dyn Effect, c: &Can
         .map(|(k, p)| {
             let at = model.at[i] + k;
             let (value, half) = (c.fitted.theta[at], 1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt());
-            ParamValue { name: p.name, unit: p.unit, value, ci95: [(value - half).max(p.low), (value + half).min(p.high)], channel: p.channel }
+            ParamValue {
+                name: p.name,
+                unit: p.unit,
+                value,
+                ci95: [(value - half).max(p.low), (value + half).min(p.high)],
+                channel: p.channel,
+            }
         })
         .collect()
 }
@@ -401,7 +422,9 @@ fn pose_of(log: &Observed, k: usize) -> (f64, f64) {
 
 fn square(h: &HeldOut, log: &Observed, k: usize) -> (f64, f64) {
     let deg2 = 1f64.to_degrees().powi(2);
-    (0..3).filter(|&kind| log.bins[k].weight[kind] > 0.0).fold((0.0, 0.0), |(s, n), kind| (s + h.residual[kind][k].norm_squared() * deg2, n + 1.0))
+    (0..3)
+        .filter(|&kind| log.bins[k].weight[kind] > 0.0)
+        .fold((0.0, 0.0), |(s, n), kind| (s + h.residual[kind][k].norm_squared() * deg2, n + 1.0))
 }
 
 fn pooled(log: &Observed, nominal: &HeldOut, after: &HeldOut, pick: impl Fn(usize) -> bool) -> Option<(f64, f64)> {

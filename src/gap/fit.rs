@@ -101,7 +101,11 @@ pub fn sense(log: &Observed, model: &Model<'_>, theta: &[f64], motion: &Motion, 
     for (k, bin) in log.bins.iter().enumerate() {
         let present = |kind: usize, v: Vector3<f64>| if bin.weight[kind] > 0.0 { v } else { Vector3::zeros() };
         let a = &imu.mean[k];
-        s.residual[0].push(if bin.weight[0] > 0.0 { vee(&(mean_rows(motion, bin.rows).transpose() * bin.reference)) } else { Vector3::zeros() });
+        s.residual[0].push(if bin.weight[0] > 0.0 {
+            vee(&(mean_rows(motion, bin.rows).transpose() * bin.reference))
+        } else {
+            Vector3::zeros()
+        });
         s.residual[1].push(present(1, (bin.acc - changed[k].0 - a.tr_mul(&gravity)) / G_M_S2));
         s.residual[2].push(present(2, (bin.mag - changed[k].1 - a.tr_mul(&field)) / size));
         s.residual[3].push(present(3, bin.gyr - changed[k].2 - imu.rate[k] - bias));
@@ -162,7 +166,13 @@ impl Imu {
     }
 
     /// What sensor effects add to acc, mag and gyro, averaged over each bin.
-    fn changes(&self, log: &Observed, model: &Model<'_>, theta: &[f64], motion: &Motion) -> Vec<(Vector3<f64>, Vector3<f64>, Vector3<f64>)> {
+    fn changes(
+        &self,
+        log: &Observed,
+        model: &Model<'_>,
+        theta: &[f64],
+        motion: &Motion,
+    ) -> Vec<(Vector3<f64>, Vector3<f64>, Vector3<f64>)> {
         let mut out = vec![(Vector3::zeros(), Vector3::zeros(), Vector3::zeros()); log.bins.len()];
         for (e, p) in model.each(theta).filter(|(e, _)| e.sensing_only() && e.mount(p_of(e, model, theta)).is_none()) {
             let mut memory = Memory::default();
@@ -208,7 +218,15 @@ fn p_of<'p>(e: &&dyn crate::effects::Effect, model: &Model<'_>, theta: &'p [f64]
 }
 
 fn base_turn(log: &Observed, model: &Model<'_>, theta: &[f64], row: usize) -> Option<Matrix3<f64>> {
-    let at = Moment { t_s: log.t_s[row] - log.t_s[0], dt_s: 0.01, counted_mm: Vector3::zeros(), up_base: log.up_base, k_epsilon: Vector3::zeros(), r_mm: 4.04, idle_s: 0.0 };
+    let at = Moment {
+        t_s: log.t_s[row] - log.t_s[0],
+        dt_s: 0.01,
+        counted_mm: Vector3::zeros(),
+        up_base: log.up_base,
+        k_epsilon: Vector3::zeros(),
+        r_mm: 4.04,
+        idle_s: 0.0,
+    };
     model.each(theta).find_map(|(e, p)| e.base(p, &at)).map(|q| q.to_rotation_matrix().into_inner())
 }
 
@@ -256,7 +274,17 @@ pub fn fit(log: &Observed, model: &Model<'_>, start: &[f64], mask: &[f64], round
 type Point = (Vec<f64>, Motion, DVector<f64>);
 
 #[allow(clippy::too_many_arguments)]
-fn downhill(log: &Observed, model: &Model<'_>, mask: &[f64], bounds: &[Bound], theta: &[f64], r: &DVector<f64>, normal: &DMatrix<f64>, slope: &DVector<f64>, lambda: &mut f64) -> Option<Point> {
+fn downhill(
+    log: &Observed,
+    model: &Model<'_>,
+    mask: &[f64],
+    bounds: &[Bound],
+    theta: &[f64],
+    r: &DVector<f64>,
+    normal: &DMatrix<f64>,
+    slope: &DVector<f64>,
+    lambda: &mut f64,
+) -> Option<Point> {
     for _ in 0..6 {
         let mut damped = normal.clone();
         for i in 0..theta.len() {
@@ -277,7 +305,15 @@ fn downhill(log: &Observed, model: &Model<'_>, mask: &[f64], bounds: &[Bound], t
 
 /// ∂(residuals)/∂(θ in units of scale), forward differences; the motion is run again only for
 /// parameters that change it.
-fn jacobian(log: &Observed, model: &Model<'_>, theta: &[f64], motion: &Motion, r: &DVector<f64>, mask: &[f64], bounds: &[Bound]) -> DMatrix<f64> {
+fn jacobian(
+    log: &Observed,
+    model: &Model<'_>,
+    theta: &[f64],
+    motion: &Motion,
+    r: &DVector<f64>,
+    mask: &[f64],
+    bounds: &[Bound],
+) -> DMatrix<f64> {
     let mut j = DMatrix::zeros(r.len(), theta.len());
     for (c, b) in bounds.iter().enumerate() {
         let mut moved = theta.to_vec();

@@ -51,19 +51,27 @@ impl Kind {
 #[derive(Debug, Error, PartialEq)]
 pub enum Unfit {
     /// Too short.
-    #[error("the log is {0:.1} s long; a diagnosis needs at least 20 s, and about 250 s with holds and several speeds: record the schedule of `retroflex gap excite`")]
+    #[error(
+        "the log is {0:.1} s long; a diagnosis needs at least 20 s, and about 250 s with holds and several speeds: record the schedule of `retroflex gap excite`"
+    )]
     Short(f64),
     /// Nothing moves.
-    #[error("the pistons travel {0:.1} mm in the whole log; nothing can be told from a tip that does not move: record the schedule of `retroflex gap excite`")]
+    #[error(
+        "the pistons travel {0:.1} mm in the whole log; nothing can be told from a tip that does not move: record the schedule of `retroflex gap excite`"
+    )]
     Motionless(f64),
     /// Nothing is sensed.
     #[error("the log has neither a tip IMU (acc_*, gyr_*) nor a reference (ref_q*) with values in it: record at least one of them")]
     Blind,
     /// No rest at the start.
-    #[error("the pistons move within the first {0:.1} s; the rest at the start defines zero bend and the base frame: record at least 2 s of rest first")]
+    #[error(
+        "the pistons move within the first {0:.1} s; the rest at the start defines zero bend and the base frame: record at least 2 s of rest first"
+    )]
     NoRest(f64),
     /// A sensor at its stop.
-    #[error("{0} stands at one value, {1}, for {2:.0} % of the moving time: it is clipped or frozen; choose a larger range, or check the sensor, and record again")]
+    #[error(
+        "{0} stands at one value, {1}, for {2:.0} % of the moving time: it is clipped or frozen; choose a larger range, or check the sensor, and record again"
+    )]
     Clipped(&'static str, f64, f64),
 }
 
@@ -167,7 +175,12 @@ impl Observed {
             };
             let rate = (self.noise_deg[3].to_radians().powi(2) + RATE_FLOOR_RAD_S.powi(2) + (RATE_SHARE * turning).powi(2)).sqrt();
             let present = [b.reference[(0, 0)], b.acc.x, b.mag.x, b.gyr.x].map(|x| !x.is_nan());
-            let weight = [angle(self.noise_deg[0], ANGLE_MOTION), angle(self.noise_deg[1], ACC_MOTION), angle(self.noise_deg[2], ANGLE_MOTION), 1.0 / rate];
+            let weight = [
+                angle(self.noise_deg[0], ANGLE_MOTION),
+                angle(self.noise_deg[1], ACC_MOTION),
+                angle(self.noise_deg[2], ANGLE_MOTION),
+                1.0 / rate,
+            ];
             for k in 0..4 {
                 b.weight[k] = if present[k] { weight[k] } else { 0.0 };
                 self.has[k] |= present[k];
@@ -233,7 +246,9 @@ fn thinned(log: &BendLog) -> BendLog {
     }
     let groups: Vec<(usize, usize)> = (0..log.t_s.len() / by).map(|g| (g * by, (g + 1) * by)).collect();
     let last = |v: &[Vector3<f64>]| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<_>>();
-    let average = |v: &[Vector3<f64>]| groups.iter().map(|g| mean(v[g.0..g.1].iter().copied()).unwrap_or(Vector3::repeat(f64::NAN))).collect::<Vec<_>>();
+    let average = |v: &[Vector3<f64>]| {
+        groups.iter().map(|g| mean(v[g.0..g.1].iter().copied()).unwrap_or(Vector3::repeat(f64::NAN))).collect::<Vec<_>>()
+    };
     let imu = |i: &ImuColumns| ImuColumns { acc: average(&i.acc), gyr: average(&i.gyr), mag: average(&i.mag) };
     BendLog {
         t_s: groups.iter().map(|g| log.t_s[g.1 - 1]).collect(),
@@ -275,9 +290,8 @@ fn bins(log: &BendLog, idle_s: &[f64], speed: &[f64]) -> Vec<Bin> {
 
 fn bin(log: &BendLog, idle_s: &[f64], speed: &[f64], from: usize, to: usize) -> Bin {
     let nan = Vector3::repeat(f64::NAN);
-    let of = |pick: fn(&ImuColumns) -> &Vec<Vector3<f64>>| {
-        log.imu.as_ref().and_then(|i| mean(pick(i)[from..to].iter().copied())).unwrap_or(nan)
-    };
+    let of =
+        |pick: fn(&ImuColumns) -> &Vec<Vector3<f64>>| log.imu.as_ref().and_then(|i| mean(pick(i)[from..to].iter().copied())).unwrap_or(nan);
     let reference = log.reference.as_ref().map_or(Matrix3::repeat(f64::NAN), |r| {
         let seen: Vec<_> = r[from..to].iter().flatten().collect();
         let sum = seen.iter().fold(Matrix3::zeros(), |s, q| s + q.to_rotation_matrix().into_inner());

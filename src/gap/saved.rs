@@ -85,7 +85,13 @@ impl SavedModel {
             .each(&chosen.fitted.theta)
             .map(|(e, p)| SavedEffect { name: e.name().to_owned(), params: e.params().iter().map(key).zip(p.iter().copied()).collect() })
             .collect();
-        Self { schema: 1, source: source.to_owned(), nominal: gains(&found.nominal.fitted.theta), with_effects: gains(&chosen.fitted.theta), effect }
+        Self {
+            schema: 1,
+            source: source.to_owned(),
+            nominal: gains(&found.nominal.fitted.theta),
+            with_effects: gains(&chosen.fitted.theta),
+            effect,
+        }
     }
 
     /// Names of its effects.

@@ -134,11 +134,8 @@ pub fn model_of<'a>(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Model<'
 
 fn grow_pairs(log: &Observed, catalogue: &[Box<dyn Effect>], singles: &[Candidate], all: &[f64]) -> Vec<Candidate> {
     let seeds = &singles[..singles.len().min(BEAM)];
-    let tasks: Vec<(&Candidate, &dyn Effect)> = seeds
-        .iter()
-        .flat_map(|s| catalogue.iter().map(move |e| (s, e.as_ref())))
-        .filter(|(s, e)| s.names[0] != e.name())
-        .collect();
+    let tasks: Vec<(&Candidate, &dyn Effect)> =
+        seeds.iter().flat_map(|s| catalogue.iter().map(move |e| (s, e.as_ref()))).filter(|(s, e)| s.names[0] != e.name()).collect();
     let mut pairs: Vec<Candidate> = tasks
         .par_iter()
         .map(|(seed, e)| {
@@ -217,9 +214,7 @@ fn scan(log: &Observed, from: &Model<'_>, theta: &[f64], to: &Model<'_>, added: 
 }
 
 fn weighted(log: &Observed, s: &Scored) -> Vec<[f64; 12]> {
-    (0..log.bins.len())
-        .map(|k| std::array::from_fn(|i| s.residual[i / 3][k][i % 3] * log.bins[k].weight[i / 3]))
-        .collect()
+    (0..log.bins.len()).map(|k| std::array::from_fn(|i| s.residual[i / 3][k][i % 3] * log.bins[k].weight[i / 3])).collect()
 }
 
 /// Which fold each bin is left out in (0 or 1), and whether it is too near the other fold to be used.
@@ -277,9 +272,6 @@ pub fn score(log: &Observed, residual: [Vec<Vector3<f64>>; 4], used: &[f64]) -> 
         let e: f64 = sums.iter().map(|b| b[kind].0).sum();
         if total[kind] > 0.0 { (e / total[kind] * square).sqrt() } else { 0.0 }
     });
-    let blocks = sums
-        .iter()
-        .map(|b| (0..4).filter(|&k| total[k] > 0.0).map(|k| b[k].0 / total[k] * square).sum())
-        .collect();
+    let blocks = sums.iter().map(|b| (0..4).filter(|&k| total[k] > 0.0).map(|k| b[k].0 / total[k] * square).sum()).collect();
     HeldOut { rmse_deg, blocks, residual }
 }

@@ -8,11 +8,11 @@
 use crate::io::pins::Pins;
 use crate::io::rt::{self, RtStatus, RtWish};
 use crate::io::stepper::{StartError, Stepper, Sync};
+use crate::motion::Motion;
 use crate::motion::config::{MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::Limits;
 use crate::motion::report::{Fault, Mode};
-use crate::motion::Motion;
 use comfy_table::{CellAlignment, Table};
 use std::fmt::Write;
 use std::sync::Arc;
@@ -122,7 +122,11 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
 }
 
 /// The loop's part: to and fro between the ends of travel, a tick at a time, at absolute times.
-fn drive<P: Pins + 'static>(config: &RtBenchConfig, motion_config: &MotionConfig, stepper: &mut Stepper<P>) -> Result<Histogram, StartError> {
+fn drive<P: Pins + 'static>(
+    config: &RtBenchConfig,
+    motion_config: &MotionConfig,
+    stepper: &mut Stepper<P>,
+) -> Result<Histogram, StartError> {
     let mut motion = Motion::new(&Limits::try_from(motion_config)?);
     let mut times = Histogram::default();
     let tick_ns = (config.tick_s * 1e9) as u64;
@@ -321,7 +325,8 @@ mod tests {
         let svg = bench.svg();
         assert!(svg.starts_with("<svg") && svg.ends_with("</svg>") && svg.matches("<text").count() > 20);
         for bar in svg.split("<rect ").skip(1) {
-            let value = |key: &str| bar.split(&format!("{key}=\"")).nth(1).and_then(|r| r.split('"').next()).and_then(|n| n.parse::<f64>().ok());
+            let value =
+                |key: &str| bar.split(&format!("{key}=\"")).nth(1).and_then(|r| r.split('"').next()).and_then(|n| n.parse::<f64>().ok());
             let (x, y) = (value("x").unwrap(), value("y").unwrap());
             let (w, h) = (value(" width").unwrap(), value("height").unwrap());
             assert!(x >= 56.0 && x + w <= 708.0 && y >= 0.0 && y + h <= 450.0, "{bar}");

@@ -23,16 +23,12 @@ pub fn monotonic_ns() -> u64 {
 
 /// Sleeps until a reading of CLOCK_MONOTONIC; returns at once when it has passed.
 pub fn sleep_until_ns(deadline_ns: u64) {
-    let deadline = libc::timespec {
-        tv_sec: (deadline_ns / 1_000_000_000) as libc::time_t,
-        tv_nsec: (deadline_ns % 1_000_000_000) as libc::c_long,
-    };
+    let deadline =
+        libc::timespec { tv_sec: (deadline_ns / 1_000_000_000) as libc::time_t, tv_nsec: (deadline_ns % 1_000_000_000) as libc::c_long };
     loop {
         // SAFETY: `deadline` is a valid timespec; with TIMER_ABSTIME the remainder pointer is not used
         // and may be null.
-        let result = unsafe {
-            libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &deadline, std::ptr::null_mut())
-        };
+        let result = unsafe { libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &deadline, std::ptr::null_mut()) };
         if result != libc::EINTR {
             return;
         }

@@ -47,7 +47,9 @@ pub enum LogError {
         column: String,
     },
     /// A line has another number of fields than the header.
-    #[error("{file}, line {line}, column {column}: the line has {found} fields where the header has {expected}; it is cut short or has stray commas")]
+    #[error(
+        "{file}, line {line}, column {column}: the line has {found} fields where the header has {expected}; it is cut short or has stray commas"
+    )]
     Fields {
         /// File.
         file: String,
@@ -259,11 +261,9 @@ impl<'a> Table<'a> {
         let nothing = || vec![Vector3::repeat(f64::NAN); self.lines.len()];
         Ok(match (get(ACC)?, get(GYR)?, get(MAG)?) {
             (None, None, None) => None,
-            (acc, gyr, mag) => Some(ImuColumns {
-                acc: acc.unwrap_or_else(nothing),
-                gyr: gyr.unwrap_or_else(nothing),
-                mag: mag.unwrap_or_else(nothing),
-            }),
+            (acc, gyr, mag) => {
+                Some(ImuColumns { acc: acc.unwrap_or_else(nothing), gyr: gyr.unwrap_or_else(nothing), mag: mag.unwrap_or_else(nothing) })
+            }
         })
     }
     fn reference(&self) -> Result<Option<Vec<Option<UnitQuaternion<f64>>>>, LogError> {

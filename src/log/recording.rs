@@ -66,11 +66,7 @@ pub fn read(path: &Path) -> Result<Recording, ReadError> {
 /// # Errors
 /// See [`ReadError`].
 pub fn parse(path: &Path, text: impl Read) -> Result<Recording, ReadError> {
-    let mut reader = csv::ReaderBuilder::new()
-        .flexible(true)
-        .buffer_capacity(1 << 16)
-        .trim(csv::Trim::All)
-        .from_reader(text);
+    let mut reader = csv::ReaderBuilder::new().flexible(true).buffer_capacity(1 << 16).trim(csv::Trim::All).from_reader(text);
     let header = reader.byte_headers().map_err(|e| broken(path, 1, e))?.clone();
     let columns = Columns::find(path, &header)?;
     let mut rows: Vec<Row> = Vec::new();
@@ -90,8 +86,7 @@ pub fn parse(path: &Path, text: impl Read) -> Result<Recording, ReadError> {
     if rows.len() < 2 {
         return Err(ReadError::Empty { file: path.to_owned() });
     }
-    let name =
-        path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     Ok(Recording { name, rows })
 }
 
@@ -121,23 +116,16 @@ const REF: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
 impl Columns {
     fn find(path: &Path, header: &csv::ByteRecord) -> Result<Self, ReadError> {
         let place = |name: &str| header.iter().position(|h| h.trim_ascii() == name.as_bytes());
-        let need = |column: &'static str| {
-            place(column).ok_or_else(|| ReadError::MissingColumn { file: path.to_owned(), column })
-        };
-        let need_all = |names: [&'static str; 3]| -> Result<[usize; 3], ReadError> {
-            Ok([need(names[0])?, need(names[1])?, need(names[2])?])
-        };
+        let need = |column: &'static str| place(column).ok_or_else(|| ReadError::MissingColumn { file: path.to_owned(), column });
+        let need_all =
+            |names: [&'static str; 3]| -> Result<[usize; 3], ReadError> { Ok([need(names[0])?, need(names[1])?, need(names[2])?]) };
         let has_any = |names: &[&str]| names.iter().any(|n| place(n).is_some());
         Ok(Self {
             time: need("time_s")?,
             acc: need_all(ACC)?,
             gyr: need_all(GYR)?,
             mag: if has_any(&MAG) { Some(need_all(MAG)?) } else { None },
-            reference: if has_any(&REF) {
-                Some([need(REF[0])?, need(REF[1])?, need(REF[2])?, need(REF[3])?])
-            } else {
-                None
-            },
+            reference: if has_any(&REF) { Some([need(REF[0])?, need(REF[1])?, need(REF[2])?, need(REF[3])?]) } else { None },
             moving: place("moving"),
         })
     }
@@ -162,12 +150,8 @@ impl Fields<'_> {
             Some(at) => Some(self.vector(at, MAG)?).filter(|m| m.iter().all(|x| !x.is_nan())),
             None => None,
         };
-        let sample = ImuSample {
-            t: Seconds(t),
-            gyro_rad_s: self.vector(columns.gyr, GYR)?,
-            acc_m_s2: self.vector(columns.acc, ACC)?,
-            mag_ut,
-        };
+        let sample =
+            ImuSample { t: Seconds(t), gyro_rad_s: self.vector(columns.gyr, GYR)?, acc_m_s2: self.vector(columns.acc, ACC)?, mag_ut };
         let reference = columns.reference.map(|at| self.reference(at)).transpose()?.flatten();
         let moving = columns.moving.map_or(Ok(true), |at| self.flag(at))?;
         Ok(Row { sample, reference, moving })
@@ -187,13 +171,7 @@ impl Fields<'_> {
     }
 
     fn refuse(&self, at: usize, column: &'static str, wanted: &'static str) -> ReadError {
-        ReadError::Field {
-            file: self.path.to_owned(),
-            line: self.line,
-            column,
-            value: lossy(self.text(at)),
-            wanted,
-        }
+        ReadError::Field { file: self.path.to_owned(), line: self.line, column, value: lossy(self.text(at)), wanted }
     }
 
     /// A number; empty is NaN, a reading that did not come.
@@ -207,11 +185,7 @@ impl Fields<'_> {
     }
 
     fn vector(&self, at: [usize; 3], names: [&'static str; 3]) -> Result<Vector3<f64>, ReadError> {
-        Ok(Vector3::new(
-            self.number(at[0], names[0])?,
-            self.number(at[1], names[1])?,
-            self.number(at[2], names[2])?,
-        ))
+        Ok(Vector3::new(self.number(at[0], names[0])?, self.number(at[1], names[1])?, self.number(at[2], names[2])?))
     }
 
     /// The reference, turned from east-north-up to the world (north-west-up).
@@ -267,10 +241,8 @@ mod tests {
     use super::*;
     use std::io::Write;
 
-    const HEADER: &str =
-        "time_s,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,mag_x,mag_y,mag_z,ref_qw,ref_qx,ref_qy,ref_qz,moving";
-    const GOOD: &str =
-        "0.0,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,0\n0.01,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1\n";
+    const HEADER: &str = "time_s,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,mag_x,mag_y,mag_z,ref_qw,ref_qx,ref_qy,ref_qz,moving";
+    const GOOD: &str = "0.0,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,0\n0.01,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1\n";
 
     fn text(lines: &str) -> Result<Recording, ReadError> {
         parse(Path::new("folder/trial.csv"), format!("{HEADER}\n{lines}").as_bytes())
@@ -304,29 +276,18 @@ mod tests {
         for row in &r.rows {
             assert_eq!((row.sample.mag_ut, row.reference), (None, None));
         }
-        let bare =
-            "acc_x,acc_y,acc_z,extra,gyr_x,gyr_y,gyr_z,time_s\n0,0,9.8,hello,0,0,0,1\n0,0,9.8,,0,0,0,2\n";
+        let bare = "acc_x,acc_y,acc_z,extra,gyr_x,gyr_y,gyr_z,time_s\n0,0,9.8,hello,0,0,0,1\n0,0,9.8,,0,0,0,2\n";
         let r = parse(Path::new("x.csv"), bare.as_bytes()).unwrap();
-        assert!(
-            r.rows.iter().all(|row| row.moving && row.reference.is_none() && row.sample.mag_ut.is_none())
-        );
+        assert!(r.rows.iter().all(|row| row.moving && row.reference.is_none() && row.sample.mag_ut.is_none()));
         assert_eq!(r.mag_period_s(), 1.0);
     }
 
     #[test]
     fn complaints_name_line_column_and_value() {
-        let bad_number = complaint(
-            &GOOD.replace("9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1", "9.8,0.1,0.2,0.3,16,0,x1,1,0,0,0,1"),
-        );
-        assert!(
-            bad_number.contains("line 3") && bad_number.contains("mag_z") && bad_number.contains("\"x1\""),
-            "{bad_number}"
-        );
+        let bad_number = complaint(&GOOD.replace("9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1", "9.8,0.1,0.2,0.3,16,0,x1,1,0,0,0,1"));
+        assert!(bad_number.contains("line 3") && bad_number.contains("mag_z") && bad_number.contains("\"x1\""), "{bad_number}");
         for (lines, parts) in [
-            (
-                "0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n",
-                ["line 3", "time_s"],
-            ),
+            ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n", ["line 3", "time_s"]),
             ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0\n1,0,0,9.8,0,0,0,16,0,-4\n", ["line 3", "ref_qw"]),
             ("0,0,0,9.8,0,0,0,16,0,-41,1,0,0,0,0,7\n", ["line 2", "16 fields"]),
             ("0,0,0,9.8,0,0,0,16,0,-41,0.5,0,0,0,0\n", ["line 2", "ref_qw"]),
@@ -341,8 +302,7 @@ mod tests {
         }
         let headless = parse(Path::new("h.csv"), "time_s,acc_x,acc_y\n".as_bytes()).unwrap_err().to_string();
         assert!(headless.contains("acc_z") && headless.contains("line 1"), "{headless}");
-        let half =
-            parse(Path::new("h.csv"), HEADER.replace(",mag_y", "").as_bytes()).unwrap_err().to_string();
+        let half = parse(Path::new("h.csv"), HEADER.replace(",mag_y", "").as_bytes()).unwrap_err().to_string();
         assert!(half.contains("mag_y"), "{half}");
     }
 

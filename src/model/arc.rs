@@ -62,10 +62,7 @@ impl Geometry {
     #[must_use]
     pub fn shape(&self, q_mm: &Vector3<f64>) -> Shape {
         let sum = (0..3).fold(Vector2::zeros(), |a, i| a + Self::spoke(i) * q_mm[i]);
-        Shape {
-            bend: Bend(sum * (-2.0 / (3.0 * self.r_mm))),
-            length: Mm(self.rest_length_mm + q_mm.sum() / 3.0),
-        }
+        Shape { bend: Bend(sum * (-2.0 / (3.0 * self.r_mm))), length: Mm(self.rest_length_mm + q_mm.sum() / 3.0) }
     }
 
     /// ∂q/∂(b_x, b_y, l), mm per rad and mm per mm; constant, because Eq. 10 is linear in them.
@@ -95,9 +92,15 @@ impl Geometry {
         // d/dβ divided by β, so that the chain rule through β = |b| has no 0/0
         let (dv, ds) = (versine_over_slope(beta), sinc_slope(beta));
         Matrix3::new(
-            l * (v + b.x * b.x * dv), l * b.x * b.y * dv, v * b.x,
-            -l * b.x * b.y * dv, -l * (v + b.y * b.y * dv), -v * b.y,
-            l * ds * b.x, l * ds * b.y, s,
+            l * (v + b.x * b.x * dv),
+            l * b.x * b.y * dv,
+            v * b.x,
+            -l * b.x * b.y * dv,
+            -l * (v + b.y * b.y * dv),
+            -v * b.y,
+            l * ds * b.x,
+            l * ds * b.y,
+            s,
         )
     }
 }
@@ -115,20 +118,12 @@ fn versine_over(beta: f64) -> f64 {
 
 /// (d/dβ sinc) / β.
 fn sinc_slope(beta: f64) -> f64 {
-    if beta.abs() < 1e-2 {
-        -1.0 / 3.0 + beta * beta / 30.0
-    } else {
-        (beta.cos() - sinc(beta)) / (beta * beta)
-    }
+    if beta.abs() < 1e-2 { -1.0 / 3.0 + beta * beta / 30.0 } else { (beta.cos() - sinc(beta)) / (beta * beta) }
 }
 
 /// (d/dβ (1 − cos β)/β²) / β.
 fn versine_over_slope(beta: f64) -> f64 {
-    if beta.abs() < 1e-2 {
-        -1.0 / 12.0 + beta * beta / 180.0
-    } else {
-        (sinc(beta) - 2.0 * versine_over(beta)) / (beta * beta)
-    }
+    if beta.abs() < 1e-2 { -1.0 / 12.0 + beta * beta / 180.0 } else { (sinc(beta) - 2.0 * versine_over(beta)) / (beta * beta) }
 }
 
 #[cfg(test)]
@@ -138,10 +133,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn shapes() -> impl Strategy<Value = Shape> {
-        (-1.8..1.8f64, -1.8..1.8f64, 14.0..29.0f64).prop_map(|(x, y, l)| Shape {
-            bend: Bend(Vector2::new(x, y)),
-            length: Mm(l),
-        })
+        (-1.8..1.8f64, -1.8..1.8f64, 14.0..29.0f64).prop_map(|(x, y, l)| Shape { bend: Bend(Vector2::new(x, y)), length: Mm(l) })
     }
 
     proptest! {

@@ -103,11 +103,7 @@ impl Side {
 #[must_use]
 pub fn realised(line: &Line, state: &SideState, realised_mm: f64, piston_mm: f64) -> f64 {
     let reached = piston_mm - line.k_lambda_mm * state.side;
-    if state.way >= 0.0 {
-        realised_mm.max(reached.min(state.w_mm))
-    } else {
-        realised_mm.min(reached.max(state.w_mm))
-    }
+    if state.way >= 0.0 { realised_mm.max(reached.min(state.w_mm)) } else { realised_mm.min(reached.max(state.w_mm)) }
 }
 
 /// Follow on in the way of the last motion; ignore a reversal up to the band; else turn round.

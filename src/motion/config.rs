@@ -20,14 +20,7 @@ pub struct ConfigError {
 }
 
 /// Refuses `value` unless it is finite and `low <= value <= high`.
-pub(crate) fn in_range(
-    key: &'static str,
-    value: f64,
-    low: f64,
-    high: f64,
-    unit: &str,
-    mend: &'static str,
-) -> Result<(), ConfigError> {
+pub(crate) fn in_range(key: &'static str, value: f64, low: f64, high: f64, unit: &str, mend: &'static str) -> Result<(), ConfigError> {
     if value.is_finite() && value >= low && value <= high {
         return Ok(());
     }
@@ -60,13 +53,7 @@ pub struct MotionConfig {
 
 impl Default for MotionConfig {
     fn default() -> Self {
-        Self {
-            speed_max_mm_s: 30.0,
-            acceleration_max_mm_s2: 300.0,
-            jerk_max_mm_s3: 6000.0,
-            travel_max_mm: 25.0,
-            retarget_min_mm: 0.0,
-        }
+        Self { speed_max_mm_s: 30.0, acceleration_max_mm_s2: 300.0, jerk_max_mm_s3: 6000.0, travel_max_mm: 25.0, retarget_min_mm: 0.0 }
     }
 }
 

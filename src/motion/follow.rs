@@ -171,9 +171,7 @@ impl<S: Solver> Motion<S> {
     /// Whether the plan in hand already drives there.
     fn is_planned(&self, target_mm: &[f64; 3]) -> bool {
         let least = self.limits.retarget_min_mm;
-        self.target_mm.is_some_and(|planned| {
-            planned == *target_mm || planned.iter().zip(target_mm).all(|(p, t)| (p - t).abs() < least)
-        })
+        self.target_mm.is_some_and(|planned| planned == *target_mm || planned.iter().zip(target_mm).all(|(p, t)| (p - t).abs() < least))
     }
 
     /// A new plan from the state of this instant, if it is sound; else [`Motion::refuse`].
@@ -224,9 +222,7 @@ impl<S: Solver> Motion<S> {
         }
         if self.target_mm.is_some() {
             let to_s = self.plan_time_s + dt_s;
-            let cornered = self.plan.channels.iter().position(|c| {
-                !stops_within_travel(&c.at(to_s), &self.limits, self.stop_longest_mm)
-            });
+            let cornered = self.plan.channels.iter().position(|c| !stops_within_travel(&c.at(to_s), &self.limits, self.stop_longest_mm));
             if let Some(channel) = cornered {
                 self.begin_stop(Some(Refusal::NoStop { channel }));
             }

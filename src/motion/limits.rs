@@ -63,11 +63,7 @@ impl Limits {
     /// and with acceleration, so it is the one from both at their limits.
     #[must_use]
     pub fn stop_longest_mm(&self) -> f64 {
-        let worst = State {
-            position_mm: 0.0,
-            velocity_mm_s: self.speed_max_mm_s,
-            acceleration_mm_s2: self.acceleration_max_mm_s2,
-        };
+        let worst = State { position_mm: 0.0, velocity_mm_s: self.speed_max_mm_s, acceleration_mm_s2: self.acceleration_max_mm_s2 };
         Stop::from(worst, self).end_mm
     }
 }

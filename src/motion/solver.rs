@@ -90,11 +90,7 @@ impl Scratch {
         p.brake.finalize(&mut p.p[0], &mut p.v[0], &mut p.a[0]);
         self.step1.reset(p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j);
         let block = &mut self.blocks[channel];
-        if self.step1.get_profile(p, block) && block.t_min.is_finite() {
-            Ok(block.t_min)
-        } else {
-            Err(Refusal::NoProfile { channel })
-        }
+        if self.step1.get_profile(p, block) && block.t_min.is_finite() { Ok(block.t_min) } else { Err(Refusal::NoProfile { channel }) }
     }
 
     /// The first duration from `t` (τ) on that lies in no channel's blocked interval.

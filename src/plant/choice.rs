@@ -86,8 +86,25 @@ impl Effects {
             )* };
         }
         take!(
-            gear_periodic, leak, gas_compression, thermal_drift, crosstalk, stiffening, asymmetry, hysteresis, creep, softening,
-            gravity, curvature, clocking, cable_stiffness, torsion, accel_bias, hard_iron, motor_field, mount_misalignment
+            gear_periodic,
+            leak,
+            gas_compression,
+            thermal_drift,
+            crosstalk,
+            stiffening,
+            asymmetry,
+            hysteresis,
+            creep,
+            softening,
+            gravity,
+            curvature,
+            clocking,
+            cable_stiffness,
+            torsion,
+            accel_bias,
+            hard_iron,
+            motor_field,
+            mount_misalignment
         );
     }
 }

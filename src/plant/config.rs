@@ -117,9 +117,7 @@ impl BaseConfig {
     /// Attitude of the proximal plate in the world.
     pub(crate) fn attitude(&self) -> Rotation<World, Plate> {
         let turn = |axis: Vector3<f64>, deg: f64| UnitQuaternion::from_scaled_axis(axis * deg.to_radians());
-        Rotation::assert_frames(
-            turn(Vector3::z(), self.yaw_deg) * turn(Vector3::y(), self.pitch_deg) * turn(Vector3::x(), self.roll_deg),
-        )
+        Rotation::assert_frames(turn(Vector3::z(), self.yaw_deg) * turn(Vector3::y(), self.pitch_deg) * turn(Vector3::x(), self.roll_deg))
     }
 }
 

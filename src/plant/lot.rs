@@ -75,7 +75,13 @@ impl Lot {
         let all = self.chance(0.35);
         std::array::from_fn(|i| {
             let here = size * self.between(0.8, 1.2);
-            if i == only { size } else if all { here } else { 0.0 }
+            if i == only {
+                size
+            } else if all {
+                here
+            } else {
+                0.0
+            }
         })
     }
 }

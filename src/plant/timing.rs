@@ -207,7 +207,8 @@ mod tests {
     #[test]
     fn the_wander_is_bounded_and_there() {
         let mut d = DeadTime::latency(&SensorLatency { latency_s: 0.1, jitter: 0.1 }, Vector3::zeros(), 2);
-        let late: Vec<f64> = (1..20_000).map(|k| f64::from(k) * 0.002).map(|t| t - d.pass(t, 0.002, Vector3::repeat(t)).x).skip(100).collect();
+        let late: Vec<f64> =
+            (1..20_000).map(|k| f64::from(k) * 0.002).map(|t| t - d.pass(t, 0.002, Vector3::repeat(t)).x).skip(100).collect();
         let (low, high) = late.iter().fold((1.0f64, 0.0f64), |(l, h), &x| (l.min(x), h.max(x)));
         assert!(low > 0.074 && low < 0.09 && high < 0.126 && high > 0.11, "{low} {high}");
     }

@@ -47,7 +47,21 @@ mod tests {
     use super::*;
 
     fn spread() -> Spread {
-        Spread { k_epsilon: 0.06, k_lambda: 0.1, r: 0.01, angle_deg: 1.0, lag: 0.2, effects: 0.2, tilt_deg: 5.0, heading_deg: 180.0, field: 0.1, dip_deg: 4.0, gyro_bias_deg_s: 0.5, acc_bias_mg: 5.0, mag_bias_ut: 0.5 }
+        Spread {
+            k_epsilon: 0.06,
+            k_lambda: 0.1,
+            r: 0.01,
+            angle_deg: 1.0,
+            lag: 0.2,
+            effects: 0.2,
+            tilt_deg: 5.0,
+            heading_deg: 180.0,
+            field: 0.1,
+            dip_deg: 4.0,
+            gyro_bias_deg_s: 0.5,
+            acc_bias_mg: 5.0,
+            mag_bias_ut: 0.5,
+        }
     }
 
     #[test]

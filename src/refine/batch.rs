@@ -64,7 +64,9 @@ pub enum Unidentifiable {
         needed: usize,
     },
     /// Extension and backlash cannot be told apart.
-    #[error("channel {channel}: extension and backlash cannot be told apart (condition number {condition:.0}, at most {max:.0}); hold poses of different size, approached from both sides")]
+    #[error(
+        "channel {channel}: extension and backlash cannot be told apart (condition number {condition:.0}, at most {max:.0}); hold poses of different size, approached from both sides"
+    )]
     Condition {
         /// Channel, 1 to 3.
         channel: usize,
@@ -156,9 +158,11 @@ fn normal(rows: &[(Vector2<f64>, f64, f64)], weights: &[f64], prior: Option<&Pri
 fn invert(normal: &Normal, i: usize) -> Result<(Vector2<f64>, Matrix2<f64>), Unidentifiable> {
     let condition = condition(&normal.matrix);
     let inverse = normal.matrix.try_inverse().filter(|_| condition < CONDITION_MAX);
-    inverse
-        .map(|inverse| (inverse * normal.rhs, inverse))
-        .ok_or(Unidentifiable::Condition { channel: i + 1, condition, max: CONDITION_MAX })
+    inverse.map(|inverse| (inverse * normal.rhs, inverse)).ok_or(Unidentifiable::Condition {
+        channel: i + 1,
+        condition,
+        max: CONDITION_MAX,
+    })
 }
 
 /// Eq. 21 for channel `i`: row of A, entry of b, weight.

@@ -102,7 +102,14 @@ impl RefineState {
 
     /// A held pose: slack and bellow positions in mm, the felt bend in rad. Returns the gains to use
     /// from now on, or `None` when the pose taught nothing.
-    pub fn learn(&mut self, config: &RefineConfig, lines: &[Line; 3], bend: &Vector2<f64>, slack_mm: &Vector3<f64>, bellow_mm: &Vector3<f64>) -> Option<[Line; 3]> {
+    pub fn learn(
+        &mut self,
+        config: &RefineConfig,
+        lines: &[Line; 3],
+        bend: &Vector2<f64>,
+        slack_mm: &Vector3<f64>,
+        bellow_mm: &Vector3<f64>,
+    ) -> Option<[Line; 3]> {
         let new = self.last_pose.is_none_or(|p| (bend - p).norm() >= config.pose_step_deg.to_radians());
         if !config.enabled || !new {
             return None;

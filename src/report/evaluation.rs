@@ -152,7 +152,10 @@ fn settling(e: &Evaluation) -> Option<Chart> {
 pub fn html(e: &Evaluation) -> String {
     let mut page = Page::new("retroflex evaluate");
     page.text(&format!("Plant “{}”, seed {}. Twelve directions, 15 to 75° out and back: 120 held states of 1.5 s an arm. The bend error is desired less true bend over the last 0.3 s of each state.", e.plant, e.seed));
-    page.table(&["arm", "bend RMSE", "paper", "orientation RMSE", "felt − true", "median to 1°", "moves at most", "states", "held by a wall"], &arm_rows(e));
+    page.table(
+        &["arm", "bend RMSE", "paper", "orientation RMSE", "felt − true", "median to 1°", "moves at most", "states", "held by a wall"],
+        &arm_rows(e),
+    );
     page.heading("The paper's Figure 6, redrawn, and the closed loop");
     let drawn: Vec<_> = charts(e).iter().map(|c| (c.svg(), caption(&c.title).to_owned())).collect();
     page.charts(&drawn);
@@ -161,7 +164,12 @@ pub fn html(e: &Evaluation) -> String {
         "Given by a calibration file.".to_owned()
     } else {
         let end = if e.converged { "converged to 2 %" } else { "did not converge to 2 %" };
-        format!("Algorithm 1 from zero {end} after {} passes of 120 states. Lag {:.0} ms, dead time {:.0} ms.", e.iterations, 1e3 * e.lag_s, 1e3 * e.delay_s)
+        format!(
+            "Algorithm 1 from zero {end} after {} passes of 120 states. Lag {:.0} ms, dead time {:.0} ms.",
+            e.iterations,
+            1e3 * e.lag_s,
+            1e3 * e.delay_s
+        )
     });
     page.table(&["channel", "k_ε", "± σ", "k_λ / mm", "± σ / mm", "condition", "residual / mm"], &gain_rows(e));
     page.quiet("For research. Not a medical device.");
@@ -206,7 +214,9 @@ fn gain_rows(e: &Evaluation) -> Vec<Vec<String>> {
 
 fn caption(title: &str) -> &'static str {
     match title.as_bytes().get(1) {
-        Some(b'a' | b'b' | b'd') => "Mean over twelve directions, ± 1 σ shaded; solid on the way out, dashed on the way back; dotted: perfect.",
+        Some(b'a' | b'b' | b'd') => {
+            "Mean over twelve directions, ± 1 σ shaded; solid on the way out, dashed on the way back; dotted: perfect."
+        }
         Some(b'c') => "From zero; 120 measured states a pass.",
         Some(b'e') => "Dots: mean of each held state, way out left of its angle, way back right of it.",
         _ => "A state counts from the moment after which its bend error stays below 1°.",

@@ -185,7 +185,8 @@ impl Chart {
             width: WIDTH - LEFT - RIGHT,
             height: HEIGHT - BOTTOM - 34.0 - rows as f64 * LEGEND_ROW,
         };
-        let _ = write!(out, "<text x=\"{LEFT}\" y=\"20\" font-size=\"14\" font-weight=\"600\" fill=\"#1c2026\">{}</text>", escape(&self.title));
+        let _ =
+            write!(out, "<text x=\"{LEFT}\" y=\"20\" font-size=\"14\" font-weight=\"600\" fill=\"#1c2026\">{}</text>", escape(&self.title));
         out.push_str(&legend);
         self.grid(&frame, out);
         // what lies outside the axes is cut at the frame, by a nested drawing with its own edges

@@ -158,7 +158,8 @@ fn a_background_is_small_piece_by_piece() {
         let mut rig = Rig::new(c);
         wander(&mut rig)
     };
-    let quiet = config("[imu]\ngyro_noise_deg_s_rthz = 0.0\nacc_noise_mg_rthz = 0.0\nmag_noise_ut = 0.0\nmag_digit_ut = 0.0\nacc_digit_mg = 0.0");
+    let quiet =
+        config("[imu]\ngyro_noise_deg_s_rthz = 0.0\nacc_noise_mg_rthz = 0.0\nmag_noise_ut = 0.0\nmag_digit_ut = 0.0\nacc_digit_mg = 0.0");
     let none = lab(&quiet);
     let mut seen = std::collections::BTreeSet::new();
     for seed in 0..12 {

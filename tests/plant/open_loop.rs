@@ -57,7 +57,15 @@ impl Bench {
     pub fn new(config: &PlantConfig, seed: u64) -> Self {
         let plant = Plant::new(config, seed).unwrap();
         let drive = Drive { step_mm: config.drive.step_mm };
-        let mut bench = Self { plant, drive, geometry: Geometry::default(), piston_mm: Vector3::zeros(), sides: Default::default(), pushed: [0.0; 3], travel_mm: [0.0; 3] };
+        let mut bench = Self {
+            plant,
+            drive,
+            geometry: Geometry::default(),
+            piston_mm: Vector3::zeros(),
+            sides: Default::default(),
+            pushed: [0.0; 3],
+            travel_mm: [0.0; 3],
+        };
         bench.run(&Vector3::zeros(), 2.5, |_| {});
         bench
     }
@@ -90,7 +98,8 @@ impl Bench {
             Arm::None => q[i],
             Arm::Extension => lines[i].slack_mm(q[i]),
             Arm::Backlash => {
-                let (u, next) = Side::Band { band_mm: 0.05 }.invert(&lines[i], self.sides[i], &Wanted { q_mm: q[i], dt_s: DT_S, reach: 1.0 });
+                let (u, next) =
+                    Side::Band { band_mm: 0.05 }.invert(&lines[i], self.sides[i], &Wanted { q_mm: q[i], dt_s: DT_S, reach: 1.0 });
                 self.sides[i] = next;
                 u
             }

@@ -37,7 +37,10 @@ impl Rig {
     pub fn clean(toml: &str) -> Self {
         let mut c = config(toml);
         c.line.k_lambda_mm = [0.0; 3];
-        c.imu = retroflex::plant::imu::chip::ImuConfig { gyro_bias_deg_s: c.imu.gyro_bias_deg_s, ..retroflex::plant::imu::chip::ImuConfig::perfect() };
+        c.imu = retroflex::plant::imu::chip::ImuConfig {
+            gyro_bias_deg_s: c.imu.gyro_bias_deg_s,
+            ..retroflex::plant::imu::chip::ImuConfig::perfect()
+        };
         Self::new(&c)
     }
     fn counts(&self) -> Steps {

@@ -38,7 +38,9 @@ fn rest_reads_gravity_up_and_the_field() {
 
 #[test]
 fn the_integrated_gyroscope_is_the_orientation() {
-    let mut c = config("[base]\npitch_deg = 80.0\n[effects.gravity]\nsag_deg = 5.0\n[effects.torsion]\ntwist_deg = 12.0\n[effects.creep]\nshare = 0.2");
+    let mut c = config(
+        "[base]\npitch_deg = 80.0\n[effects.gravity]\nsag_deg = 5.0\n[effects.torsion]\ntwist_deg = 12.0\n[effects.creep]\nshare = 0.2",
+    );
     c.imu = ImuConfig::perfect();
     for dt in [0.0005, 0.001, 0.003, 0.01] {
         let mut rig = Rig::new(&c);
@@ -85,7 +87,8 @@ fn the_accelerometer_feels_the_tip_being_moved() {
     let length = 20.0 + end.truth.bellow_mm.mean();
     let b = bend(end).map(f64::to_radians);
     let beta = b.norm();
-    let want = Vector3::new(b.x * (1.0 - beta.cos()) / beta / beta, -b.y * (1.0 - beta.cos()) / beta / beta, beta.sin() / beta) * length - Vector3::z() * 20.0;
+    let want = Vector3::new(b.x * (1.0 - beta.cos()) / beta / beta, -b.y * (1.0 - beta.cos()) / beta / beta, beta.sin() / beta) * length
+        - Vector3::z() * 20.0;
     assert!((x * 1e3 - want).norm() < 0.02, "{} {want}", x * 1e3);
 }
 
@@ -124,7 +127,11 @@ fn gyro_bias_drifts_from_nothing() {
 
 #[test]
 fn accel_bias_shows_in_the_norm_by_attitude() {
-    let norm = |pitch: f64| samples(&Rig::clean(&format!("[base]\npitch_deg = {pitch}\n[effects.accel_bias]\nbias_mg = [0.0, 0.0, 60.0]")).hold(0.1))[0].acc_m_s2.norm();
+    let norm = |pitch: f64| {
+        samples(&Rig::clean(&format!("[base]\npitch_deg = {pitch}\n[effects.accel_bias]\nbias_mg = [0.0, 0.0, 60.0]")).hold(0.1))[0]
+            .acc_m_s2
+            .norm()
+    };
     assert!(norm(0.0) > UP + 0.55 && norm(180.0) < UP - 0.55 && (norm(90.0) - UP).abs() < 0.05);
 }
 
@@ -145,7 +152,9 @@ fn hard_iron_turns_with_the_body_and_motors_do_not() {
 #[test]
 fn the_motors_field_follows_the_coils_and_idles() {
     let field = |steps: i32| {
-        let mut c = config("[effects.motor_field]\namplitude_ut = [5.0, 0.0, 0.0]\n[shape]\nr_mm = [20.0, 20.0, 20.0]\n[line]\nk_epsilon = [20.0, 20.0, 20.0]");
+        let mut c = config(
+            "[effects.motor_field]\namplitude_ut = [5.0, 0.0, 0.0]\n[shape]\nr_mm = [20.0, 20.0, 20.0]\n[line]\nk_epsilon = [20.0, 20.0, 20.0]",
+        );
         c.imu = ImuConfig { mag_period_s: 0.002, ..ImuConfig::perfect() };
         let mut plant = Plant::new(&c, 1).unwrap();
         let mut last = Vector3::zeros();

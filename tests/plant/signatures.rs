@@ -56,11 +56,13 @@ fn gear_error_follows_position_not_time() {
     let ripple = |speed: f64| {
         let (mut with, mut without) = (Rig::clean("[effects.gear_periodic]\namplitude_mm = 0.2"), Rig::clean(""));
         // read where the piston passes 2, 3, … 12 mm
-        (2..=12).map(|mm| {
-            let to = [f64::from(mm), 0.0, 0.0];
-            (with.go(to, speed), without.go(to, speed));
-            (bend(with.hold(0.5).last().unwrap()) - bend(without.hold(0.5).last().unwrap())).norm()
-        }).collect::<Vec<f64>>()
+        (2..=12)
+            .map(|mm| {
+                let to = [f64::from(mm), 0.0, 0.0];
+                (with.go(to, speed), without.go(to, speed));
+                (bend(with.hold(0.5).last().unwrap()) - bend(without.hold(0.5).last().unwrap())).norm()
+            })
+            .collect::<Vec<f64>>()
     };
     let (slow, fast) = (ripple(2.0), ripple(20.0));
     assert!(slow.iter().zip(&fast).all(|(a, b)| (a - b).abs() < 1e-6));
@@ -177,7 +179,8 @@ fn softening_is_there_from_the_second_stretch_on() {
 #[test]
 fn gravity_follows_the_vertical() {
     let at = |pitch: f64, pistons: [f64; 3]| {
-        Rig::clean(&format!("[line]\nk_epsilon = [2.0, 2.0, 2.0]\n[base]\npitch_deg = {pitch}\n[effects.gravity]\nsag_deg = 6.0")).at(pistons)
+        Rig::clean(&format!("[line]\nk_epsilon = [2.0, 2.0, 2.0]\n[base]\npitch_deg = {pitch}\n[effects.gravity]\nsag_deg = 6.0"))
+            .at(pistons)
     };
     let free = Rig::clean("[line]\nk_epsilon = [2.0, 2.0, 2.0]").at(BEND).norm();
     assert!(at(0.0, BEND).norm() > free + 1.0 && at(180.0, BEND).norm() < free - 1.0);
@@ -223,8 +226,16 @@ fn a_cable_is_two_fold_and_one_sided() {
 
 #[test]
 fn torsion_leaves_the_axis_alone() {
-    let twisted = { let mut r = Rig::clean("[effects.torsion]\ntwist_deg = 10.0"); r.at(BEND); *r.hold(0.1).last().unwrap() };
-    let straight = { let mut r = Rig::clean(""); r.at(BEND); *r.hold(0.1).last().unwrap() };
+    let twisted = {
+        let mut r = Rig::clean("[effects.torsion]\ntwist_deg = 10.0");
+        r.at(BEND);
+        *r.hold(0.1).last().unwrap()
+    };
+    let straight = {
+        let mut r = Rig::clean("");
+        r.at(BEND);
+        *r.hold(0.1).last().unwrap()
+    };
     assert!((bend(&twisted) - bend(&straight)).norm() < 1e-6);
     assert!(twisted.truth.r_base_tip.angle_to(&straight.truth.r_base_tip).to_degrees() > 5.0);
 }
@@ -285,9 +296,16 @@ fn outside_effects_are_what_they_say() {
 
     // play wears
     let mut rig = Rig::of("[effects.outside.play_wear]\ngrowth = 1.5\nover_mm = 100.0");
-    let mut gap = || { rig.at([0.0; 3]); let a = rig.at(BEND); rig.at(scaled(1.5)); (a - rig.at(BEND)).norm() };
+    let mut gap = || {
+        rig.at([0.0; 3]);
+        let a = rig.at(BEND);
+        rig.at(scaled(1.5));
+        (a - rig.at(BEND)).norm()
+    };
     let first = gap();
-    (0..6).for_each(|_| { gap(); });
+    (0..6).for_each(|_| {
+        gap();
+    });
     assert!(gap() > first + 2.0);
 
     // a held bend unscrews, a fold pops

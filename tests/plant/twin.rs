@@ -35,12 +35,12 @@ fn three_arms_are_the_papers_within_ten_percent() {
 #[test]
 fn units_spread_around_it() {
     let units: Vec<_> = (1..=20).map(|seed| arms(&paper_twin().drawn(seed), seed)).collect();
-    for a in 0..3 {
+    for (a, paper) in PAPER_DEG.iter().enumerate() {
         let all: Vec<f64> = units.iter().map(|u| u.0[a]).collect();
         let (low, high) = all.iter().fold((f64::MAX, 0.0f64), |(l, h), &x| (l.min(x), h.max(x)));
         let mean = all.iter().sum::<f64>() / 20.0;
-        println!("arm {a}: {low:.2} to {high:.2}, mean {mean:.2} deg (paper {:.2})", PAPER_DEG[a]);
-        assert!((mean / PAPER_DEG[a] - 1.0).abs() < 0.15 && high / low < 2.2);
+        println!("arm {a}: {low:.2} to {high:.2}, mean {mean:.2} deg (paper {paper:.2})");
+        assert!((mean / paper - 1.0).abs() < 0.15 && high / low < 2.2);
     }
     assert!(units.iter().filter(|u| u.2 < 12).count() >= 18, "Algorithm 1 ends on nearly every unit");
 }

@@ -361,8 +361,7 @@ fn a_shaken_tip_coasts_then_holds() {
 
 #[test]
 fn every_policy_can_be_written_and_bad_limits_are_named() {
-    let text =
-        "frozen_after = 0\n[policy]\nspike = { do = \"hold\" }\nnack = { do = \"coast_on_gyro\", for_s = 0.5 }\n";
+    let text = "frozen_after = 0\n[policy]\nspike = { do = \"hold\" }\nnack = { do = \"coast_on_gyro\", for_s = 0.5 }\n";
     let c: Config = toml::from_str(text).expect("valid");
     assert_eq!((c.policy.spike, c.policy.nack), (Policy::Hold, Policy::CoastOnGyro { for_s: 0.5 }));
     c.validate().expect("sound");

@@ -96,11 +96,7 @@ impl Block {
     /// How errors flowed into one another.
     #[must_use]
     pub fn flow(&self) -> Flow {
-        Flow {
-            attitude_by_bias: -self.rotated,
-            attitude_by_scale: self.skewed,
-            velocity_by_tilt_m_s: GRAVITY_M_S2 * self.length_s,
-        }
+        Flow { attitude_by_bias: -self.rotated, attitude_by_scale: self.skewed, velocity_by_tilt_m_s: GRAVITY_M_S2 * self.length_s }
     }
     /// Mean square turning rate, rad²/s².
     #[must_use]
@@ -116,10 +112,6 @@ impl Block {
     #[must_use]
     pub fn field(&self) -> Option<FieldMean> {
         let n = self.readings;
-        (n > 0.0).then(|| FieldMean {
-            world_ut: self.field / n,
-            by_age_ut_s: self.field_by_age / n,
-            to_world: self.field_rotation / n,
-        })
+        (n > 0.0).then(|| FieldMean { world_ut: self.field / n, by_age_ut_s: self.field_by_age / n, to_world: self.field_rotation / n })
     }
 }

@@ -143,9 +143,7 @@ mod tests {
     use super::*;
 
     fn tangled() -> Covariance {
-        let root = SMatrix::<f64, DIM, DIM>::from_fn(|r, c| {
-            ((r * 7 + c * 3) % 11) as f64 / 11.0 + f64::from(r == c)
-        });
+        let root = SMatrix::<f64, DIM, DIM>::from_fn(|r, c| ((r * 7 + c * 3) % 11) as f64 / 11.0 + f64::from(r == c));
         Covariance(root * root.transpose())
     }
 

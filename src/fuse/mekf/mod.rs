@@ -281,12 +281,7 @@ impl Mekf {
 
     fn is_sane(&self) -> bool {
         let e = &self.estimate;
-        e.r_world_sensor
-            .coords
-            .iter()
-            .chain(e.bias_rad_s.iter())
-            .chain(e.iron_ut.iter())
-            .all(|x| x.is_finite())
+        e.r_world_sensor.coords.iter().chain(e.bias_rad_s.iter()).chain(e.iron_ut.iter()).all(|x| x.is_finite())
             && self.covariance.is_sane()
     }
 }

@@ -43,12 +43,7 @@ pub struct Motion {
 impl Default for Motion {
     /// Flat and still in a central European field.
     fn default() -> Self {
-        Self {
-            acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
-            gyro_rad_s: Vector3::zeros(),
-            mag_ut: Vector3::new(20.0, 0.0, -45.0),
-            temp_c: 25.0,
-        }
+        Self { acc_m_s2: Vector3::new(0.0, 0.0, 9.81), gyro_rad_s: Vector3::zeros(), mag_ut: Vector3::new(20.0, 0.0, -45.0), temp_c: 25.0 }
     }
 }
 

@@ -38,12 +38,7 @@ impl RawImu {
     /// What the health judge wants to know besides the values.
     #[must_use]
     pub fn quality(&self) -> Quality {
-        Quality {
-            gyro_load: load(&self.gyro),
-            acc_load: load(&self.acc),
-            mag_overflow: self.mag_overflow,
-            expect_noise: true,
-        }
+        Quality { gyro_load: load(&self.gyro), acc_load: load(&self.acc), mag_overflow: self.mag_overflow, expect_noise: true }
     }
 }
 
@@ -185,14 +180,7 @@ mod tests {
 
     #[test]
     fn an_overflowed_field_is_withheld() {
-        let scale = Scale {
-            gyro_rad_s: 1.0,
-            acc_m_s2: 1.0,
-            mag_ut: 0.15,
-            mag_axes: Axes::ALIGNED,
-            temp_c: 1.0 / 256.0,
-            temp_zero_c: 25.0,
-        };
+        let scale = Scale { gyro_rad_s: 1.0, acc_m_s2: 1.0, mag_ut: 0.15, mag_axes: Axes::ALIGNED, temp_c: 1.0 / 256.0, temp_zero_c: 25.0 };
         let mut raw = RawImu { mag: Some([100, -200, 300]), temp: -256, ..RawImu::default() };
         let field = scale.sample(&raw, Seconds(1.0)).mag_ut.expect("new");
         assert!((field - Vector3::new(15.0, -30.0, 45.0)).norm() < 1e-12);

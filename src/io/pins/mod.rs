@@ -28,7 +28,9 @@ use crate::motion::report::Inputs;
 #[derive(Debug, thiserror::Error)]
 pub enum PinError {
     /// There is no such device file.
-    #[error("no GPIO chip at {path}: list the chips with `ls /dev/gpiochip*` and set pins.chip (or pins.backend = \"rppal\" on a Raspberry Pi)")]
+    #[error(
+        "no GPIO chip at {path}: list the chips with `ls /dev/gpiochip*` and set pins.chip (or pins.backend = \"rppal\" on a Raspberry Pi)"
+    )]
     NoChip {
         /// The path tried.
         path: String,
@@ -58,7 +60,9 @@ pub enum PinError {
         by: Option<String>,
     },
     /// The device may not be opened.
-    #[error("no permission for {path}: add this user to the group gpio (`sudo usermod -aG gpio $USER`, then log in again) or run as the service")]
+    #[error(
+        "no permission for {path}: add this user to the group gpio (`sudo usermod -aG gpio $USER`, then log in again) or run as the service"
+    )]
     PermissionDenied {
         /// The device.
         path: String,

@@ -3,10 +3,10 @@
 //! The pins keep their last levels when the program ends: EN then stays as the shutdown left it,
 //! instead of floating to "energised" on boards that pull it down.
 
+use crate::io::pins::PinError;
 use crate::io::pins::config::Pull;
 use crate::io::pins::hal::HalPins;
 use crate::io::pins::map::LineMap;
-use crate::io::pins::PinError;
 use rppal::gpio::{Error, Gpio, InputPin, OutputPin, Pin};
 
 /// Where `rppal` reaches the registers.
@@ -52,9 +52,7 @@ fn name(error: Error, pin: u32) -> PinError {
         Error::PinUsed(_) => PinError::Busy { pin, by: Some("this program".into()) },
         Error::PinNotAvailable(_) => PinError::NoLine { chip: "this board".into(), pin, lines: 54 },
         Error::PermissionDenied(path) => PinError::PermissionDenied { path },
-        Error::Io(source) if source.kind() == std::io::ErrorKind::PermissionDenied => {
-            PinError::PermissionDenied { path: DEVICE.into() }
-        }
+        Error::Io(source) if source.kind() == std::io::ErrorKind::PermissionDenied => PinError::PermissionDenied { path: DEVICE.into() },
         Error::Io(source) => PinError::Io { what: "open", source },
         Error::ThreadPanic => PinError::Pin { what: "open", why: "a thread of the GPIO library died".into() },
     }

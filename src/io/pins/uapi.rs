@@ -213,10 +213,7 @@ mod tests {
             [0x8044_B401, 0xC100_B405, 0xC250_B407, 0xC010_B40E, 0xC010_B40F]
         );
         assert_eq!((size_of::<LineConfig>(), size_of::<ConfigAttribute>()), (272, 24));
-        assert_eq!(
-            [offset_of!(LineRequest, config), offset_of!(LineRequest, num_lines), offset_of!(LineRequest, fd)],
-            [288, 560, 588]
-        );
+        assert_eq!([offset_of!(LineRequest, config), offset_of!(LineRequest, num_lines), offset_of!(LineRequest, fd)], [288, 560, 588]);
         assert_eq!([offset_of!(LineInfo, consumer), offset_of!(LineInfo, flags)], [32, 72]);
     }
 

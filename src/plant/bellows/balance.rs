@@ -53,10 +53,16 @@ impl Balance {
     }
 
     /// Elongations, mm, and gauge pressures, kPa, for the air delivered (mm of piston).
-    pub(crate) fn solve(&mut self, air_mm: &Vector3<f64>, compliance: &Vector3<f64>, softness: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+    pub(crate) fn solve(
+        &mut self,
+        air_mm: &Vector3<f64>,
+        compliance: &Vector3<f64>,
+        softness: &Vector3<f64>,
+    ) -> (Vector3<f64>, Vector3<f64>) {
         for i in 0..3 {
             let k = self.k_epsilon[i] * compliance[i];
-            self.last[i] = if self.straight { self.line(air_mm[i], k, softness[i]) } else { self.newton(air_mm[i], k, softness[i], &self.last[i]) };
+            self.last[i] =
+                if self.straight { self.line(air_mm[i], k, softness[i]) } else { self.newton(air_mm[i], k, softness[i], &self.last[i]) };
         }
         let [a, b, c] = &self.last;
         (Vector3::new(a.bellow_mm, b.bellow_mm, c.bellow_mm), Vector3::new(a.pressure_kpa, b.pressure_kpa, c.pressure_kpa))

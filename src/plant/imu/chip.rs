@@ -175,8 +175,24 @@ impl Chip {
         let white = (0.5 / config.period_s).sqrt();
         let (deg, mg) = (1f64.to_radians(), 1e-3 * GRAVITY_M_S2);
         let c = config;
-        let gyro = Axes::new(&c.gyro_bias_deg_s, c.gyro_noise_deg_s_rthz * white, (c.gyro_wander_deg_s, c.wander_s), c.gyro_digit_deg_s, c.gyro_range_deg_s, deg, &mut lot);
-        let acc = Axes::new(&c.acc_bias_mg, c.acc_noise_mg_rthz * white, (c.acc_wander_mg, c.wander_s), c.acc_digit_mg, c.acc_range_g * 1000.0, mg, &mut lot);
+        let gyro = Axes::new(
+            &c.gyro_bias_deg_s,
+            c.gyro_noise_deg_s_rthz * white,
+            (c.gyro_wander_deg_s, c.wander_s),
+            c.gyro_digit_deg_s,
+            c.gyro_range_deg_s,
+            deg,
+            &mut lot,
+        );
+        let acc = Axes::new(
+            &c.acc_bias_mg,
+            c.acc_noise_mg_rthz * white,
+            (c.acc_wander_mg, c.wander_s),
+            c.acc_digit_mg,
+            c.acc_range_g * 1000.0,
+            mg,
+            &mut lot,
+        );
         let mag = Axes::new(&c.mag_bias_ut, c.mag_noise_ut, (c.mag_wander_ut, c.wander_s), c.mag_digit_ut, c.mag_range_ut, 1.0, &mut lot);
         Self { period_s: c.period_s, mag_period_s: c.mag_period_s, gyro, acc, mag, lot, mag_dt_s: 0.0 }
     }

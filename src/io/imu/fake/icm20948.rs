@@ -73,8 +73,7 @@ impl FakeIcm20948 {
     fn convert(&mut self, dt_s: f64) {
         let (g, a) = (self.get(2, reg::GYRO_CONFIG_1), self.get(2, reg::ACCEL_CONFIG));
         let gyro_period = (1.0 + f64::from(self.get(2, reg::GYRO_SMPLRT_DIV))) / BASE_RATE_HZ;
-        let divider =
-            u16::from_be_bytes([self.get(2, reg::ACCEL_SMPLRT_DIV_1) & 0x0F, self.get(2, reg::ACCEL_SMPLRT_DIV_2)]);
+        let divider = u16::from_be_bytes([self.get(2, reg::ACCEL_SMPLRT_DIV_1) & 0x0F, self.get(2, reg::ACCEL_SMPLRT_DIV_2)]);
         let acc_period = (1.0 + f64::from(divider)) / BASE_RATE_HZ;
         let gyro_due = self.gyro_on() && self.gyro.due(dt_s, gyro_period);
         let acc_due = self.acc_on() && self.acc.due(dt_s, acc_period);
@@ -100,11 +99,7 @@ impl FakeIcm20948 {
     /// gyroscope is off or the master is duty-cycled.
     fn master_period(&self, gyro_period_s: f64) -> f64 {
         let cycled = self.get(0, reg::LP_CONFIG) & 0x40 != 0;
-        if self.gyro_on() && !cycled {
-            gyro_period_s
-        } else {
-            f64::from(1_u16 << (self.get(3, reg::I2C_MST_ODR_CONFIG) & 0x0F)) / 1100.0
-        }
+        if self.gyro_on() && !cycled { gyro_period_s } else { f64::from(1_u16 << (self.get(3, reg::I2C_MST_ODR_CONFIG) & 0x0F)) / 1100.0 }
     }
 
     fn put(&mut self, from: u8, counts: &[i16]) {

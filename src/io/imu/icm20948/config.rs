@@ -99,29 +99,17 @@ impl Config {
             f64::from(self.gyro_range_dps),
             "250, 500, 1000 or 2000",
         ))?;
-        let acc_fs = range(&[2, 4, 8, 16], u16::from(self.acc_range_g)).ok_or(no(
-            "acc_range_g",
-            f64::from(self.acc_range_g),
-            "2, 4, 8 or 16",
-        ))?;
-        let mag_mode = range(&[10, 20, 50, 100], self.mag_rate_hz).ok_or(no(
-            "mag_rate_hz",
-            f64::from(self.mag_rate_hz),
-            "10, 20, 50 or 100",
-        ))?;
+        let acc_fs =
+            range(&[2, 4, 8, 16], u16::from(self.acc_range_g)).ok_or(no("acc_range_g", f64::from(self.acc_range_g), "2, 4, 8 or 16"))?;
+        let mag_mode =
+            range(&[10, 20, 50, 100], self.mag_rate_hz).ok_or(no("mag_rate_hz", f64::from(self.mag_rate_hz), "10, 20, 50 or 100"))?;
         if !(4.4..=BASE_RATE_HZ).contains(&self.rate_hz) {
             return Err(no("rate_hz", self.rate_hz, "4.4 to 1125"));
         }
-        let gyro_dlpf = filter(&GYRO_BANDWIDTH_HZ, self.gyro_bandwidth_hz).ok_or(no(
-            "gyro_bandwidth_hz",
-            self.gyro_bandwidth_hz,
-            "at most 361.4",
-        ))?;
-        let acc_dlpf = filter(&ACC_BANDWIDTH_HZ, self.acc_bandwidth_hz).ok_or(no(
-            "acc_bandwidth_hz",
-            self.acc_bandwidth_hz,
-            "at most 473",
-        ))?;
+        let gyro_dlpf =
+            filter(&GYRO_BANDWIDTH_HZ, self.gyro_bandwidth_hz).ok_or(no("gyro_bandwidth_hz", self.gyro_bandwidth_hz, "at most 361.4"))?;
+        let acc_dlpf =
+            filter(&ACC_BANDWIDTH_HZ, self.acc_bandwidth_hz).ok_or(no("acc_bandwidth_hz", self.acc_bandwidth_hz, "at most 473"))?;
         Ok(Settings {
             address: self.address,
             divider: ((BASE_RATE_HZ / self.rate_hz).floor() - 1.0) as u8,

@@ -109,15 +109,13 @@ impl Config {
             f64::from(self.gyro_range_dps),
             "125, 250, 500, 1000 or 2000",
         ))?;
-        let (_, fs_xl) = ACC.into_iter().find(|(r, _)| *r == self.acc_range_g).ok_or(no(
-            "acc_range_g",
-            f64::from(self.acc_range_g),
-            "2, 4, 8 or 16",
+        let (_, fs_xl) =
+            ACC.into_iter().find(|(r, _)| *r == self.acc_range_g).ok_or(no("acc_range_g", f64::from(self.acc_range_g), "2, 4, 8 or 16"))?;
+        let (odr, rate_hz) = (1_u8..).zip(RATES_HZ).find(|(_, r)| *r >= self.rate_hz && self.rate_hz >= 1.0).ok_or(no(
+            "rate_hz",
+            self.rate_hz,
+            "1 to 6664",
         ))?;
-        let (odr, rate_hz) = (1_u8..)
-            .zip(RATES_HZ)
-            .find(|(_, r)| *r >= self.rate_hz && self.rate_hz >= 1.0)
-            .ok_or(no("rate_hz", self.rate_hz, "1 to 6664"))?;
         let divisor = ACC_DIVISORS.into_iter().position(|d| d == self.acc_filter_divisor);
         if divisor.is_none() && self.acc_filter_divisor != 2 {
             let allowed = "2, 4, 10, 20, 45, 100, 200, 400 or 800";
