@@ -363,6 +363,7 @@ fn watch_base(config: &Config, state: &mut State, input: &Input, should: Vector2
         model: should + state.pi.feedback,
         setpoint: state.bend.at,
         to_go: state.target.bend.0 - felt.0,
+        still_s: state.still_s,
         answer_s: state.dynamics.lag_s + state.dynamics.delay_s,
         dt_s: input.dt_s,
     };
@@ -372,6 +373,7 @@ fn watch_base(config: &Config, state: &mut State, input: &Input, should: Vector2
         (state.pi.integral, state.pi.feedback) = (state.quiet[0], state.quiet[0]);
     } else if state.watch.quiet() {
         state.quiet = [state.pi.integral, felt.0, given.0];
+        state.fusion.remember(input.t);
     }
 }
 

@@ -93,6 +93,9 @@ struct Running {
     second: Second,
     ease: Ease,
     last: Option<ImuSample>,
+    /// The bend filter as it was when all was quiet last: what it knew of the sensor.
+    saved: Option<BendFilter>,
+    saved_at_s: f64,
     /// Averages a rest that is to become the new one, for a tip that is bent by this.
     again: Option<(AlignState, Bend)>,
 }
@@ -117,6 +120,8 @@ impl Default for Fusion {
 const SIGMAS: f64 = 3.0;
 /// Uncertainty of the bend that a re-alignment is told, rad (2°).
 const REALIGN_SIGMA_RAD: f64 = 0.035;
+/// How often a quiet estimator is remembered, s.
+const REMEMBER_S: f64 = 0.5;
 /// A sample may be integrated over this many of its periods, and a hole is anything longer.
 const BRIDGED_PERIODS: f64 = 6.0;
 
@@ -148,6 +153,16 @@ impl Fusion {
                     judge.set_known(known, &running.rest.acc_rest_m_s2, running.rest.mag_rest_ut.as_ref());
                 }
             }
+        }
+    }
+
+    /// All is quiet: what the estimator knows of the sensor may be returned to.
+    pub fn remember(&mut self, now: Seconds) {
+        if let Stage::Running(r) = &mut self.stage
+            && now.0 - r.saved_at_s > REMEMBER_S
+        {
+            r.saved = r.estimator.as_bend().cloned();
+            r.saved_at_s = now.0;
         }
     }
 
@@ -247,6 +262,8 @@ impl Running {
             second: Second::new(second),
             ease: Ease::default(),
             last: None,
+            saved: None,
+            saved_at_s: f64::NEG_INFINITY,
             again: None,
         }
     }
@@ -320,6 +337,10 @@ impl Running {
             mag_rest_ut: now.mag_rest_ut.map(|m| straight.apply(&m)),
             ..now
         };
+        if let (Estimator::Bend(f), Some(saved)) = (&mut self.estimator, self.saved.take()) {
+            // what it has learnt since is the base's turn, not the sensor
+            *f = saved;
+        }
         self.estimator.rebase(config.filter, &config.bend, &now, bend, REALIGN_SIGMA_RAD);
         self.second.estimator.rebase(config.filter.second(), &config.bend, &now, bend, REALIGN_SIGMA_RAD);
         if let Some(f) = self.bend_filter() {

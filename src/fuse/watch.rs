@@ -7,9 +7,9 @@
 //! * **Twist**: `∫ φ̇_z`, forgotten over a second. Torsion and a tilted mount make some of it, in
 //!   proportion to the set-point's motion, and as much is allowed.
 //! * **Bend**: `∫ (φ̇_xy − model)`, from the moment on at which the loop had settled on a resting
-//!   set-point. Only then: during a motion the model is not exact enough to accuse the base. A tip
-//!   that is held gives the same difference, by *not* turning while it is pushed, so the tip must have
-//!   turned too before the loop answered.
+//!   set-point. Only then: during a motion the model is not exact enough to accuse the base. And only
+//!   when the turn began while the pistons stood: a tip that is held differs by *not* turning while
+//!   it is pushed, and a gap believed too wide by turning more than it was pushed.
 //!
 //! What looks like bending and comes slowly (a leak, creep, a base that is tilted over a minute) stays
 //! below both, and is corrected by the loop as bending. Only a base IMU can tell that apart.
@@ -28,21 +28,21 @@ pub struct WatchConfig {
     pub twist_deg: f64,
     /// Twist that is allowed per degree of set-point motion. Default 0.45: torsion and a tilted mount.
     pub twist_share: f64,
-    /// Unexplained bend that flags a moved base, degrees. Default 5. Larger overlooks larger turns.
+    /// Unexplained bend that flags a moved base, degrees. Default 5.5. Larger overlooks larger turns.
     pub bend_deg: f64,
-    /// How far the tip itself must have turned by then, degrees. Default 1.5. Smaller takes a pushed
-    /// and held tip for a moved base.
-    pub turned_deg: f64,
+    /// Unexplained bend at which it is asked whether the pistons stood, degrees. Default 0.4. Larger
+    /// asks when the loop has already answered the turn.
+    pub onset_deg: f64,
     /// Error within which the loop counts as settled, degrees. Default 1.5. Larger watches sooner
     /// after a motion, with a less exact model.
     pub settled_deg: f64,
-    /// How long both are remembered, s. Default 1. Larger sees slower turns, and more creep.
+    /// How long both are remembered, s. Default 1.5. Larger sees slower turns, and more creep.
     pub memory_s: f64,
 }
 
 impl Default for WatchConfig {
     fn default() -> Self {
-        Self { enabled: true, twist_deg: 5.0, twist_share: 0.45, bend_deg: 5.0, turned_deg: 1.5, settled_deg: 1.5, memory_s: 1.0 }
+        Self { enabled: true, twist_deg: 5.0, twist_share: 0.45, bend_deg: 5.5, onset_deg: 0.4, settled_deg: 1.5, memory_s: 1.5 }
     }
 }
 
@@ -59,6 +59,8 @@ pub struct Seen {
     pub setpoint: Vector2<f64>,
     /// Target less felt, rad.
     pub to_go: Vector2<f64>,
+    /// For how long the pistons have stood, s.
+    pub still_s: f64,
     /// Lag and dead time of the line together, s.
     pub answer_s: f64,
     /// Time since the last tick, s.
@@ -75,8 +77,19 @@ pub struct Watch {
     twisted_s: f64,
     settled: bool,
     bend: Vector2<f64>,
-    turned: Vector2<f64>,
-    turned_most: f64,
+    onset: Onset,
+}
+
+/// How the present unexplained bend began.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Onset {
+    /// There is none.
+    #[default]
+    None,
+    /// While the pistons stood.
+    ByItself,
+    /// While they moved, or not to be told.
+    Pushed,
 }
 
 /// A flag needs this long, s.
@@ -105,11 +118,16 @@ impl Watch {
 
     fn follow_bend(&mut self, config: &WatchConfig, seen: &Seen, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
         if self.path_fast > RESTING_RAD {
-            (self.settled, self.bend, self.turned, self.turned_most) = (false, Vector2::zeros(), Vector2::zeros(), 0.0);
+            (self.settled, self.bend, self.onset) = (false, Vector2::zeros(), Onset::None);
         } else if self.settled {
             self.bend = self.bend * fade + turned - modelled;
-            self.turned = self.turned * fade + turned;
-            self.turned_most = (self.turned_most * fade).max(self.turned.norm());
+            let (size, onset) = (self.bend.norm(), config.onset_deg.to_radians());
+            if size < 0.5 * onset {
+                self.onset = Onset::None;
+            } else if size > onset && self.onset == Onset::None {
+                let stood = seen.still_s > 2.0 * seen.answer_s;
+                self.onset = if stood { Onset::ByItself } else { Onset::Pushed };
+            }
         } else {
             self.settled = seen.to_go.norm() < config.settled_deg.to_radians();
         }
@@ -118,7 +136,7 @@ impl Watch {
     fn judge(&mut self, config: &WatchConfig, dt_s: f64) -> bool {
         let twist_max = config.twist_deg.to_radians() + config.twist_share * self.path_slow;
         self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + dt_s } else { 0.0 };
-        let bent = self.bend.norm() > config.bend_deg.to_radians() && self.turned_most > config.turned_deg.to_radians();
+        let bent = self.bend.norm() > config.bend_deg.to_radians() && self.onset == Onset::ByItself;
         config.enabled && (bent || self.twisted_s > CONFIRM_S)
     }
 
@@ -151,6 +169,7 @@ mod tests {
                 model: model(t),
                 setpoint: setpoint(t),
                 to_go,
+                still_s: if model(t) == model(t - DT_S) { 1.0 } else { 0.0 },
                 answer_s: 0.04,
                 dt_s: DT_S,
             };
