@@ -3,6 +3,7 @@
 //! 0 done · 1 the run finished and the answer is "not good enough" · 2 bad input or usage · 3 hardware
 //! or service not reachable.
 
+pub mod calibrate;
 pub mod evaluate;
 pub mod imu;
 
@@ -25,6 +26,9 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: three open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
+    /// Find the errors of a sensor and write them into a calibration file.
+    #[command(subcommand)]
+    Calibrate(calibrate::Calibrate),
     /// Orientation filters on recordings.
     #[command(subcommand)]
     Imu(imu::Imu),
@@ -44,6 +48,7 @@ pub enum Outcome {
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Calibrate(command) => calibrate::run(&command),
         Command::Imu(command) => imu::run(&command),
     };
     match end {

@@ -528,3 +528,6 @@ pub(super) fn right_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
     let c = if a < 1e-3 { 1.0 / 12.0 } else { 1.0 / (a * a) - (1.0 + a.cos()) / (2.0 * a * a.sin()) };
     Matrix3::identity() + k * 0.5 + k * k * c
 }
+
+#[cfg(test)]
+mod tests;
