@@ -3,8 +3,8 @@
 //! All bars are in held-out residuals. Real units are never perfect, so an effect must lower some
 //! kind's RMSE by at least 0.3° (0.3 °/s for the gyroscope) to be claimed at all; a second effect must
 //! besides take a good part of what the first one leaves, because a truth of another form always
-//! leaves something that a wrong second effect can feed on. The fractions were set on logs of the
-//! built-in plant (see `gap exam`), never on logs that the exam or anybody else judges by.
+//! leaves something that a wrong second effect can feed on. The fractions below are reasoned, not
+//! fitted: what a law of another form is expected to leave of the gap it causes.
 
 use crate::gap::observe::Observed;
 use crate::gap::search::{Candidate, Found, HeldOut};
