@@ -6,6 +6,7 @@
 
 pub mod board;
 pub mod calib;
+mod fuse;
 pub mod gains;
 pub mod source;
 
@@ -30,5 +31,6 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Conf
         feedback: Some(gains.feedback()),
         refine: gains.refine,
         fuse: gains.fuse,
+        imu: calibration.imu.correction(),
     }
 }
