@@ -310,7 +310,8 @@ impl BendFilter {
     }
 
     /// While the field's readings keep exceeding their noise, the excess is taken for a direction error,
-    /// which lasts, not for white noise: it may lie without bound.
+    /// which lasts, not for white noise: it may lie without bound, and the worse it fits the less is
+    /// believed of it.
     fn correct_field(&mut self, turn: &Turn, rest: &Vector3<f64>, before: &State) {
         let white = self.rest.mag_sigma_ut.max(0.05).powi(2) / f64::from(self.mag.n);
         let noise = self.noise(white, self.config.field_error * rest.norm());
@@ -322,7 +323,8 @@ impl BendFilter {
         let k = if now > surprise { 0.1 } else { 0.01 };
         let surprise = surprise + k * (now.min(100.0 * surprise) - surprise);
         let expected = self.belief.expected(&h, single) / 3.0;
-        let excess = expected * (surprise.max(1.0) - 1.0).max(if now > 16.0 { now / 4.0 } else { 0.0 });
+        let times = (surprise.max(1.0) - 1.0) * (surprise / 4.0).max(1.0);
+        let excess = expected * times.max(if now > 16.0 { now / 4.0 } else { 0.0 });
         self.belief.correct_vector(&h, &self.mag.mean(), noise.white + (noise.direction + excess) * noise.repeats, before);
         self.mag.surprise = surprise;
     }
@@ -343,13 +345,18 @@ impl BendFilter {
         self.belief.scalar(&h, c * twist.beta - twist.psi, noise.direction * noise.repeats);
     }
 
-    /// A tip whose pistons rest reads its bias: the whole second of rest counts once.
+    /// A tip whose pistons rest reads its bias: the whole second of rest counts once. A rate that neither
+    /// creep nor drift can make is a base that turns.
     fn correct_stillness(&mut self, before: &State) {
         let mean = self.rate.mean();
         let n_per_s = 1.0 / self.config.correction_period_s;
         let sigma = self.config.still_rate_sigma_rad_s;
         let noise = self.rest.gyro_sigma_rad_s.max(1e-3);
         let r = sigma * sigma * n_per_s + noise * noise / f64::from(self.rate.n);
+        let likely = sigma * sigma + noise * noise / f64::from(self.rate.n) + self.belief.sigma_of(GYRO).powi(2);
+        if mean.norm_squared() > STILL_GATE * STILL_GATE * likely {
+            return;
+        }
         for axis in 0..3 {
             let mut h = [0.0; N];
             h[GYRO + axis] = 1.0;
@@ -364,5 +371,7 @@ impl BendFilter {
     }
 }
 
+/// A rate at rest beyond this many standard deviations is motion.
+const STILL_GATE: f64 = 5.0;
 /// Twist that even a straight tip may have, 1 σ, rad (0.2°).
 const TWIST_ALWAYS_RAD: f64 = 0.0035;
