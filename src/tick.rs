@@ -250,7 +250,7 @@ impl State {
             rested_s: 0.0,
             wall: WallState::default(),
             reach: Reach::default(),
-            refine: RefineState::new(&config.refine, &config.lines),
+            refine: RefineState::new(&config.lines),
             bank: DynamicsBank::default(),
             last_steps: Steps::default(),
             still_s: 0.0,
