@@ -9,7 +9,7 @@
 //! | F1 laws: pure, stateless | [`model`] |
 //! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`] |
 //! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
-//! | F4 edges | [`config`], [`io`], [`sim`], [`link`], [`cli`] |
+//! | F4 edges | [`io`], [`config`], [`sim`], [`link`], [`cli`] |
 
 pub mod calib_imu;
 pub mod check;

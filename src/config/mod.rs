@@ -7,6 +7,9 @@
 pub mod board;
 pub mod calib;
 pub mod gains;
+pub mod hardware;
+pub mod pins;
+pub mod safety;
 pub mod source;
 
 use crate::config::board::Board;
