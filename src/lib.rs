@@ -8,7 +8,7 @@
 //! | F0 words | [`units`], [`frames`], [`sample`], [`check`] |
 //! | F1 laws: pure, stateless | [`model`] |
 //! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`] |
-//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
+//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`machine`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
 //! | F4 edges | [`io`], [`config`], [`sim`], [`link`], [`cli`] |
 
 pub mod calib_imu;
@@ -25,6 +25,7 @@ pub mod imu_score;
 pub mod io;
 pub mod link;
 pub mod log;
+pub mod machine;
 pub mod model;
 pub mod motion;
 pub mod plant;
