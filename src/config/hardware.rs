@@ -3,10 +3,12 @@
 //! Relations are judged here and not where a value is used: a board that contradicts itself is refused
 //! as it is read, with the place in the file.
 
+use crate::calib_imu::Correction;
 use crate::check::Checker;
 use crate::config::board::Board;
 use crate::config::pins::check_pins;
 use crate::io::imu::ImuConfig;
+use crate::io::machine::{MachineConfig, SensorConfig};
 use crate::motion::{ConfigError, Limits};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -113,6 +115,34 @@ impl ImuSection {
         if let Err(e) = verdict {
             to.refuse(&key(&format!("chip.{}", e.field)), format!("{} does not exist on the {}", e.value, e.part), &format!("write {}", e.allowed));
         }
+    }
+}
+
+impl Board {
+    /// What hardware is made from; `None` on a board without `[pins]`.
+    #[must_use]
+    pub fn hardware(&self, correction: &Correction) -> Option<MachineConfig> {
+        let sensor = |s: &ImuSection| SensorConfig {
+            bus: s.bus.clone(),
+            rppal: s.backend == BusBackend::Rppal,
+            mount: s.mount(),
+            chip: s.chip.clone(),
+            rate_hz: s.rate_hz(),
+            priority: self.machine.imu_priority,
+        };
+        Some(MachineConfig {
+            name: self.machine.name.clone(),
+            period_s: self.machine.period_s,
+            rest_length_mm: self.geometry.rest_length_mm,
+            step_mm: self.drive.law().step_mm,
+            microsteps: self.drive.microsteps,
+            pins: self.pins.clone()?,
+            stepper: self.stepper,
+            motion: self.motion_config(),
+            imu: self.imu.as_ref().map(sensor),
+            base_imu: self.base_imu.as_ref().map(sensor),
+            correction: *correction,
+        })
     }
 }
 

@@ -2,6 +2,7 @@
 
 pub mod bench_rt;
 pub mod imu;
+pub mod machine;
 pub mod pins;
 pub mod rt;
 pub mod stepper;
