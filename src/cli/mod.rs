@@ -3,6 +3,7 @@
 //! 0 done · 1 the run finished and the answer is "not good enough" · 2 bad input or usage · 3 hardware
 //! or service not reachable.
 
+pub mod bench;
 pub mod evaluate;
 pub mod gap;
 pub mod imu;
@@ -25,6 +26,9 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: three open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
+    /// Measure this machine.
+    #[command(subcommand)]
+    Bench(bench::Bench),
     /// Diagnose the gap between model and machine.
     #[command(subcommand)]
     Gap(gap::Gap),
@@ -59,6 +63,7 @@ pub struct Unreachable {
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Bench(command) => bench::run(&command),
         Command::Gap(command) => gap::run(&command),
         Command::Imu(command) => imu::run(&command),
     };
