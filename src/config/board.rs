@@ -3,7 +3,7 @@
 use crate::check::{Check, Checker};
 use crate::control::follow::Pace;
 use crate::config::hardware::{HomingSection, ImuSection, MachineSection, check_hardware};
-use crate::config::safety::{PowerSection, SafeStateSection};
+use crate::config::power::PowerSection;
 use crate::control::limit::Limits;
 use crate::io::pins::PinsConfig;
 use crate::model::arc::Geometry;
@@ -32,8 +32,6 @@ pub struct Board {
     pub limits: LimitsSection,
     /// What pressure does to a motor without current.
     pub power: PowerSection,
-    /// What to do when something fails.
-    pub safe_state: SafeStateSection,
     /// How zero is found.
     pub homing: HomingSection,
     /// Pulses and the thread that makes them.

@@ -35,15 +35,13 @@ pub struct MachineSection {
     /// Time of one turn of the loop on hardware, s. Default 0.002. Larger spares the processor and
     /// delays everything.
     pub period_s: f64,
-    /// SCHED_FIFO priority of the loop, below that of the step thread. Default 60; 0 asks for none.
-    pub loop_priority: i32,
     /// SCHED_FIFO priority of the thread that reads the IMU. Default 70; 0 asks for none.
     pub imu_priority: i32,
 }
 
 impl Default for MachineSection {
     fn default() -> Self {
-        Self { name: "unnamed".to_owned(), header: Header::Any, period_s: 0.002, loop_priority: 60, imu_priority: 70 }
+        Self { name: "unnamed".to_owned(), header: Header::Any, period_s: 0.002, imu_priority: 70 }
     }
 }
 
@@ -186,15 +184,13 @@ impl Default for HomingSection {
 pub(super) fn check_hardware(board: &Board, to: &mut Checker) {
     let m = &board.machine;
     to.range("machine.period_s", m.period_s, 5e-4..=0.02, "s", "0.002 is a loop at 500 Hz");
-    to.range("machine.loop_priority", f64::from(m.loop_priority), 0.0..=98.0, "", "0 asks for no real-time scheduling");
     to.range("machine.imu_priority", f64::from(m.imu_priority), 0.0..=98.0, "", "0 asks for no real-time scheduling");
     let steps = board.stepper.priority;
-    for (key, value) in [("machine.loop_priority", m.loop_priority), ("machine.imu_priority", m.imu_priority)] {
+    for (key, value) in [("service.priority", board.service.priority), ("machine.imu_priority", m.imu_priority)] {
         let problem = format!("{value} is not below stepper.priority = {steps}");
         to.holds(key, value == 0 || steps == 0 || value < steps, &problem, "the step thread comes first: give it the highest priority");
     }
     board.power.check(&board.limits, board.drive.pinion_pitch_diameter_mm, to);
-    board.safe_state.check(board.motion.speed_max_mm_s, to);
     check_motion(board, to);
     check_homing(board, to);
     if let Some(pins) = &board.pins {

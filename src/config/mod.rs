@@ -9,7 +9,7 @@ pub mod calib;
 pub mod gains;
 pub mod hardware;
 pub mod pins;
-pub mod safety;
+pub mod power;
 pub mod source;
 
 use crate::config::board::Board;

@@ -1,5 +1,5 @@
-//! `[power]` and `[safe_state]`: what trapped pressure does to a motor without current, and what is
-//! done when something fails.
+//! `[power]`: what trapped pressure does to a motor without current. The safe states of `[safety]` follow
+//! from it.
 //!
 //! Law: a gauge pressure p behind a piston of area A pushes the rack with F = p A and turns the pinion
 //! with M = F d/2 (d: pitch diameter). A motor without current resists with its detent torque. Where
@@ -8,7 +8,7 @@
 
 use crate::check::Checker;
 use crate::config::board::LimitsSection;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 /// What pressure does to a motor without current.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
@@ -58,62 +58,6 @@ impl PowerSection {
         to.range("power.holding_torque_n_mm", have, 1.0..=10_000.0, "N·mm", "see the motor's data sheet");
         let problem = format!("{have} N·mm do not hold limits.pressure_max_kpa = {} kPa, which turns the motor with {needed:.0} N·mm", limits.pressure_max_kpa);
         to.holds("power.holding_torque_n_mm", have > needed, &problem, "lower limits.pressure_max_kpa or use a stronger motor");
-    }
-}
-
-/// What to do about a fault.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SafeState {
-    /// Brake and stay energised: the tip keeps its bend.
-    Hold,
-    /// Drive all pistons slowly to rest, then take the current away: the tip straightens.
-    Relax,
-    /// Take the current away at once: the air pushes the pistons back, and the count is void.
-    Release,
-}
-
-/// The safe state per fault.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SafeStateSection {
-    /// The IMU does not answer, is frozen or cannot be believed. Default `hold`.
-    pub sensor: SafeState,
-    /// The step thread was late, starved or handed torn motion. Default `hold`.
-    pub motion: SafeState,
-    /// The pins cannot be written or read, or EN does not follow. Default `release`.
-    pub pins: SafeState,
-    /// The loop missed its turns. Default `hold`.
-    pub overrun: SafeState,
-    /// The service is told to end (SIGTERM). Default `relax`.
-    pub shutdown: SafeState,
-    /// Speed at which the pistons are driven to rest, mm/s. Default 5. Larger straightens sooner.
-    pub relax_speed_mm_s: f64,
-    /// Longest that a faulted tip is held before it is relaxed, s. Default 30; 0 holds for ever. Larger
-    /// keeps pressure on tissue and heat in the motors for longer.
-    pub hold_max_s: f64,
-}
-
-impl Default for SafeStateSection {
-    fn default() -> Self {
-        Self {
-            sensor: SafeState::Hold,
-            motion: SafeState::Hold,
-            pins: SafeState::Release,
-            overrun: SafeState::Hold,
-            shutdown: SafeState::Relax,
-            relax_speed_mm_s: 5.0,
-            hold_max_s: 30.0,
-        }
-    }
-}
-
-impl SafeStateSection {
-    pub(super) fn check(&self, speed_max_mm_s: f64, to: &mut Checker) {
-        to.range("safe_state.relax_speed_mm_s", self.relax_speed_mm_s, 0.1..=speed_max_mm_s, "mm/s", "at most motion.speed_max_mm_s");
-        to.range("safe_state.hold_max_s", self.hold_max_s, 0.0..=3600.0, "s", "0 holds for ever");
-        let moves = self.pins == SafeState::Relax;
-        to.holds("safe_state.pins", !moves, "pistons cannot be driven through pins that failed", "write \"release\" or \"hold\"");
     }
 }
 
