@@ -7,7 +7,7 @@
 //! |---|---|
 //! | F0 words | [`units`], [`frames`], [`sample`], [`check`] |
 //! | F1 laws: pure, stateless | [`model`] |
-//! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`] |
+//! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`], [`supervise`] |
 //! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`machine`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
 //! | F4 edges | [`config`], [`io`], [`sim`], [`link`], [`cli`] |
 
@@ -33,6 +33,7 @@ pub mod refine;
 pub mod report;
 pub mod sample;
 pub mod sim;
+pub mod supervise;
 pub mod tick;
 pub mod units;
 pub mod world;
