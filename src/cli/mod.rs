@@ -3,6 +3,7 @@
 //! 0 done · 1 the run finished and the answer is "not good enough" · 2 bad input or usage · 3 hardware
 //! or service not reachable.
 
+pub mod calibrate;
 pub mod evaluate;
 pub mod gap;
 pub mod imu;
@@ -28,6 +29,9 @@ enum Command {
     /// Diagnose the gap between model and machine.
     #[command(subcommand)]
     Gap(gap::Gap),
+    /// Find the errors of a sensor and write them into a calibration file.
+    #[command(subcommand)]
+    Calibrate(calibrate::Calibrate),
     /// Orientation filters on recordings.
     #[command(subcommand)]
     Imu(imu::Imu),
@@ -60,6 +64,7 @@ pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Gap(command) => gap::run(&command),
+        Command::Calibrate(command) => calibrate::run(&command),
         Command::Imu(command) => imu::run(&command),
     };
     if let Err(report) = &end {

@@ -30,5 +30,6 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Conf
         feedback: Some(gains.feedback()),
         refine: gains.refine,
         fuse: gains.fuse,
+        imu: calibration.imu.correction(),
     }
 }
