@@ -8,14 +8,15 @@
 //! | F0 words | [`units`], [`frames`], [`sample`], [`check`] |
 //! | F1 laws: pure, stateless | [`model`] |
 //! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`], [`supervise`] |
-//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`machine`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
-//! | F4 edges | [`config`], [`io`], [`sim`], [`link`], [`cli`] |
+//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`machine`], [`pilot`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
+//! | F4 edges | [`config`], [`io`], [`memory`], [`sim`], [`link`], [`service`], [`drill`], [`cli`] |
 
 pub mod calib_imu;
 pub mod check;
 pub mod cli;
 pub mod config;
 pub mod control;
+pub mod drill;
 pub mod effects;
 pub mod experiment;
 pub mod frames;
@@ -26,12 +27,15 @@ pub mod io;
 pub mod link;
 pub mod log;
 pub mod machine;
+pub mod memory;
 pub mod model;
 pub mod motion;
+pub mod pilot;
 pub mod plant;
 pub mod refine;
 pub mod report;
 pub mod sample;
+pub mod service;
 pub mod sim;
 pub mod supervise;
 pub mod tick;

@@ -79,7 +79,8 @@ pub enum Event {
     Opened,
     /// A still stretch was found; where the tip stood was proved, if there was anything to prove.
     Aligned,
-    /// What is felt contradicts what was remembered.
+    /// Where the pistons stand is not known: what is felt contradicts what was remembered, the drivers
+    /// were released under pressure, or a way back without a known rest was stopped.
     Doubted,
     /// Command `arm`.
     Arm,
@@ -180,10 +181,12 @@ pub const TABLE: &[(Mode, Event, Mode)] = &[
     (Mode::Relaxing, Event::Rested, Mode::Disarmed),
     (Mode::Relaxing, Event::RestedUnaligned, Mode::Aligning),
     (Mode::Relaxing, Event::Stop, Mode::Holding),
+    (Mode::Relaxing, Event::Doubted, Mode::Lost),
     (Mode::Relaxing, Event::Trip, Mode::Faulted),
     (Mode::Faulted, Event::Relax, Mode::Relaxing),
     (Mode::Faulted, Event::Reset, Mode::Disarmed),
     (Mode::Faulted, Event::ResetUnaligned, Mode::Aligning),
+    (Mode::Faulted, Event::Doubted, Mode::Lost),
     (Mode::Lost, Event::Zero, Mode::Aligning),
     (Mode::Lost, Event::Relax, Mode::Relaxing),
     (Mode::Lost, Event::Trip, Mode::Faulted),
