@@ -9,6 +9,7 @@
 //! The service, the drills and the soak run this same turn; only the machine behind it and whoever
 //! gives the orders differ. A turn allocates nothing, locks nothing and asks nobody for the time.
 
+pub mod flight;
 pub mod order;
 pub mod proof;
 

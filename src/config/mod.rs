@@ -7,6 +7,7 @@
 pub mod board;
 pub mod calib;
 pub mod gains;
+pub mod pilot;
 pub mod service;
 pub mod source;
 
