@@ -7,15 +7,16 @@
 //! |---|---|
 //! | F0 words | [`units`], [`frames`], [`sample`], [`check`] |
 //! | F1 laws: pure, stateless | [`model`] |
-//! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`] |
-//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`machine`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
-//! | F4 edges | [`io`], [`config`], [`sim`], [`link`], [`cli`] |
+//! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`], [`supervise`] |
+//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`machine`], [`pilot`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
+//! | F4 edges | [`io`], [`config`], [`memory`], [`sim`], [`link`], [`service`], [`drill`], [`cli`] |
 
 pub mod calib_imu;
 pub mod check;
 pub mod cli;
 pub mod config;
 pub mod control;
+pub mod drill;
 pub mod effects;
 pub mod experiment;
 pub mod frames;
@@ -26,13 +27,17 @@ pub mod io;
 pub mod link;
 pub mod log;
 pub mod machine;
+pub mod memory;
 pub mod model;
 pub mod motion;
+pub mod pilot;
 pub mod plant;
 pub mod refine;
 pub mod report;
 pub mod sample;
+pub mod service;
 pub mod sim;
+pub mod supervise;
 pub mod tick;
 pub mod units;
 pub mod world;

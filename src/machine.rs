@@ -15,7 +15,7 @@
 //! hardware are interchangeable.
 
 use crate::frames::{Base, Rotation, Tip};
-use crate::fuse::health::{Outcome, Quality};
+use crate::fuse::health::Outcome;
 use crate::sample::ImuSample;
 use crate::units::{Seconds, Steps};
 use crate::world::{Nature, World, WorldError};
@@ -187,7 +187,7 @@ impl<W: World + Send> Machine for Lockstep<W> {
             }
             let reply = self.world.step(&self.held)?;
             if let Some(sample) = reply.imu {
-                said.imu = Outcome::Sample(sample, Quality { expect_noise: false, ..Quality::default() });
+                said.imu = Outcome::from_world(Some(sample));
             }
             said.truth = reply.truth;
         }

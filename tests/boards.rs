@@ -40,7 +40,7 @@ fn boards_state_the_defaults_except_where_they_say_so() {
     for name in HARDWARE {
         let b: Board = source::read(&repo(&format!("boards/{name}.toml"))).unwrap();
         assert_eq!((b.geometry, b.drive, b.motion, b.limits), (bare.geometry, bare.drive, bare.motion, bare.limits), "{name}");
-        assert_eq!((b.power, b.safe_state, b.homing), (bare.power, bare.safe_state, bare.homing), "{name}");
+        assert_eq!((b.power, b.safety, &b.service, b.homing), (bare.power, bare.safety, &bare.service, bare.homing), "{name}");
         let step = retroflex::motion::StepperConfig { cpu: None, late_max_us: 1000.0, lead_ms: 4.0, ..b.stepper };
         assert_eq!(step, bare.stepper, "{name}");
         assert_eq!(b.imu.unwrap(), Default::default(), "{name}");
@@ -55,7 +55,8 @@ fn every_key_has_its_paragraph() {
         let mut paragraph = 0;
         for (n, line) in text.lines().enumerate() {
             let bare = line.trim_start_matches("# ");
-            let is_key = bare.split_once(" = ").is_some_and(|(k, _)| k.chars().all(|c| c.is_ascii_lowercase() || c == '_' || c.is_ascii_digit()));
+            let is_key =
+                bare.split_once(" = ").is_some_and(|(k, _)| k.chars().all(|c| c.is_ascii_lowercase() || c == '_' || c.is_ascii_digit()));
             if is_key {
                 // the base IMU's keys are those of the tip's
                 let repeated = line.starts_with('#') && text.lines().take(n).any(|l| l.starts_with("# [base_imu"));
@@ -89,13 +90,18 @@ fn contradictions_are_refused_with_their_place() {
         ("step = 17", 0, "step = 1", &["pins.channels.0.step", "identification EEPROM"]),
         ("step = 17", 0, "step = 3", &["pins.channels.0.step", "SDA or SCL of /dev/i2c-1"]),
         ("step = 17", 0, "step = -1", &["-1"]),
-        ("# home = { pin = 16, active_low = true, pull = \"up\" }", 0, "home = { pin = 27 }", &["pins.channels.1.step", "line 27 is pins.channels.0.home.pin"]),
+        (
+            "# home = { pin = 16, active_low = true, pull = \"up\" }",
+            0,
+            "home = { pin = 27 }",
+            &["pins.channels.1.step", "line 27 is pins.channels.0.home.pin"],
+        ),
         ("# ms = [6, 13, 19]", 0, "ms = [6, 13, 6]", &["pins.channels.0.ms.2", "line 6 is pins.channels.0.ms.0 already"]),
-        ("priority = 80", 0, "priority = 70", &["machine.imu_priority", "70 is not below stepper.priority = 70"]),
+        ("priority = 80", 0, "priority = 74", &["machine.imu_priority", "75 is not below stepper.priority = 74"]),
         ("speed_max_mm_s = 30.0", 0, "speed_max_mm_s = 150.0", &["stepper.step_interval_min_us", "200 must be at most 176.7", "Lower it"]),
         ("acceleration_max_mm_s2 = 600.0", 0, "acceleration_max_mm_s2 = 14.0", &["limits.travel_mm", "a stop from full speed takes"]),
         ("holding_torque_n_mm = 260.0", 0, "holding_torque_n_mm = 120.0", &["power.holding_torque_n_mm", "125 N·mm", "stronger motor"]),
-        ("pins = \"release\"", 0, "pins = \"relax\"", &["safe_state.pins", "pins that failed"]),
+        ("pressure = \"relax\"", 0, "pressure = \"float\"", &["float", "hold", "relax", "release"]),
         ("method = \"operator\"", 0, "method = \"switches\"", &["homing.method", "channel 1 has none"]),
         ("lead_ms = 4.0", 0, "lead_ms = 1.0", &["stepper.lead_ms", "less than one turn of the loop, 2 ms"]),
         ("address = 104", 0, "address = 0x42", &["imu.chip.address", "66", "104 (0x68) or 105 (0x69)"]),

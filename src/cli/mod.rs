@@ -4,6 +4,7 @@
 //! or service not reachable.
 
 pub mod bench;
+pub mod calibrate;
 pub mod evaluate;
 pub mod gap;
 pub mod imu;
@@ -32,6 +33,9 @@ enum Command {
     /// Diagnose the gap between model and machine.
     #[command(subcommand)]
     Gap(gap::Gap),
+    /// Find the errors of a sensor and write them into a calibration file.
+    #[command(subcommand)]
+    Calibrate(calibrate::Calibrate),
     /// Orientation filters on recordings.
     #[command(subcommand)]
     Imu(imu::Imu),
@@ -65,6 +69,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Gap(command) => gap::run(&command),
+        Command::Calibrate(command) => calibrate::run(&command),
         Command::Imu(command) => imu::run(&command),
     };
     if let Err(report) = &end {

@@ -1,9 +1,10 @@
 //! Board files: what the machine is.
 
 use crate::check::{Check, Checker};
-use crate::control::follow::Pace;
 use crate::config::hardware::{HomingSection, ImuSection, MachineSection, check_hardware};
 use crate::config::power::PowerSection;
+use crate::config::service::{SafetySection, ServiceSection};
+use crate::control::follow::Pace;
 use crate::control::limit::Limits;
 use crate::io::pins::PinsConfig;
 use crate::model::arc::Geometry;
@@ -42,6 +43,10 @@ pub struct Board {
     pub imu: Option<ImuSection>,
     /// An IMU on the base, where there is one.
     pub base_imu: Option<ImuSection>,
+    /// The gate between controller and step generator.
+    pub safety: SafetySection,
+    /// The daemon.
+    pub service: ServiceSection,
     /// The built-in plant, on boards that have one.
     pub plant: Option<PlantSection>,
 }
@@ -273,6 +278,8 @@ impl Check for Board {
         to.range("limits.pressure_max_kpa", l.pressure_max_kpa, 1.0..=200.0, "kPa", "the paper stays under 6 PSI = 41.4 kPa");
 
         check_hardware(self, to);
+        self.safety.check(to);
+        self.service.check(to);
         if let Some(plant) = &self.plant {
             to.range("plant.period_s", plant.period_s, 1e-4..=0.01, "s", "0.001 is a loop at 1 kHz");
             check_plant(to, plant.make().validate());

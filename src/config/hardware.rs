@@ -35,13 +35,13 @@ pub struct MachineSection {
     /// Time of one turn of the loop on hardware, s. Default 0.002. Larger spares the processor and
     /// delays everything.
     pub period_s: f64,
-    /// SCHED_FIFO priority of the thread that reads the IMU. Default 70; 0 asks for none.
+    /// SCHED_FIFO priority of the thread that reads the IMU. Default 75; 0 asks for none.
     pub imu_priority: i32,
 }
 
 impl Default for MachineSection {
     fn default() -> Self {
-        Self { name: "unnamed".to_owned(), header: Header::Any, period_s: 0.002, imu_priority: 70 }
+        Self { name: "unnamed".to_owned(), header: Header::Any, period_s: 0.002, imu_priority: 75 }
     }
 }
 
@@ -111,7 +111,11 @@ impl ImuSection {
             ImuConfig::Lsm6dsoLis2mdl(c) => c.settings().map(|_| ()),
         };
         if let Err(e) = verdict {
-            to.refuse(&key(&format!("chip.{}", e.field)), format!("{} does not exist on the {}", e.value, e.part), &format!("write {}", e.allowed));
+            to.refuse(
+                &key(&format!("chip.{}", e.field)),
+                format!("{} does not exist on the {}", e.value, e.part),
+                &format!("write {}", e.allowed),
+            );
         }
     }
 }
@@ -225,12 +229,23 @@ fn check_motion(board: &Board, to: &mut Checker) {
     to.holds("limits.travel_mm", stop_mm < board.limits.travel_mm, &problem, mend);
     let lead_s = board.stepper.lead_ms * 1e-3;
     let problem = format!("{} ms is less than one turn of the loop, {} ms", board.stepper.lead_ms, board.machine.period_s * 1e3);
-    to.holds("stepper.lead_ms", board.pins.is_none() || lead_s >= board.machine.period_s, &problem, "two turns of machine.period_s are a good lead");
+    to.holds(
+        "stepper.lead_ms",
+        board.pins.is_none() || lead_s >= board.machine.period_s,
+        &problem,
+        "two turns of machine.period_s are a good lead",
+    );
 }
 
 fn check_homing(board: &Board, to: &mut Checker) {
     let (h, travel) = (&board.homing, board.limits.travel_mm);
-    to.range("homing.speed_mm_s", h.speed_mm_s, 0.1..=board.motion.speed_max_mm_s.min(10.0), "mm/s", "slow enough to stop within the switch's travel");
+    to.range(
+        "homing.speed_mm_s",
+        h.speed_mm_s,
+        0.1..=board.motion.speed_max_mm_s.min(10.0),
+        "mm/s",
+        "slow enough to stop within the switch's travel",
+    );
     to.range("homing.back_off_mm", h.back_off_mm, 0.1..=travel, "mm", "more than the switch's own travel");
     to.range("homing.repeat_max_mm", h.repeat_max_mm, board.drive.law().step_mm..=1.0, "mm", "a few microsteps");
     to.ranges("homing.at_mm", &h.at_mm, -travel..=travel, "mm", "where the switch closes, within limits.travel_mm");
@@ -242,6 +257,11 @@ fn check_homing(board: &Board, to: &mut Checker) {
             _ => String::new(),
         };
         to.holds("homing.method", problem.is_empty(), &problem, "give every channel a `home` line, or write \"operator\"");
-        to.holds("homing.at_mm", h.at_mm.iter().all(|p| *p != 0.0), "a switch at rest has no side to search on", "write the position with its sign");
+        to.holds(
+            "homing.at_mm",
+            h.at_mm.iter().all(|p| *p != 0.0),
+            "a switch at rest has no side to search on",
+            "write the position with its sign",
+        );
     }
 }

@@ -56,7 +56,10 @@ impl PowerSection {
         let needed = self.torque_n_mm(limits.pressure_max_kpa, pitch_diameter_mm);
         let have = self.holding_torque_n_mm;
         to.range("power.holding_torque_n_mm", have, 1.0..=10_000.0, "N·mm", "see the motor's data sheet");
-        let problem = format!("{have} N·mm do not hold limits.pressure_max_kpa = {} kPa, which turns the motor with {needed:.0} N·mm", limits.pressure_max_kpa);
+        let problem = format!(
+            "{have} N·mm do not hold limits.pressure_max_kpa = {} kPa, which turns the motor with {needed:.0} N·mm",
+            limits.pressure_max_kpa
+        );
         to.holds("power.holding_torque_n_mm", have > needed, &problem, "lower limits.pressure_max_kpa or use a stronger motor");
     }
 }

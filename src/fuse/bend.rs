@@ -27,6 +27,7 @@
 
 use crate::frames::{Base, Rotation, Tip};
 use crate::fuse::align::Alignment;
+use crate::fuse::base::BaseTurn;
 use crate::model::bend::Bend;
 use crate::sample::ImuSample;
 use nalgebra::{Matrix2, Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3};
@@ -145,6 +146,18 @@ pub struct BendFilter {
     rate: Innovation,
     since_correction_s: f64,
     turning_rad_s: f64,
+    corrected: Vector2<f64>,
+}
+
+/// Which parts of a sample may be believed, and whether the pistons rest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Heed {
+    /// Correct with the accelerometer.
+    pub acc: bool,
+    /// Correct with the magnetometer.
+    pub mag: bool,
+    /// The pistons have not moved for a while.
+    pub still: bool,
 }
 
 impl BendFilter {
@@ -171,7 +184,43 @@ impl BendFilter {
             rate: Innovation::NEW,
             since_correction_s: 0.0,
             turning_rad_s: 0.0,
+            corrected: Vector2::zeros(),
         }
+    }
+
+    /// Starts anew from readings of a rest that was not straight: the tip is at `bend` (1 σ `sigma_rad`)
+    /// while the sensor reads `now`. What is known of the sensor is kept.
+    pub fn rebase(&mut self, now: &Alignment, bend: Bend, sigma_rad: f64) {
+        (self.x[0], self.x[1]) = (bend.0.x, bend.0.y);
+        let mount = self.mount();
+        let s = mount.transpose() * self.r_base_tip().matrix() * mount;
+        let straight = |v: &Vector3<f64>, b: Vector3<f64>| s * (v - b) + b;
+        self.rest.acc_rest_m_s2 = straight(&now.acc_rest_m_s2, self.block(ACC));
+        self.rest.mag_rest_ut = now.mag_rest_ut.map(|m| straight(&m, self.block(MAG)));
+        for i in 0..GYRO {
+            for j in 0..N {
+                (self.p[(i, j)], self.p[(j, i)]) = (0.0, 0.0);
+            }
+            self.p[(i, i)] = sigma_rad * sigma_rad;
+        }
+        for j in 0..3 {
+            self.x[GYRO + j] = now.gyro_bias_rad_s[j];
+        }
+        (self.acc, self.mag, self.rate) = (Innovation::NEW, Innovation::NEW, Innovation::NEW);
+    }
+
+    /// The rest that zero bend refers to.
+    #[must_use]
+    pub fn rest(&self) -> Alignment {
+        self.rest
+    }
+
+    /// Nothing was seen for a while in which the tip may have turned by `turn_rad` (1 σ).
+    pub fn lost(&mut self, turn_rad: f64) {
+        for i in 0..GYRO {
+            self.p[(i, i)] += turn_rad * turn_rad;
+        }
+        (self.acc, self.mag, self.rate) = (Innovation::NEW, Innovation::NEW, Innovation::NEW);
     }
 
     /// Estimated bend.
@@ -194,6 +243,30 @@ impl BendFilter {
     #[must_use]
     pub fn gyro_bias_rad_s(&self) -> Vector3<f64> {
         self.x.fixed_rows::<3>(GYRO).into_owned()
+    }
+    /// Estimated accelerometer bias, m/s², and the largest 1 σ of its axes.
+    #[must_use]
+    pub fn acc_bias_m_s2(&self) -> (Vector3<f64>, f64) {
+        (self.block(ACC), self.sigma_of(ACC))
+    }
+    /// Largest 1 σ of the three entries from `at` on.
+    fn sigma_of(&self, at: usize) -> f64 {
+        (at..at + 3).map(|i| self.p[(i, i)]).fold(0.0, f64::max).sqrt()
+    }
+    /// 1 σ of the tip's own field, µT, the largest of its axes.
+    #[must_use]
+    pub fn mag_bias_sigma_ut(&self) -> f64 {
+        self.sigma_of(MAG)
+    }
+    /// Rate of the tip against the base after the last sample, rad/s.
+    #[must_use]
+    pub fn turning_rad_s(&self) -> f64 {
+        self.turning_rad_s
+    }
+    /// What gravity and field moved the bend by at the last sample, rad.
+    #[must_use]
+    pub fn corrected(&self) -> Vector2<f64> {
+        self.corrected
     }
     /// Estimated field of the tip's own iron, µT.
     #[must_use]
@@ -220,23 +293,31 @@ impl BendFilter {
         UnitQuaternion::from_scaled_axis(tilt).to_rotation_matrix().into_inner()
     }
 
-    /// One sample, `dt_s` after the last. `still` says that the pistons have not moved for a while.
-    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, still: bool) {
+    /// One sample, `dt_s` after the last, with the base turned by `base` since the rest.
+    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: Heed, base: &BaseTurn) {
         let mount = self.mount();
-        self.predict(&mount, &sample.gyro_rad_s, dt_s);
+        let before = self.r_base_tip().matrix();
+        let carried = (mount.transpose() * before * mount).tr_mul(&base.rate_rad_s);
+        self.predict(&mount, &(sample.gyro_rad_s - carried), dt_s);
         let r = self.r_base_tip().matrix();
-        let turn = Turn { r, mount, s: mount.transpose() * r * mount };
-        self.acc.add(&(sample.acc_m_s2 - turn.expected(&self.rest.acc_rest_m_s2, &self.block(ACC))));
-        if let (true, Some(m), Some(rest)) = (self.config.use_mag, &sample.mag_ut, &self.rest.mag_rest_ut) {
+        let base_now = base.r_rest_now.inverse().to_rotation_matrix().into_inner();
+        let turn = Turn { r, mount, s: mount.transpose() * r * mount, base_now };
+        if heed.acc {
+            self.acc.add(&(sample.acc_m_s2 - turn.expected(&self.rest.acc_rest_m_s2, &self.block(ACC))));
+        }
+        if let (true, Some(m), Some(rest)) = (self.config.use_mag && heed.mag, &sample.mag_ut, &self.rest.mag_rest_ut) {
             self.mag.add(&(m - turn.expected(rest, &self.block(MAG))));
         }
-        if still {
-            self.rate.add(&(sample.gyro_rad_s - self.gyro_bias_rad_s()));
+        if heed.still {
+            self.rate.add(&(sample.gyro_rad_s - carried - self.gyro_bias_rad_s()));
         }
         self.since_correction_s += dt_s;
+        self.corrected = Vector2::zeros();
         if self.since_correction_s >= self.config.correction_period_s - 1e-9 {
+            let predicted = self.bend().0;
             self.correct(&turn);
             self.since_correction_s = 0.0;
+            self.corrected = self.bend().0 - predicted;
         }
     }
 
@@ -391,26 +472,28 @@ struct Turn {
     r: Matrix3<f64>,
     mount: Matrix3<f64>,
     s: Matrix3<f64>,
+    /// Base at rest to base now.
+    base_now: Matrix3<f64>,
 }
 
 impl Turn {
     /// Reading of a world-fixed vector whose reading at rest was `rest`, given the sensor's bias.
     fn expected(&self, rest: &Vector3<f64>, bias: &Vector3<f64>) -> Vector3<f64> {
-        self.s.tr_mul(&(rest - bias)) + bias
+        self.s.tr_mul(&(self.base_now * (rest - bias))) + bias
     }
 
     /// Rows of ∂(reading)/∂x for the vector whose bias starts at `at`.
     fn rows(&self, filter: &BendFilter, at: usize, rest: &Vector3<f64>) -> [[f64; N]; 3] {
         let bend = filter.bend();
         let (b, beta) = (bend.0, bend.beta());
-        let w = self.mount * (rest - filter.block(at));
+        let w = self.mount * (self.base_now * (rest - filter.block(at)));
         let u = self.r.tr_mul(&w);
         let cross_u = u.cross_matrix();
         let twist = UnitQuaternion::from_scaled_axis(Vector3::z() * -filter.twist_rad()).to_rotation_matrix().into_inner();
         let by_phi = self.mount.transpose() * cross_u * twist * right_jacobian(&bend.rotation_vector());
         let by_twist = self.mount.transpose() * u.cross(&Vector3::z());
         let by_mount = self.mount.transpose() * (cross_u - self.r.transpose() * w.cross_matrix());
-        let by_bias = Matrix3::identity() - self.s.transpose();
+        let by_bias = Matrix3::identity() - self.s.transpose() * self.base_now;
         let toward = if beta > 1e-9 { b / beta } else { Vector2::zeros() };
         let mut h = [[0.0; N]; 3];
         for (axis, row) in h.iter_mut().enumerate() {
@@ -437,9 +520,12 @@ fn right_jacobian(phi: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 /// Inverse of [`right_jacobian`].
-fn right_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
+pub(super) fn right_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
     let a = phi.norm();
     let k = phi.cross_matrix();
     let c = if a < 1e-3 { 1.0 / 12.0 } else { 1.0 / (a * a) - (1.0 + a.cos()) / (2.0 * a * a.sin()) };
     Matrix3::identity() + k * 0.5 + k * k * c
 }
+
+#[cfg(test)]
+mod tests;

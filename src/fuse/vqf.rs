@@ -68,6 +68,8 @@ impl VqfConfig {
 /// The filter.
 pub struct Vqf {
     inner: vqf_rs::VQF,
+    periods: Periods,
+    config: VqfConfig,
     last_gyro: Vector3<f64>,
     levelled: bool,
     north_found: bool,
@@ -83,6 +85,8 @@ impl Vqf {
         let mag_s = period_or(periods.mag_s, imu_s);
         Self {
             inner: vqf_rs::VQF::new(imu_s, None, Some(mag_s), Some(params)),
+            periods,
+            config,
             last_gyro: Vector3::zeros(),
             levelled: false,
             north_found: false,
@@ -113,6 +117,22 @@ impl Vqf {
 
     fn orientation_6d(&self) -> UnitQuaternion<f64> {
         unit(self.inner.quat_6d())
+    }
+}
+
+impl Clone for Vqf {
+    /// The crate's filter cannot be cloned, its state can.
+    fn clone(&self) -> Self {
+        let mut copy = Self::new(self.periods, self.config);
+        *copy.inner.state_mut() = *self.inner.state();
+        (copy.last_gyro, copy.levelled, copy.north_found) = (self.last_gyro, self.levelled, self.north_found);
+        copy
+    }
+}
+
+impl std::fmt::Debug for Vqf {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Vqf").field("config", &self.config).field("orientation", &self.orientation()).finish_non_exhaustive()
     }
 }
 

@@ -14,13 +14,17 @@ pub enum MachineError {
     #[error(transparent)]
     Stepper(#[from] StartError),
     /// There is no such bus.
-    #[error("no I²C bus at {path}: enable it (dtparam=i2c_arm=on in config.txt, then `modprobe i2c-dev`), or set imu.bus to one of `ls /dev/i2c-*`")]
+    #[error(
+        "no I²C bus at {path}: enable it (dtparam=i2c_arm=on in config.txt, then `modprobe i2c-dev`), or set imu.bus to one of `ls /dev/i2c-*`"
+    )]
     NoBus {
         /// The path tried.
         path: String,
     },
     /// The bus may not be opened.
-    #[error("no permission for {path}: add this user to the group i2c (`sudo usermod -aG i2c $USER`, then log in again) or run as the service")]
+    #[error(
+        "no permission for {path}: add this user to the group i2c (`sudo usermod -aG i2c $USER`, then log in again) or run as the service"
+    )]
     BusPermission {
         /// The path tried.
         path: String,

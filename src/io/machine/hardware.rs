@@ -33,12 +33,8 @@ impl Hardware {
         let base_imu = config.base_imu.as_ref().map(|c| Sensor::start(c, &ImuCalibration::default().correction())).transpose()?;
         let pins = pins::open(&config.pins, config.microsteps)?;
         let drive = Drive::start(pins, &config.stepper, &config.motion, config.step_mm, config.period_s)?;
-        let nature = Nature {
-            name: config.name.clone(),
-            period_s: config.period_s,
-            step_mm: config.step_mm,
-            rest_length_mm: config.rest_length_mm,
-        };
+        let nature =
+            Nature { name: config.name.clone(), period_s: config.period_s, step_mm: config.step_mm, rest_length_mm: config.rest_length_mm };
         Ok(Self { drive, imu, base_imu, nature, zero_ns: None, dry: 0, starved: false })
     }
 
@@ -94,10 +90,8 @@ impl Machine for Hardware {
             base_imu,
             counted: report.map_or(Steps::default(), |r| r.counted),
             energised: report.is_some_and(|r| r.energised),
-            inputs: report.map_or(Inputs::default(), |r| Inputs {
-                emergency_stop: r.inputs.emergency_stop || pressed,
-                home: r.inputs.home,
-            }),
+            inputs: report
+                .map_or(Inputs::default(), |r| Inputs { emergency_stop: r.inputs.emergency_stop || pressed, home: r.inputs.home }),
             alarm: self.alarm(),
             truth: None,
         })

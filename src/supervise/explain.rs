@@ -1,0 +1,258 @@
+//! From "the tip is not where the pistons should have put it" to a cause, in plain words.
+//!
+//! The pistons as they stand should give a bend (transmission model, then lag); what is felt differs
+//! from it by the *unexplained* bend `u`. Because the difference is taken against what the pistons did,
+//! it stays visible while feedback makes up for it. A fault of one channel moves `u` along that
+//! channel's spoke: with `x` mm on bellow j, `Δu = −(2/3r) x s_j`, so the direction names the channel and
+//! the sign, and `x` as a share of what bellow j should have done names the kind:
+//!
+//! | share of the way | in motion since onset | share of all, sudden | slow |
+//! |---|---|---|---|
+//! | −2 | turns the wrong way | | |
+//! | −1 | does not answer | lost its pressure | leaks |
+//! | between | gives less, or lost steps | softer (air), or gives less | leaks |
+//! | above 0 | gives more | gives more, or is pushed | warms, or is pushed |
+//!
+//! One IMU cannot tell a switched-off driver from a kinked line: what looks alike is named together.
+
+use crate::model::arc::Geometry;
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// When something is called unexplained.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ExplainConfig {
+    /// Unexplained bend that is worth a word while the set-point rests, degrees. Default 3. Larger
+    /// overlooks larger leaks and hears less of creep.
+    pub rest_deg: f64,
+    /// … more of it per degree that the set-point has moved since. Default 0.25: a gain that is off by
+    /// a quarter. Larger overlooks a line that answers weakly.
+    pub share: f64,
+    /// How long it must stand, s. Default 0.1. Larger overlooks knocks and says leaks later.
+    pub for_s: f64,
+    /// Growth that is called sudden, degrees/s. Default 12. Larger calls a quick leak a leak, a slow
+    /// burst too.
+    pub sudden_deg_s: f64,
+}
+
+impl Default for ExplainConfig {
+    fn default() -> Self {
+        Self { rest_deg: 3.0, share: 0.25, for_s: 0.1, sudden_deg_s: 12.0 }
+    }
+}
+
+/// What it looks like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// A line slowly loses air.
+    Leak,
+    /// A line lost its pressure at once.
+    Burst,
+    /// A line gives less than it did: air in it, softer, or steps lost.
+    Weak,
+    /// A line gives more than it did.
+    Strong,
+    /// A piston turns the wrong way.
+    Inverted,
+    /// A line does not answer its piston.
+    Deaf,
+    /// Something holds or pushes the tip.
+    Contact,
+    /// Steps were lost, or the drive slipped.
+    LostSteps,
+}
+
+/// A cause with its channel and size.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Suspicion {
+    /// What it looks like.
+    pub kind: Kind,
+    /// The channel, 1 to 3; `None` where all take part.
+    pub channel: Option<u8>,
+    /// Share of the bellow's way that is missing (below 0) or too much.
+    pub share: f64,
+    /// Size of the unexplained bend, degrees.
+    pub deg: f64,
+}
+
+impl std::fmt::Display for Suspicion {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let line = self.channel.map_or_else(|| "the tip".to_owned(), |c| format!("line {c}"));
+        let percent = (self.share.abs() * 100.0).min(999.0);
+        match self.kind {
+            Kind::Leak => write!(f, "{line} loses air slowly ({percent:.0} % so far): look for a leak at its connectors"),
+            Kind::Burst => write!(f, "{line} lost its pressure at once: a hose came off or a bellow is torn; relax and replace"),
+            Kind::Weak => write!(f, "{line} gives {percent:.0} % less than it did: air in the line, a soft bellow, or lost steps"),
+            Kind::Strong => write!(f, "{line} gives {percent:.0} % more than it did: calibrate again, or something pushes the tip"),
+            Kind::Inverted => write!(f, "{line} moves the wrong way: check the motor's plug and `invert_dir`"),
+            Kind::Deaf => write!(f, "{line} does not answer its piston: driver off, kinked line or end stop"),
+            Kind::Contact => write!(f, "{line} is held or pushed by {:.0}° by something outside", self.deg),
+            Kind::LostSteps => write!(f, "{line} is off by a constant {:.1}°: its motor lost steps; `relax`, then `zero`", self.deg),
+        }
+    }
+}
+
+/// What the watch sees at one tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seen {
+    /// Time since the last tick, s.
+    pub dt_s: f64,
+    /// Bend that the pistons as they stand should give, rad.
+    pub given: Vector2<f64>,
+    /// Felt bend, rad.
+    pub felt: Vector2<f64>,
+    /// Lag and dead time of the line together, s.
+    pub answer_s: f64,
+    /// The set-point moves.
+    pub moving: bool,
+    /// The controller found the tip held by something.
+    pub blocked: bool,
+}
+
+/// The watch's memory.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Explain {
+    config: ExplainConfig,
+    r_mm: f64,
+    /// Bend that the pistons should have given by now.
+    model: Option<Vector2<f64>>,
+    /// Unexplained bend when all was well, and what the pistons gave then.
+    base: Vector2<f64>,
+    base_given: Vector2<f64>,
+    /// Set-point at rest for this long, s.
+    rested_s: f64,
+    settled: bool,
+    path_rad: f64,
+    last_given: Vector2<f64>,
+    /// Unexplained bend since, smoothed, and how fast it grew at most.
+    smooth: Vector2<f64>,
+    growth_rad_s: f64,
+    beyond_s: f64,
+    said: Option<Suspicion>,
+}
+
+/// Rest of the set-point after which what stays unexplained is the new normal, s.
+const SETTLE_S: f64 = 0.6;
+/// Smoothing of the unexplained bend, s.
+const SMOOTH_S: f64 = 0.03;
+
+impl Explain {
+    /// Nothing seen yet.
+    #[must_use]
+    pub fn new(config: &ExplainConfig, r_mm: f64) -> Self {
+        let zero = Vector2::zeros();
+        Self {
+            config: *config,
+            r_mm,
+            model: None,
+            base: zero,
+            base_given: zero,
+            rested_s: 0.0,
+            settled: false,
+            path_rad: 0.0,
+            last_given: zero,
+            smooth: zero,
+            growth_rad_s: 0.0,
+            beyond_s: 0.0,
+            said: None,
+        }
+    }
+
+    /// What is suspected now.
+    #[must_use]
+    pub fn suspicion(&self) -> Option<&Suspicion> {
+        self.said.as_ref()
+    }
+
+    /// Forgets everything: after a reset or a re-alignment.
+    pub fn forget(&mut self) {
+        *self = Self::new(&self.config, self.r_mm);
+    }
+
+    /// One tick; a suspicion that is new.
+    pub fn step(&mut self, seen: &Seen) -> Option<Suspicion> {
+        let model = self.follow(seen);
+        let unexplained = seen.felt - model;
+        self.path_rad += (seen.given - self.last_given).norm();
+        self.last_given = seen.given;
+        self.rested_s = if seen.moving { 0.0 } else { self.rested_s + seen.dt_s };
+        let moves_off = seen.moving && self.settled;
+        let comes_to_rest = !self.settled && self.rested_s > SETTLE_S + 4.0 * seen.answer_s;
+        if (moves_off || comes_to_rest) && self.said.is_none() && self.beyond_s == 0.0 {
+            (self.base, self.base_given, self.path_rad) = (unexplained, seen.given, 0.0);
+            (self.smooth, self.growth_rad_s) = (Vector2::zeros(), 0.0);
+        }
+        self.settled = !seen.moving && (self.settled || comes_to_rest);
+        let since = unexplained - self.base;
+        let keep = (-seen.dt_s / SMOOTH_S).exp();
+        let before = self.smooth;
+        self.smooth = since + (before - since) * keep;
+        let growth = (self.smooth.norm() - before.norm()) / seen.dt_s;
+        self.growth_rad_s = growth.max(self.growth_rad_s * (-seen.dt_s / 0.5).exp());
+        self.judge(seen)
+    }
+
+    fn follow(&mut self, seen: &Seen) -> Vector2<f64> {
+        let keep = (-seen.dt_s / seen.answer_s.max(1e-3)).exp();
+        let from = self.model.unwrap_or(seen.felt);
+        let model = seen.given + (from - seen.given) * keep;
+        self.model = Some(model);
+        model
+    }
+
+    fn judge(&mut self, seen: &Seen) -> Option<Suspicion> {
+        let moved = (seen.given - self.base_given).norm().max(if self.settled { 0.0 } else { self.path_rad.min(1.5) });
+        let allowed = self.config.rest_deg.to_radians() + self.config.share * moved;
+        let size = self.smooth.norm();
+        self.beyond_s = if size > allowed { self.beyond_s + seen.dt_s } else { 0.0 };
+        if self.beyond_s < self.config.for_s || self.said.is_some() {
+            return None;
+        }
+        let found = self.name(seen, moved > 2.0 * allowed);
+        self.said = Some(found);
+        self.said
+    }
+
+    /// The channel whose spoke the unexplained bend lies along, and what its size says.
+    fn name(&self, seen: &Seen, moved: bool) -> Suspicion {
+        let u = self.smooth;
+        let along: [f64; 3] = std::array::from_fn(|j| u.dot(&Geometry::spoke(j)));
+        let j = (0..3).fold(0, |best, j| if along[j].abs() > along[best].abs() { j } else { best });
+        let x_mm = -1.5 * self.r_mm * along[j];
+        let bellow = |bend: &Vector2<f64>| -self.r_mm * Geometry::spoke(j).dot(bend);
+        let (way_mm, all_mm) = (bellow(&(seen.given - self.base_given)), bellow(&seen.given));
+        let sudden = self.growth_rad_s > self.config.sudden_deg_s.to_radians();
+        let deg = u.norm().to_degrees();
+        let of = |kind, share| Suspicion { kind, channel: Some(j as u8 + 1), share, deg };
+        if seen.blocked {
+            return Suspicion { kind: Kind::Contact, channel: None, share: -1.0, deg };
+        }
+        if moved && way_mm.abs() > 0.8 {
+            let share = x_mm / way_mm;
+            return match share {
+                s if s < -1.5 => of(Kind::Inverted, s),
+                s if s < -0.7 => of(Kind::Deaf, s),
+                s if s < 0.0 => of(Kind::Weak, s),
+                s => of(Kind::Strong, s),
+            };
+        }
+        if all_mm.abs() < 0.5 {
+            // a channel near its own rest has nothing to lose: what moves it came from outside or the drive
+            return if sudden { of(Kind::LostSteps, 0.0) } else { Suspicion { kind: Kind::Contact, channel: None, share: 0.0, deg } };
+        }
+        match (x_mm / all_mm, sudden) {
+            (s, true) if s < -0.75 => of(Kind::Burst, s),
+            (s, true) if s < 0.0 => of(Kind::Weak, s),
+            (s, false) if s < 0.0 => of(Kind::Leak, s),
+            (s, _) => of(Kind::Strong, s),
+        }
+    }
+}
+
+/// Bellow length changes that a bend goes with, mm, at rest length: for the gate.
+#[must_use]
+pub fn bellows(geometry: &Geometry, bend: &Vector2<f64>, stretch_mm: f64) -> Vector3<f64> {
+    Vector3::from_fn(|i, _| stretch_mm - geometry.r_mm * Geometry::spoke(i).dot(bend))
+}
