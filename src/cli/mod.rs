@@ -5,9 +5,13 @@
 
 pub mod bench;
 pub mod calibrate;
+pub mod commission;
 pub mod evaluate;
 pub mod gap;
+pub mod hands;
+pub mod home;
 pub mod imu;
+pub mod jog;
 pub mod output;
 
 use clap::{Parser, Subcommand};
@@ -27,6 +31,12 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: three open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
+    /// Prove with small guarded moves that a machine is wired as its board file says, and tight.
+    Commission(commission::Args),
+    /// Find zero.
+    Home(home::Args),
+    /// Move one piston slowly, for bring-up.
+    Jog(jog::Args),
     /// Measure this machine.
     #[command(subcommand)]
     Bench(bench::Bench),
@@ -67,6 +77,9 @@ pub struct Unreachable {
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Commission(args) => commission::run(&args),
+        Command::Home(args) => home::run(&args),
+        Command::Jog(args) => jog::run(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Gap(command) => gap::run(&command),
         Command::Calibrate(command) => calibrate::run(&command),
