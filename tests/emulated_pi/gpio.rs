@@ -70,11 +70,6 @@ impl Chip {
         self.wiring.channels.iter().all(|c| c.enable.is_none_or(|line| self.level(line) != self.wiring.enable_active_low))
     }
 
-    /// True while a program holds output lines.
-    pub fn in_use(&self) -> bool {
-        self.handles.iter().any(Option::is_some)
-    }
-
     /// A handle's file is closed: its lines are free, and keep their levels.
     pub fn release(&mut self, handle: usize) {
         self.handles[handle] = None;
