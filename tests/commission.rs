@@ -84,7 +84,8 @@ fn a_machine_wired_as_the_board_says_passes() {
 
 #[test]
 fn wrong_wiring_is_named_in_plain_words() {
-    let cases: [(fn(&mut Miswired), &str); 5] = [
+    type Spoil = fn(&mut Miswired);
+    let cases: [(Spoil, &str); 5] = [
         (|m| m.reaches = [0, 2, 1], "line 2 reaches bellow 3; line 3 reaches bellow 2"),
         (|m| m.inverted = [false, false, true], "motor 3 turns the wrong way"),
         (

@@ -1,6 +1,5 @@
 //! What the commands that move a machine by hand share: opening it, its clock, and how to end.
 
-use crate::calib_imu::ImuCalibration;
 use crate::cli::Unreachable;
 use crate::commission::hand::{Hand, HandError};
 use crate::config::board::Board;
@@ -23,7 +22,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// A report; [`Unreachable`] when the hardware does not answer.
 pub fn open(path: &Path, prepare: impl FnOnce(&mut MachineConfig)) -> Result<(Board, Box<dyn Machine>)> {
     let board: Board = source::read(path)?;
-    if let Some(mut config) = board.hardware(&ImuCalibration::default().correction()) {
+    if let Some(mut config) = board.hardware() {
         prepare(&mut config);
         let machine = Hardware::open(&config).map_err(|e| told(path, e))?;
         return Ok((board, Box::new(machine)));

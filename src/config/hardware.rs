@@ -3,7 +3,6 @@
 //! Relations are judged here and not where a value is used: a board that contradicts itself is refused
 //! as it is read, with the place in the file.
 
-use crate::calib_imu::Correction;
 use crate::check::Checker;
 use crate::config::board::Board;
 use crate::config::pins::check_pins;
@@ -123,7 +122,7 @@ impl ImuSection {
 impl Board {
     /// What hardware is made from; `None` on a board without `[pins]`.
     #[must_use]
-    pub fn hardware(&self, correction: &Correction) -> Option<MachineConfig> {
+    pub fn hardware(&self) -> Option<MachineConfig> {
         let sensor = |s: &ImuSection| SensorConfig {
             bus: s.bus.clone(),
             rppal: s.backend == BusBackend::Rppal,
@@ -143,7 +142,6 @@ impl Board {
             motion: self.motion_config(),
             imu: self.imu.as_ref().map(sensor),
             base_imu: self.base_imu.as_ref().map(sensor),
-            correction: *correction,
         })
     }
 }

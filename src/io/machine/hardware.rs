@@ -1,6 +1,5 @@
 //! [`Machine`] on hardware.
 
-use crate::calib_imu::ImuCalibration;
 use crate::fuse::health::Outcome;
 use crate::io::machine::{Drive, DriveState, MachineConfig, MachineError, Sensor};
 use crate::io::pins;
@@ -29,8 +28,8 @@ impl Hardware {
     /// # Errors
     /// [`MachineError`]; sensors are tried first, so that nothing is driven blind.
     pub fn open(config: &MachineConfig) -> Result<Self, MachineError> {
-        let imu = config.imu.as_ref().map(|c| Sensor::start(c, &config.correction)).transpose()?;
-        let base_imu = config.base_imu.as_ref().map(|c| Sensor::start(c, &ImuCalibration::default().correction())).transpose()?;
+        let imu = config.imu.as_ref().map(Sensor::start).transpose()?;
+        let base_imu = config.base_imu.as_ref().map(Sensor::start).transpose()?;
         let pins = pins::open(&config.pins, config.microsteps)?;
         let drive = Drive::start(pins, &config.stepper, &config.motion, config.step_mm, config.period_s)?;
         let nature =

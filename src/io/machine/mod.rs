@@ -6,6 +6,8 @@
 //!       ◀──────Sensed───────── Sensor ◀─ ring ── IMU thread ◀── I²C               = what was pulsed
 //! ```
 //!
+//! Samples are handed over as the chip gives them, turned by the mount; the loop corrects them.
+//!
 //! No thread waits for another. A bus that hangs keeps only its own thread; the loop then sees no
 //! reading, and its judge of health does the rest.
 
@@ -19,7 +21,6 @@ pub use error::MachineError;
 pub use hardware::Hardware;
 pub use sensor::{Sensor, SensorConfig};
 
-use crate::calib_imu::Correction;
 use crate::io::pins::PinsConfig;
 use crate::motion::{MotionConfig, StepperConfig};
 
@@ -46,6 +47,4 @@ pub struct MachineConfig {
     pub imu: Option<SensorConfig>,
     /// The base's IMU.
     pub base_imu: Option<SensorConfig>,
-    /// Calibration of the tip's IMU.
-    pub correction: Correction,
 }

@@ -4,7 +4,7 @@
 //! Readings go through a wait-free ring with the time at which the transfer began. A transfer that never
 //! returns keeps this thread and nothing else.
 
-use crate::calib_imu::Correction;
+use crate::calib_imu::{Correction, ImuCalibration};
 use crate::fuse::health::Outcome;
 use crate::io::imu::{self, Identity, Imu, ImuConfig, ImuError};
 use crate::io::machine::MachineError;
@@ -76,11 +76,11 @@ impl Sensor {
     ///
     /// # Errors
     /// [`MachineError`]: no bus, no permission, a chip that does not answer, is another or never comes up.
-    pub fn start(config: &SensorConfig, correction: &Correction) -> Result<Self, MachineError> {
+    pub fn start(config: &SensorConfig) -> Result<Self, MachineError> {
         let (to, readings) = rtrb::RingBuffer::new(READINGS);
         let stop = Arc::new(AtomicBool::new(false));
         let (tell, told) = std::sync::mpsc::channel();
-        let mut reader = Reader { config: config.clone(), correction: *correction, to, stop: stop.clone(), failures: 0, retry_ns: 0 };
+        let mut reader = Reader { config: config.clone(), correction: ImuCalibration::default().correction(), to, stop: stop.clone(), failures: 0, retry_ns: 0 };
         std::thread::Builder::new().name("imu".into()).spawn(move || reader.run(&tell))?;
         let limit_s = SETUP_MAX_S;
         match told.recv_timeout(Duration::from_secs_f64(limit_s)) {
