@@ -47,8 +47,12 @@ pub struct PilotConfig {
 pub struct Turned {
     /// Every intermediate of the tick.
     pub frame: Frame,
-    /// What the tick was told, bit for bit: for the tape.
+    /// What the tick was told.
     pub input: Input,
+    /// What the pilot was told, bit for bit: for the tape.
+    pub sensed: Sensed,
+    /// What it was ordered.
+    pub order: Option<Order>,
     /// Mode after the turn.
     pub mode: Mode,
     /// Counts to send.
@@ -89,6 +93,7 @@ pub struct Pilot {
     explain: Explain,
     last: Option<Sensed>,
     sent: Steps,
+    setpoint: Shape,
     /// What is to be proved before it is believed.
     kept: Option<Kept>,
     /// The drivers were released away from zero: the counts mean nothing any more.
@@ -131,6 +136,7 @@ impl Pilot {
             explain: Explain::new(&config.explain, r_mm),
             last: None,
             sent,
+            setpoint: Shape { bend: Bend::STRAIGHT, length: Mm(config.tick.geometry.rest_length_mm) },
             kept: kept.filter(|k| k.steps != Steps::default()),
             adrift: false,
             handing_over: false,
@@ -141,6 +147,11 @@ impl Pilot {
             pending,
             config,
         }
+    }
+
+    /// There was a memory and it cannot be believed: whatever the rest says, `zero` is asked for.
+    pub fn doubt(&mut self) {
+        self.kept = Some(Kept { rest: None, ..self.state.keep(&self.sent) });
     }
 
     /// What it runs on.
@@ -211,6 +222,7 @@ impl Pilot {
             realign: false,
         };
         let frame = tick(&self.config.tick, &mut self.state, &input);
+        self.setpoint = frame.setpoint;
         let raised = self.watch_senses(dt_s);
         self.follow_alignment(&frame);
         let tripped = self.pass(&frame, sensed, dt_s);
@@ -220,6 +232,8 @@ impl Pilot {
         Turned {
             frame,
             input,
+            sensed: *sensed,
+            order,
             mode,
             steps: self.sent,
             counted: sensed.counted,
