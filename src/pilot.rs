@@ -42,6 +42,9 @@ pub struct PilotConfig {
     pub dead_man_s: f64,
 }
 
+/// Change of the gyroscope's bias since the rest that is worth a word, rad/s (0.9 °/s).
+const BIAS_MOVED_RAD_S: f64 = 0.016;
+
 /// What one turn came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turned {
@@ -75,6 +78,8 @@ pub struct Turned {
     pub suspects: bool,
     /// Causes that came into force against the sensor in this turn.
     pub raised: CauseSet,
+    /// The gyroscope's bias is far from what it was at rest.
+    pub bias_moved: bool,
     /// The dead-man of a stream stopped the tip in this turn.
     pub stream_ended: bool,
     /// Answer to the order of this turn.
@@ -245,6 +250,7 @@ impl Pilot {
             suspicion: self.explain.suspicion().copied(),
             suspects: fresh,
             raised,
+            bias_moved: self.bias_moved(),
             stream_ended,
             answer,
             dt_s,
@@ -274,6 +280,13 @@ impl Pilot {
         let Some(verdict) = self.state.fusion.verdict() else { return CauseSet::EMPTY };
         self.blind_s = if verdict.gyro { 0.0 } else { self.blind_s + dt_s };
         verdict.raised
+    }
+
+    fn bias_moved(&self) -> bool {
+        let fusion = &self.state.fusion;
+        let now = fusion.estimator().and_then(|e| e.as_bend()).map(|f| f.gyro_bias_rad_s());
+        let (Some(now), Some(rest)) = (now, fusion.rest()) else { return false };
+        (now - rest.gyro_bias_rad_s).norm() > BIAS_MOVED_RAD_S
     }
 
     /// A stream that falls silent stops the tip.

@@ -23,7 +23,7 @@ const LINES_PER_ROUND: usize = 16;
 /// Most that waits to be written to one client, bytes.
 const OUT_MAX: usize = 512 * 1024;
 /// A line that was begun must be ended within this time, s.
-const LINE_MAX_S: f64 = 10.0;
+const LINE_MAX_S: f64 = 3.0;
 
 /// A client.
 #[derive(Debug)]
