@@ -206,7 +206,7 @@ pub struct State {
     last_steps: Steps,
     still_s: f64,
     watch: Watch,
-    /// What stood when all was quiet last: integral, felt bend, bend that the pistons gave.
+    /// What stood when all was quiet last: integral, felt bend, bend that the pistons gave by the play.
     quiet: [Vector2<f64>; 3],
     base_moved: bool,
     held: Option<Held>,
@@ -285,7 +285,7 @@ impl State {
             rested_s: 0.0,
             wall: WallState::default(),
             reach: Reach::default(),
-            refine: RefineState::new(&config.refine, &config.lines),
+            refine: RefineState::new(&config.lines),
             bank: DynamicsBank::default(),
             last_steps: Steps::default(),
             still_s: 0.0,
@@ -385,7 +385,7 @@ pub fn tick(config: &Config, state: &mut State, input: &Input) -> Frame {
     let cut_setpoint = if holding { Cut::None } else { advance_setpoint(config, state, input.dt_s) };
     let moving = !state.bend.arrived(&state.target.bend.0);
     let should = state.model.step(given.0 - state.pi.feedback, &state.dynamics, input.dt_s);
-    watch_base(config, state, input, should, given, felt_bend);
+    watch_base(config, state, input, should, felt_bend);
     let error = feed_back(config, state, should, felt_bend, moving || holding, input.dt_s);
     if config.feedback.is_some() && !holding && !state.base_moved {
         learn(config, state, given, felt_bend, input.dt_s);
@@ -431,8 +431,11 @@ fn hold(config: &Config, state: &mut State) -> bool {
 }
 
 /// The watch for a base that turns, where no base IMU tells; and the request to align again.
-fn watch_base(config: &Config, state: &mut State, input: &Input, should: Vector2<f64>, given: Bend, felt: Bend) {
-    let quiet_bend = Bend(state.quiet[1] + given.0 - state.quiet[2]);
+fn watch_base(config: &Config, state: &mut State, input: &Input, should: Vector2<f64>, felt: Bend) {
+    // by the play, not as the inverse meant it: what was answered before the flag is taken back through
+    // the gap, and need not end where it began
+    let played = config.geometry.shape(&bellows_of(&state.lines, &state.slack_mm)).bend.0;
+    let quiet_bend = Bend(state.quiet[1] + played - state.quiet[2]);
     if input.realign {
         state.fusion.realign(if state.base_moved { quiet_bend } else { felt });
         return;
@@ -459,7 +462,7 @@ fn watch_base(config: &Config, state: &mut State, input: &Input, should: Vector2
         // back to what was right before it turned
         (state.pi.integral, state.pi.feedback) = (state.quiet[0], state.quiet[0]);
     } else if state.watch.quiet() {
-        state.quiet = [state.pi.integral, felt.0, given.0];
+        state.quiet = [state.pi.integral, felt.0, played];
         state.fusion.remember(input.t);
     }
 }

@@ -273,7 +273,7 @@ fn every_fault_is_seen_answered_and_survived() {
             s.recovered_s,
         );
         let detected = s.detected_s.unwrap_or_else(|| panic!("{} was not seen", c.name));
-        assert!(detected >= 0.0 && detected < 0.35, "{}: seen after {detected} s", c.name);
+        assert!((0.0..0.35).contains(&detected), "{}: seen after {detected} s", c.name);
         assert!(s.worst >= Some(c.action), "{}: {:?}", c.name, s.worst);
         assert!(s.during_deg < c.error_max_deg && s.after_deg < 1.0, "{}: {s:?}", c.name);
         assert!(s.felt_jump_deg < 1.0 && s.target_jump_mm < 0.2, "{}: {s:?}", c.name);

@@ -221,9 +221,9 @@ fn motor_samples(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
     let (mut last, mut moved_s, mut out) = (Steps::default(), [f64::NEG_INFINITY; 3], Vec::new());
     for (k, sample) in log_samples(log).iter().enumerate() {
         let steps = drive.steps(&log.piston_mm[k]);
-        for i in 0..3 {
-            if steps.0[i] != last.0[i] {
-                moved_s[i] = sample.t.0;
+        for (moved, (now, before)) in moved_s.iter_mut().zip(steps.0.iter().zip(last.0)) {
+            if *now != before {
+                *moved = sample.t.0;
             }
         }
         last = steps;

@@ -6,6 +6,7 @@
 
 pub mod board;
 pub mod calib;
+mod fuse;
 pub mod gains;
 pub mod pilot;
 pub mod service;

@@ -81,12 +81,23 @@ pub struct Follow {
     to_tip: UnitQuaternion<f64>,
     last_t_s: f64,
     slow_rate: Vector3<f64>,
+    window: Window,
+    before: Option<Window>,
+}
+
+/// What the gyroscope said over a while, without the bias known by then.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Window {
+    turn_rad: Vector3<f64>,
+    length_s: f64,
 }
 
 /// Time constant of the rate that stillness is judged by, s.
 const STILL_TAU_S: f64 = 0.5;
 /// Time constant of the bias while the base stands, s.
 const BIAS_TAU_S: f64 = 20.0;
+/// Length of the windows that bias is learnt in, s.
+const WINDOW_S: f64 = 1.0;
 
 impl BaseTracker {
     /// Takes a sample; `tip_up` is the tip's mean specific force at rest once it is aligned.
@@ -142,6 +153,8 @@ impl Follow {
             to_tip: level * mount,
             last_t_s: t_s,
             slow_rate: Vector3::zeros(),
+            window: Window::default(),
+            before: None,
         }
     }
 
@@ -174,10 +187,21 @@ impl Follow {
         measured.cross(&expected) / (measured.norm() * rest.norm()).max(1e-9)
     }
 
+    /// The mean rate of a still window is bias, but only once the next window was still as well: a turn
+    /// that begins within a window is not yet seen when it ends.
     fn learn_bias(&mut self, config: &BaseConfig, dt_s: f64) {
         self.slow_rate += (self.rate_rad_s - self.slow_rate) * intake::share(dt_s, STILL_TAU_S);
-        if self.slow_rate.amax() < config.still_rate_rad_s {
-            self.bias_rad_s += self.rate_rad_s * intake::share(dt_s, BIAS_TAU_S);
+        if self.slow_rate.amax() >= config.still_rate_rad_s {
+            (self.window, self.before) = (Window::default(), None);
+            return;
+        }
+        self.window.turn_rad += self.rate_rad_s * dt_s;
+        self.window.length_s += dt_s;
+        if self.window.length_s >= WINDOW_S {
+            if let Some(before) = self.before.replace(self.window) {
+                self.bias_rad_s += before.turn_rad / before.length_s * intake::share(before.length_s, BIAS_TAU_S);
+            }
+            self.window = Window::default();
         }
     }
 }

@@ -9,6 +9,7 @@ use crate::frames::{Base, Rotation, Tip};
 use crate::fuse::align::Alignment;
 use crate::fuse::base::BaseTurn;
 use crate::fuse::bend::Heed;
+use crate::fuse::health::FieldReference;
 use crate::fuse::intake::GAP_MAX_S;
 use crate::fuse::madgwick::{Madgwick, MadgwickConfig};
 use crate::fuse::mekf::{Mekf, MekfConfig};
@@ -19,9 +20,11 @@ use crate::sample::ImuSample;
 use crate::units::Seconds;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Length and step of the priming, s.
-const PRIME_S: f64 = 2.0;
+/// Step of the priming, s, and how many: a descent at a constant rate ends within a step of the bottom,
+/// so the second half of them shrinks.
 const PRIME_STEP_S: f64 = 0.02;
+const PRIME_STEPS: i32 = 120;
+const PRIME_SHRINK: f64 = 0.92;
 
 /// The filters by value: the loop may not allocate.
 #[derive(Debug, Clone)]
@@ -71,9 +74,14 @@ impl Generic {
     #[must_use]
     pub fn new(name: FilterName, periods: Periods, rest: &Alignment) -> Self {
         let mut filter = Filter::new(name, periods);
+        if let (Filter::Vqf(vqf), Some(mag)) = (&mut filter, &rest.mag_rest_ut)
+            && let Some(field) = FieldReference::from_rest(&rest.acc_rest_m_s2, mag)
+        {
+            vqf.know_field(field.norm_ut, field.dip_rad);
+        }
         let still = ImuSample { t: Seconds(0.0), gyro_rad_s: Vector3::zeros(), acc_m_s2: rest.acc_rest_m_s2, mag_ut: rest.mag_rest_ut };
-        for _ in 0..(PRIME_S / PRIME_STEP_S) as usize {
-            filter.inner().update(&still, PRIME_STEP_S);
+        for k in 0..PRIME_STEPS {
+            filter.inner().update(&still, PRIME_STEP_S * PRIME_SHRINK.powi((k - PRIME_STEPS / 2).max(0)));
         }
         let r_world_rest = filter.seen().orientation().quat();
         let r_base_tip = UnitQuaternion::identity();

@@ -22,7 +22,7 @@ use crate::fuse::watch::WatchConfig;
 use crate::model::bend::Bend;
 use crate::sample::ImuSample;
 use crate::units::Seconds;
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use serde::Deserialize;
 
 /// Alignment, estimator and health settings.
@@ -93,6 +93,10 @@ struct Running {
     second: Second,
     ease: Ease,
     last: Option<ImuSample>,
+    /// How fast the bend went at the last sample, by the gyroscope, rad/s.
+    bend_rate: Vector2<f64>,
+    /// What it has gone on by since, rad.
+    ahead: Vector2<f64>,
     /// The bend filter as it was when all was quiet last: what it knew of the sensor.
     saved: Option<BendFilter>,
     saved_at_s: f64,
@@ -196,6 +200,9 @@ impl Fusion {
         let why = |state: &AlignState| state.refused.map_or_else(|| "no sample came".to_owned(), |why| why.to_string());
         let faults = self.in_force();
         match &self.stage {
+            Stage::Aligning(_) if faults.contains(Cause::Spike) => {
+                format!("the gyroscope or the accelerometer leaps further than a tip can: {faults}")
+            }
             Stage::Aligning(_) if !faults.is_empty() => format!("the IMU is not well: {faults}"),
             Stage::Aligning(state) => why(state),
             Stage::Running(r) => r.again.as_ref().map_or_else(|| "nothing".to_owned(), |(state, _)| why(state)),
@@ -271,6 +278,8 @@ impl Running {
             second: Second::new(second),
             ease: Ease::default(),
             last: None,
+            bend_rate: Vector2::zeros(),
+            ahead: Vector2::zeros(),
             saved: None,
             saved_at_s: f64::NEG_INFINITY,
             again: None,
@@ -292,7 +301,12 @@ impl Running {
         if said.recovered.is_some() {
             self.ease.arm();
         }
-        let (true, Outcome::Sample(sample, _)) = (said.gyro, &told.tip) else { return };
+        let (true, Outcome::Sample(sample, _)) = (said.gyro, &told.tip) else {
+            // between samples, and over the first moments of a hole, the tip goes on as it went
+            let age_s = self.last.map_or(0.0, |last| told.now.0 - last.t.0);
+            self.ahead = self.bend_rate * age_s.clamp(0.0, self.limits.blind_max_s);
+            return;
+        };
         let heed = Heed { acc: said.acc, mag: said.mag, still: told.still && !said.hold };
         let turn = base.turn();
         let gap_s = self.last.map_or(self.rest.periods_s().0, |last| sample.t.0 - last.t.0);
@@ -302,13 +316,13 @@ impl Running {
         if gap_s <= (BRIDGED_PERIODS * self.rest.periods_s().0).max(self.limits.jump_max_s) {
             self.step(config, &self.bridging(sample, gap_s), gap_s, heed, &turn);
         } else {
-            let before = self.estimator.bend().0;
+            let before = self.estimator.bend().0 + self.ahead;
             self.estimator.recover(sample, gap_s, heed, &turn);
             self.second.recover(sample, gap_s, heed, &turn);
             self.ease.arm();
             self.ease.step(&(self.estimator.bend().0 - before), 0.0);
         }
-        self.last = Some(*sample);
+        (self.last, self.ahead) = (Some(*sample), Vector2::zeros());
         self.align_again(config, sample, said);
     }
 
@@ -323,8 +337,11 @@ impl Running {
     }
 
     fn step(&mut self, config: &FuseConfig, sample: &ImuSample, dt_s: f64, heed: Heed, turn: &BaseTurn) {
+        let before = self.estimator.bend().0;
         self.estimator.update(sample, dt_s, heed, turn);
-        self.ease.step(&self.estimator.corrected(), dt_s);
+        let corrected = self.estimator.corrected();
+        self.bend_rate = (self.estimator.bend().0 - before - corrected) / dt_s;
+        self.ease.step(&corrected, dt_s);
         if self.second.gather(&config.second, sample, dt_s, heed, turn) {
             let up = self.rest.acc_rest_m_s2;
             let field = heed.mag && self.estimator.believes_field() && self.second.estimator.believes_field();
@@ -393,9 +410,10 @@ impl Running {
             disagrees: self.second.disagrees(),
             disagreement_rad: self.second.angle_rad(),
         };
-        if self.ease.offset.norm_squared() > 0.0 {
-            // the bend eased, the twist as it is
-            felt.bend = Bend(said.0 + self.ease.offset);
+        let offset = self.ease.offset + self.ahead;
+        if offset.norm_squared() > 0.0 {
+            // the bend eased and led on, the twist as it is
+            felt.bend = Bend(said.0 + offset);
             let twist = said.rotation().inverse() * felt.r_base_tip;
             felt.r_base_tip = felt.bend.rotation() * twist;
         }

@@ -97,6 +97,7 @@ fn rows_are_the_derivative_of_the_reading() {
                 Turn { r, mount, s: mount.transpose() * r * mount, base_now: base.inverse().to_rotation_matrix().into_inner() }
             };
             let rows = turn(&filter).rows(&filter, at, &rest);
+            #[allow(clippy::needless_range_loop, reason = "j names an entry of the state")]
             for j in 0..N {
                 let read = |d: f64| {
                     let mut f = filter.clone();
