@@ -70,9 +70,10 @@ impl Row {
     }
 
     /// Demands something.
-    pub fn demand(&mut self, holds: bool, why: impl FnOnce() -> String) {
+    pub fn demand(&mut self, holds: bool, why: impl FnOnce(&Self) -> String) {
         if !holds {
-            self.fail(why());
+            let why = why(self);
+            self.fail(why);
         }
     }
 }

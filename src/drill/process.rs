@@ -5,7 +5,7 @@ mod clients;
 mod disk;
 mod restart;
 
-pub use disk::exercise;
+pub use disk::{Harm, exercise};
 
 use crate::drill::Row;
 use crate::drill::bench::Make;

@@ -88,14 +88,14 @@ pub fn fly(make: &Make, spec: &Spec, allowance: &Allowance) -> Result<Row, World
     }
     bench.turn(Some(bend(TO.0, TO.1)))?;
     let before = bench.run(MID_MOTION_S)?;
-    row.demand(before.mode == Mode::Tracking, || format!("struck in mode {}", before.mode));
+    row.demand(before.mode == Mode::Tracking, |_| format!("struck in mode {}", before.mode));
     let last = watch(&mut bench, spec, before, &mut row)?;
-    row.demand(row.detected_s.is_some(), || "not noticed".to_owned());
-    row.demand(row.steps_after <= row.steps_allowed, || format!("{} microsteps after it was noticed", row.steps_after));
-    row.demand(spec.states.contains(&row.state.as_str()), || format!("came to {}", row.state));
-    row.demand(spec.notice.names_it(&last), || format!("called `{}`", last.suspicion.map_or_else(String::new, |s| s.to_string())));
+    row.demand(row.detected_s.is_some(), |_| "not noticed".to_owned());
+    row.demand(row.steps_after <= row.steps_allowed, |row| format!("{} microsteps after it was noticed", row.steps_after));
+    row.demand(spec.states.contains(&row.state.as_str()), |row| format!("came to {}", row.state));
+    row.demand(spec.notice.names_it(&last), |_| format!("called `{}`", last.suspicion.map_or_else(String::new, |s| s.to_string())));
     row.error_deg_after = recover(&mut bench, spec, &mut row)?;
-    row.demand(row.error_deg_after <= AFTER_MAX_DEG, || format!("{:.1}° off after it was mended", row.error_deg_after));
+    row.demand(row.error_deg_after <= AFTER_MAX_DEG, |row| format!("{:.1}° off after it was mended", row.error_deg_after));
     Ok(row)
 }
 
@@ -144,7 +144,7 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, WorldEr
     }
     if !stays {
         let rested = bench.until(15.0, |t| matches!(t.mode, Mode::Disarmed | Mode::Aligning))?;
-        row.demand(rested, || "did not come back to rest".to_owned());
+        row.demand(rested, |_| "did not come back to rest".to_owned());
         bench.flight.machine.mend();
         bench.run(1.0)?;
     }
@@ -155,7 +155,7 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, WorldEr
         bench.call_straight();
     }
     let ready = bench.until(8.0, |t| t.mode != Mode::Aligning)?;
-    row.demand(ready, || "did not align again".to_owned());
+    row.demand(ready, |_| "did not align again".to_owned());
     if bench.flight.pilot.mode() == Mode::Disarmed {
         refuse_is_failure(bench, Order::Arm, row)?;
         bench.run(0.05)?;

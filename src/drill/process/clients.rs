@@ -23,7 +23,7 @@ pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
     rows.push(dead_man(&daemon)?);
     let (well, took_s) = daemon.end()?;
     let mut row = Row::process("sigterm_while_bent", Some(took_s), "relaxed", format!("relaxed and ended within {took_s:.1} s"));
-    row.demand(well, || "did not end well".to_owned());
+    row.demand(well, |_| "did not end well".to_owned());
     rows.push(row);
     Ok(rows)
 }
@@ -93,9 +93,9 @@ fn flood(daemon: &Daemon, baseline: &Turns) -> io::Result<Row> {
         meanwhile.share * 100.0,
         baseline.share * 100.0
     );
-    row.demand(waited < ANSWER_MAX_S, || format!("others waited {waited:.2} s"));
-    row.demand(meanwhile.share > 0.9 * baseline.share, || "the loop noticed".to_owned());
-    row.demand(meanwhile.lost <= baseline.lost, || format!("{} frames were lost", meanwhile.lost));
+    row.demand(waited < ANSWER_MAX_S, |_| format!("others waited {waited:.2} s"));
+    row.demand(meanwhile.share > 0.9 * baseline.share, |_| "the loop noticed".to_owned());
+    row.demand(meanwhile.lost <= baseline.lost, |_| format!("{} frames were lost", meanwhile.lost));
     Ok(row)
 }
 
@@ -112,8 +112,8 @@ fn half_open(daemon: &Daemon, baseline: &Turns) -> io::Result<Row> {
     row.detected_s = Some(begun.elapsed().as_secs_f64());
     row.state = state(daemon)?;
     row.message = format!("dropped after {:.1} s; others were answered within {:.0} ms", begun.elapsed().as_secs_f64(), waited * 1e3);
-    row.demand(dropped, || "was not dropped".to_owned());
-    row.demand(waited < ANSWER_MAX_S && baseline.share > 0.0, || format!("others waited {waited:.2} s"));
+    row.demand(dropped, |_| "was not dropped".to_owned());
+    row.demand(waited < ANSWER_MAX_S && baseline.share > 0.0, |_| format!("others waited {waited:.2} s"));
     Ok(row)
 }
 
@@ -131,7 +131,7 @@ fn slow_reader(daemon: &Daemon) -> io::Result<Row> {
     row.detected_s = Some(begun.elapsed().as_secs_f64());
     row.state = state(daemon)?;
     row.message = format!("asked for 1000 frames a second, read none, dropped after {:.1} s", begun.elapsed().as_secs_f64());
-    row.demand(dropped, || "was not dropped".to_owned());
+    row.demand(dropped, |_| "was not dropped".to_owned());
     Ok(row)
 }
 
@@ -152,7 +152,7 @@ fn huge_line(daemon: &Daemon) -> io::Result<Row> {
     let said = String::from_utf8_lossy(&said[..n]).into_owned();
     row.state = state(daemon)?;
     row.message = format!("dropped after {} KiB: {}", sent / 1024, said.trim());
-    row.demand(sent < 10 * 1024 * 1024, || "took all of it".to_owned());
+    row.demand(sent < 10 * 1024 * 1024, |_| "took all of it".to_owned());
     Ok(row)
 }
 
@@ -167,7 +167,7 @@ fn garbage(daemon: &Daemon) -> io::Result<Row> {
     let _ = stream.read_to_string(&mut said);
     row.detected_s = Some(begun.elapsed().as_secs_f64());
     row.state = state(daemon)?;
-    row.demand(said.contains("not JSON") && said.contains("UTF-8"), || format!("said `{}`", said.trim()));
+    row.demand(said.contains("not JSON") && said.contains("UTF-8"), |_| format!("said `{}`", said.trim()));
     row.message = said.lines().next().unwrap_or_default().to_owned();
     Ok(row)
 }
@@ -196,9 +196,9 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
     let (target, felt) = (status["target"]["bend_deg"].as_f64().unwrap_or(0.0), status["felt"]["bend_deg"].as_f64().unwrap_or(0.0));
     row.message = format!("{taken} commands from two clients, all answered; the last one holds: {target:.0}°");
     row.error_deg_after = (target - felt).abs();
-    row.demand(taken == 100, || format!("{taken} of 100 were taken"));
-    row.demand([30.0, 50.0].iter().any(|b| (target - b).abs() < 0.1), || format!("the target is {target}°"));
-    row.demand(row.error_deg_after < 1.5, || format!("{:.1}° off", row.error_deg_after));
+    row.demand(taken == 100, |_| format!("{taken} of 100 were taken"));
+    row.demand([30.0, 50.0].iter().any(|b| (target - b).abs() < 0.1), |_| format!("the target is {target}°"));
+    row.demand(row.error_deg_after < 1.5, |row| format!("{:.1}° off", row.error_deg_after));
     Ok(row)
 }
 
@@ -216,7 +216,7 @@ fn dead_man(daemon: &Daemon) -> io::Result<Row> {
     row.detected_s = Some(begun.elapsed().as_secs_f64());
     row.state = "holding".to_owned();
     row.message = "the stream of set-points fell silent: stopped".to_owned();
-    row.demand(row.detected_s.is_some_and(|s| s < 1.0), || format!("stopped after {:?} s", row.detected_s));
-    row.demand(status["felt"]["bend_deg"].as_f64().is_some_and(|b| b < 74.0), || "ran on to the last set-point".to_owned());
+    row.demand(row.detected_s.is_some_and(|s| s < 1.0), |row| format!("stopped after {:?} s", row.detected_s));
+    row.demand(status["felt"]["bend_deg"].as_f64().is_some_and(|b| b < 74.0), |_| "ran on to the last set-point".to_owned());
     Ok(row)
 }

@@ -106,14 +106,14 @@ fn do_harm(folder: &Path, harm: Harm) -> io::Result<()> {
 /// A file system that fills up under the service: what was reserved can still be written over.
 pub fn full(program: &Path, folder: &Path) -> io::Result<Row> {
     let mut row = harmed("disk_full", program, folder, Harm::Fill)?;
-    row.demand(row.message.contains("0 writes failed"), || "writes in place failed on a full disk".to_owned());
+    row.demand(row.message.contains("0 writes failed"), |_| "writes in place failed on a full disk".to_owned());
     Ok(row)
 }
 
 /// A file system that becomes read-only: nothing is armed any more, nothing is lost.
 pub fn read_only(program: &Path, folder: &Path) -> io::Result<Row> {
     let mut row = harmed("read_only_fs", program, folder, Harm::ReadOnly)?;
-    row.demand(!row.message.contains(" 0 writes failed"), || "nothing was noticed".to_owned());
+    row.demand(!row.message.contains(" 0 writes failed"), |_| "nothing was noticed".to_owned());
     Ok(row)
 }
 
@@ -150,11 +150,11 @@ fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<R
 fn judge(name: &str, text: &str, how: &str, took_s: f64) -> Row {
     let mut row = Row::process(name, Some(took_s), "disarmed", String::new());
     let after: Vec<&str> = text.lines().skip_while(|l| !l.starts_with("harm:")).collect();
-    row.demand(!after.is_empty(), || format!("the harm was not done: {text}"));
+    row.demand(!after.is_empty(), |_| format!("the harm was not done: {text}"));
     let failed: Vec<&&str> = after.iter().filter(|l| l.starts_with("failed:")).collect();
     let last = text.lines().rfind(|l| l.ends_with('.') && !l.starts_with("recalled") && !l.starts_with("failed"));
     let recalled = text.lines().rfind(|l| l.starts_with("recalled"));
-    row.demand(recalled.is_some_and(|r| Some(r.trim_start_matches("recalled ")) == last), || format!("kept `{last:?}`, {recalled:?}"));
+    row.demand(recalled.is_some_and(|r| Some(r.trim_start_matches("recalled ")) == last), |_| format!("kept `{last:?}`, {recalled:?}"));
     let reason = failed.first().map_or("", |f| **f);
     row.message = format!("{} writes kept and {} writes failed after it, {how}; nothing lost. {reason}", after.len().saturating_sub(2 + failed.len()), failed.len());
     if !failed.is_empty() {

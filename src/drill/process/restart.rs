@@ -33,26 +33,26 @@ pub fn killed(make: &Make, program: &Path, folder: &Path, kills: u32) -> io::Res
         drop(store);
         slowest_s = slowest_s.max(begun.elapsed().as_secs_f64());
         torn += usize::from(!recall.set_aside.is_empty());
-        row.demand(!recall.unknown, || format!("kill {n}: nothing could be recalled: {:?}", recall.set_aside));
+        row.demand(!recall.unknown, |_| format!("kill {n}: nothing could be recalled: {:?}", recall.set_aside));
         let Some(memory) = recall.memory else {
-            row.demand(acknowledged.is_none(), || format!("kill {n}: what was acknowledged is gone"));
+            row.demand(acknowledged.is_none(), |_| format!("kill {n}: what was acknowledged is gone"));
             continue;
         };
         let (Some(kept), Some((steps, armed))) = (memory.kept, acknowledged) else { continue };
         // what is on the disk is what was acknowledged last, or one write newer
         let same = kept.steps.0 == steps && memory.armed == armed;
-        row.demand(same || recall_is_newer(folder, steps), || format!("kill {n}: {:?} was acknowledged, {:?} is remembered", steps, kept.steps.0));
+        row.demand(same || recall_is_newer(folder, steps), |_| format!("kill {n}: {:?} was acknowledged, {:?} is remembered", steps, kept.steps.0));
         if !memory.armed {
             at_rest += 1;
-            row.demand(kept.steps.0 == [0; 3], || format!("kill {n}: disarmed away from zero"));
+            row.demand(kept.steps.0 == [0; 3], |_| format!("kill {n}: disarmed away from zero"));
             continue;
         }
         let (moved, mode) = start_elsewhere(make, kept)?;
         row.steps_after += moved;
         doubted += usize::from(mode == Mode::Lost);
         let bent = kept.bend_rad[0].hypot(kept.bend_rad[1]).to_degrees();
-        row.demand(moved == 0, || format!("kill {n}: moved by {moved} microsteps at restart"));
-        row.demand(bent < 8.0 || mode == Mode::Lost, || format!("kill {n}: remembered {bent:.0}°, found straight, came to {mode}"));
+        row.demand(moved == 0, |_| format!("kill {n}: moved by {moved} microsteps at restart"));
+        row.demand(bent < 8.0 || mode == Mode::Lost, |_| format!("kill {n}: remembered {bent:.0}°, found straight, came to {mode}"));
     }
     row.detected_s = Some(slowest_s);
     row.message = format!(
@@ -132,15 +132,15 @@ pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
     let again = Daemon::start(program, folder)?;
     let status = again.until(15.0, "a decision", |s| s["mode"] != "aligning" && s["mode"] != "boot")?;
     row.state = status["mode"].as_str().unwrap_or_default().to_owned();
-    row.demand(row.state == "lost", || format!("the plant began anew and the service came to {}", row.state));
+    row.demand(row.state == "lost", |row| format!("the plant began anew and the service came to {}", row.state));
     let mut client = again.client()?;
     let refused = client.ask(&Request::Arm {}).err().map(|f| f.words).unwrap_or_default();
-    row.demand(refused.contains("zero"), || format!("arming said `{refused}`"));
+    row.demand(refused.contains("zero"), |_| format!("arming said `{refused}`"));
     row.message = refused;
     ask(&mut client, &Request::Zero {})?;
     again.until(15.0, "alignment", |s| s["mode"] == "disarmed")?;
     let (well, _) = again.end()?;
-    row.demand(well, || "it did not end well".to_owned());
+    row.demand(well, |_| "it did not end well".to_owned());
     Ok(row)
 }
 
@@ -164,12 +164,12 @@ pub fn while_bent(make: &Make) -> io::Result<Row> {
         let first = again.turn(None).map_err(world)?;
         let decided = again.until(10.0, |t| t.mode != Mode::Aligning && t.mode != Mode::Boot).map_err(world)?;
         let turned = again.run(1.0).map_err(world)?;
-        row.demand(decided, || "never decided".to_owned());
+        row.demand(decided, |_| "never decided".to_owned());
         let steps: i64 = (0..3).map(|i| i64::from((turned.counted.0[i] - first.counted.0[i]).abs())).sum();
         row.steps_after += steps;
-        row.demand(turned.steps == kept.steps && steps == 0, || format!("moved by {steps} microsteps"));
+        row.demand(turned.steps == kept.steps && steps == 0, |_| format!("moved by {steps} microsteps"));
         let right = if moved { Mode::Lost } else { Mode::Disarmed };
-        row.demand(turned.mode == right, || format!("came to {} where {right} is right", turned.mode));
+        row.demand(turned.mode == right, |_| format!("came to {} where {right} is right", turned.mode));
         if moved {
             row.message = again.turn(Some(Order::Arm)).map_err(world)?.answer.and_then(Result::err).map(|r| r.to_string()).unwrap_or_default();
         } else {
@@ -179,7 +179,7 @@ pub fn while_bent(make: &Make) -> io::Result<Row> {
             again.turn(Some(bend(35.0, 150.0))).map_err(world)?;
             again.run(3.0).map_err(world)?;
             row.error_deg_after = (again.true_bend().0 - crate::model::bend::Bend::from_deg(35.0, 150.0).0).norm().to_degrees();
-            row.demand(row.error_deg_after < 2.5, || format!("{:.1}° off after it went on", row.error_deg_after));
+            row.demand(row.error_deg_after < 2.5, |row| format!("{:.1}° off after it went on", row.error_deg_after));
         }
     }
     Ok(row)
@@ -191,7 +191,7 @@ pub fn stale_calibration(program: &Path, folder: &Path) -> io::Result<Row> {
     let calib = folder.join("calib.toml");
     std::fs::write(&calib, "[transmission]\nk_epsilon = [2.2, 2.5, 2.2]\nk_lambda_mm = [0.9, 0.9, 0.8]\ntip = \"A-17\"\n")?;
     let mut row = refused_start(program, folder, "stale_calibration", &["--tip", "B-3", "--calib", &calib.display().to_string()])?;
-    row.demand(row.message.contains("A-17") && row.message.contains("B-3"), || format!("said `{}`", row.message));
+    row.demand(row.message.contains("A-17") && row.message.contains("B-3"), |row| format!("said `{}`", row.message));
     Ok(row)
 }
 
@@ -201,7 +201,7 @@ pub fn wrong_board(program: &Path, folder: &Path) -> io::Result<Row> {
     let board = folder.join("board.toml");
     std::fs::write(&board, "[limits]\ntravel_mm = 3000.0\n\n[plant]\n")?;
     let mut row = refused_start(program, folder, "wrong_board_file", &["--board", &board.display().to_string()])?;
-    row.demand(row.message.contains("limits.travel_mm") && row.message.contains("line 2"), || format!("said `{}`", row.message));
+    row.demand(row.message.contains("limits.travel_mm") && row.message.contains("line 2"), |row| format!("said `{}`", row.message));
     Ok(row)
 }
 
@@ -212,7 +212,7 @@ fn refused_start(program: &Path, folder: &Path, name: &str, args: &[&str]) -> io
     let said = String::from_utf8_lossy(&out.stderr).into_owned();
     let message: String = said.split_whitespace().filter(|w| !w.chars().all(|c| "│╰╭─×·▶".contains(c))).collect::<Vec<_>>().join(" ");
     let mut row = Row::process(name, Some(begun.elapsed().as_secs_f64()), "refused", message);
-    row.demand(out.status.code() == Some(2), || format!("ended with {}", out.status));
-    row.demand(!socket.exists(), || "opened its socket all the same".to_owned());
+    row.demand(out.status.code() == Some(2), |_| format!("ended with {}", out.status));
+    row.demand(!socket.exists(), |_| "opened its socket all the same".to_owned());
     Ok(row)
 }
