@@ -86,6 +86,8 @@ pub struct Turned {
     pub answer: Option<Result<(), Refusal>>,
     /// Time since the last turn, s.
     pub dt_s: f64,
+    /// The first turn of this pilot.
+    pub first: bool,
 }
 
 /// The supervised loop.
@@ -208,6 +210,7 @@ impl Pilot {
 
     /// One turn.
     pub fn turn(&mut self, sensed: &Sensed, order: Option<Order>) -> Turned {
+        let first = self.last.is_none();
         let dt_s = self.last.map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
         self.last = Some(*sensed);
         if self.modes.now() == Mode::Boot {
@@ -254,6 +257,7 @@ impl Pilot {
             stream_ended,
             answer,
             dt_s,
+            first,
         }
     }
 

@@ -28,6 +28,8 @@ pub struct Recording {
     begun_s: Option<f64>,
     last_s: f64,
     scratch: Vec<u8>,
+    /// A tape begins with a pilot's first turn.
+    waits: bool,
 }
 
 /// Name of the tape of a log.
@@ -55,7 +57,7 @@ impl Recording {
                 Some(tape)
             }
         };
-        Ok(Self { path: path.to_owned(), log, tape, step_mm, rows: 0, begun_s: None, last_s: f64::NEG_INFINITY, scratch: Vec::new() })
+        Ok(Self { path: path.to_owned(), log, tape, step_mm, rows: 0, begun_s: None, last_s: f64::NEG_INFINITY, scratch: Vec::new(), waits: header.is_some() })
     }
 
     /// Where it is written.
@@ -68,6 +70,12 @@ impl Recording {
     #[must_use]
     pub fn has_tape(&self) -> bool {
         self.tape.is_some()
+    }
+
+    /// No pilot begins with it: a log alone, from now on.
+    pub fn go_without_tape(&mut self) {
+        self.tape = None;
+        self.waits = false;
     }
 
     /// The tape ends here: something happened that it cannot hold.
@@ -83,6 +91,10 @@ impl Recording {
     /// # Errors
     /// The system's: the recording should be ended.
     pub fn turn(&mut self, turned: &Turned) -> io::Result<()> {
+        self.waits &= !turned.first;
+        if self.waits {
+            return Ok(());
+        }
         if let Some(tape) = &mut self.tape {
             self.scratch.clear();
             let sensed = Sensed { truth: None, ..turned.sensed };

@@ -5,7 +5,7 @@ use crate::io::rt::{Clock, Monotonic};
 use crate::machine::Machine;
 use crate::pilot::flight::Flight;
 use crate::pilot::order::{Order, Refusal};
-use crate::pilot::{PilotConfig, Turned};
+use crate::pilot::{Pilot, PilotConfig, Turned};
 use crate::service::notify::Feed;
 use crate::tick::Kept;
 use crate::units::Seconds;
@@ -21,6 +21,17 @@ pub enum Message {
     Order(u64, Order),
     /// Another configuration; the old one comes back through the ring of the spent.
     Reload(Box<PilotConfig>),
+    /// Another pilot, at rest: so that a recording begins with one that remembers nothing else.
+    Relieve(Box<Pilot>),
+}
+
+/// What the loop has no use for any more; freed by the hub.
+#[derive(Debug)]
+pub enum Spent {
+    /// An old configuration.
+    Config(Box<PilotConfig>),
+    /// A pilot that was relieved.
+    Pilot(Box<Pilot>),
 }
 
 /// Where the pistons were, worth keeping.
@@ -38,7 +49,7 @@ pub struct Wires {
     answers: Producer<(u64, Result<(), Refusal>)>,
     frames: Producer<Turned>,
     keeps: Producer<KeepNote>,
-    spent: Producer<Box<PilotConfig>>,
+    spent: Producer<Spent>,
 }
 
 /// The hub's ends of the rings.
@@ -51,8 +62,8 @@ pub struct OtherEnd {
     pub frames: Consumer<Turned>,
     /// Where the pistons are, now and then.
     pub keeps: Consumer<KeepNote>,
-    /// Configurations to dispose of.
-    pub spent: Consumer<Box<PilotConfig>>,
+    /// What is to be disposed of.
+    pub spent: Consumer<Spent>,
 }
 
 /// Turns the ring of frames holds: at 1 kHz four seconds of a hub that is away.
@@ -157,7 +168,11 @@ impl Loop {
             Ok(Message::Reload(mut config)) => {
                 self.flight.pilot.reload(&mut config);
                 // sixteen old ones waiting: better to free one here than to leak it
-                drop(self.wires.spent.push(config));
+                drop(self.wires.spent.push(Spent::Config(config)));
+            }
+            Ok(Message::Relieve(mut pilot)) => {
+                std::mem::swap(&mut self.flight.pilot, &mut pilot);
+                drop(self.wires.spent.push(Spent::Pilot(pilot)));
             }
             Err(_) => {}
         }

@@ -4,6 +4,7 @@ use super::{Hub, Subscription, Waiting};
 use crate::config::gains::Gains;
 use crate::config::source;
 use crate::model::bend::Bend;
+use crate::pilot::Pilot;
 use crate::pilot::order::Order;
 use crate::service::calibrate::{Found, Session};
 use crate::service::protocol::{CalibrateAction, Failure, RecordAction, Request, parse};
@@ -120,6 +121,9 @@ impl Hub {
             return Err(Failure::refused("too many commands at once; try again in a moment"));
         }
         self.parts.pilot = next;
+        if let Ok(text) = std::fs::read_to_string(&path) {
+            self.parts.texts[1] = text;
+        }
         self.parts.gains_now = gains;
         if let Some(r) = &mut self.recording {
             r.cut_tape();
@@ -157,9 +161,9 @@ impl Hub {
 
     /// Begins a recording; with a tape when the pilot is told to begin again, at rest, or begins now.
     pub(super) fn begin_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
-        let fresh = at_boot;
+        let at_rest = self.mode() == Mode::Disarmed && self.last.as_ref().is_some_and(|t| t.counted.0 == [0; 3] && t.latched.is_none());
+        let fresh = at_boot || at_rest;
         let p = &self.parts.pilot;
-        let memory = &self.parts.memory;
         let header = tape::Header {
             tape: 1,
             program: env!("CARGO_PKG_VERSION").to_owned(),
@@ -170,13 +174,40 @@ impl Hub {
             rest_length_mm: p.tick.geometry.rest_length_mm,
             lines: self.first_lines(),
             dynamics: self.first_dynamics(),
-            kept: memory.kept.filter(|_| at_boot),
+            kept: self.first_kept(at_boot),
             doubted: false,
         };
         let recording = Recording::begin(path, p.gate.step_mm, fresh.then_some(&header))?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.has_tape(), "recording begins");
         self.recording = Some(recording);
+        if !at_boot && fresh {
+            self.relieve(header.kept);
+        }
         Ok(())
+    }
+
+    /// A pilot that remembers nothing but what the header of the tape says takes over, at rest.
+    fn relieve(&mut self, kept: Option<crate::tick::Kept>) {
+        let mut config = self.parts.pilot.clone();
+        config.tick.lines = self.first_lines().map(|[k_epsilon, k_lambda_mm]| crate::model::transmission::Line { k_epsilon, k_lambda_mm });
+        let [lag_s, delay_s] = self.first_dynamics();
+        config.tick.dynamics = crate::control::pi::Dynamics { lag_s, delay_s };
+        let pilot = Pilot::new(config, kept);
+        if self.parts.other_end.orders.push(Message::Relieve(Box::new(pilot))).is_err()
+            && let Some(r) = &mut self.recording
+        {
+            r.go_without_tape();
+        }
+    }
+
+    /// What a pilot of now would begin with.
+    fn first_kept(&self, at_boot: bool) -> Option<crate::tick::Kept> {
+        let kept = self.parts.memory.kept?;
+        if at_boot && self.parts.memory.tip != self.parts.tip {
+            let lines = self.first_lines();
+            return Some(crate::tick::Kept { k_epsilon: lines.map(|l| l[0]), k_lambda_mm: lines.map(|l| l[1]), rest: None, ..kept });
+        }
+        Some(kept)
     }
 
     fn first_lines(&self) -> [[f64; 2]; 3] {
