@@ -42,13 +42,20 @@ pub struct PilotConfig {
     pub dead_man_s: f64,
 }
 
+/// Change of the gyroscope's bias since the rest that is worth a word, rad/s (0.9 °/s).
+const BIAS_MOVED_RAD_S: f64 = 0.016;
+
 /// What one turn came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turned {
     /// Every intermediate of the tick.
     pub frame: Frame,
-    /// What the tick was told, bit for bit: for the tape.
+    /// What the tick was told.
     pub input: Input,
+    /// What the pilot was told, bit for bit: for the tape.
+    pub sensed: Sensed,
+    /// What it was ordered.
+    pub order: Option<Order>,
     /// Mode after the turn.
     pub mode: Mode,
     /// Counts to send.
@@ -71,12 +78,16 @@ pub struct Turned {
     pub suspects: bool,
     /// Causes that came into force against the sensor in this turn.
     pub raised: CauseSet,
+    /// The gyroscope's bias is far from what it was at rest.
+    pub bias_moved: bool,
     /// The dead-man of a stream stopped the tip in this turn.
     pub stream_ended: bool,
     /// Answer to the order of this turn.
     pub answer: Option<Result<(), Refusal>>,
     /// Time since the last turn, s.
     pub dt_s: f64,
+    /// The first turn of this pilot.
+    pub first: bool,
 }
 
 /// The supervised loop.
@@ -89,6 +100,7 @@ pub struct Pilot {
     explain: Explain,
     last: Option<Sensed>,
     sent: Steps,
+    setpoint: Shape,
     /// What is to be proved before it is believed.
     kept: Option<Kept>,
     /// The drivers were released away from zero: the counts mean nothing any more.
@@ -131,6 +143,7 @@ impl Pilot {
             explain: Explain::new(&config.explain, r_mm),
             last: None,
             sent,
+            setpoint: Shape { bend: Bend::STRAIGHT, length: Mm(config.tick.geometry.rest_length_mm) },
             kept: kept.filter(|k| k.steps != Steps::default()),
             adrift: false,
             handing_over: false,
@@ -141,6 +154,11 @@ impl Pilot {
             pending,
             config,
         }
+    }
+
+    /// There was a memory and it cannot be believed: whatever the rest says, `zero` is asked for.
+    pub fn doubt(&mut self) {
+        self.kept = Some(Kept { rest: None, ..self.state.keep(&self.sent) });
     }
 
     /// What it runs on.
@@ -192,6 +210,7 @@ impl Pilot {
 
     /// One turn.
     pub fn turn(&mut self, sensed: &Sensed, order: Option<Order>) -> Turned {
+        let first = self.last.is_none();
         let dt_s = self.last.map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
         self.last = Some(*sensed);
         if self.modes.now() == Mode::Boot {
@@ -211,6 +230,7 @@ impl Pilot {
             realign: false,
         };
         let frame = tick(&self.config.tick, &mut self.state, &input);
+        self.setpoint = frame.setpoint;
         let raised = self.watch_senses(dt_s);
         self.follow_alignment(&frame);
         let tripped = self.pass(&frame, sensed, dt_s);
@@ -220,6 +240,8 @@ impl Pilot {
         Turned {
             frame,
             input,
+            sensed: *sensed,
+            order,
             mode,
             steps: self.sent,
             counted: sensed.counted,
@@ -231,9 +253,11 @@ impl Pilot {
             suspicion: self.explain.suspicion().copied(),
             suspects: fresh,
             raised,
+            bias_moved: self.bias_moved(),
             stream_ended,
             answer,
             dt_s,
+            first,
         }
     }
 
@@ -260,6 +284,13 @@ impl Pilot {
         let Some(verdict) = self.state.fusion.verdict() else { return CauseSet::EMPTY };
         self.blind_s = if verdict.gyro { 0.0 } else { self.blind_s + dt_s };
         verdict.raised
+    }
+
+    fn bias_moved(&self) -> bool {
+        let fusion = &self.state.fusion;
+        let now = fusion.estimator().and_then(|e| e.as_bend()).map(|f| f.gyro_bias_rad_s());
+        let (Some(now), Some(rest)) = (now, fusion.rest()) else { return false };
+        (now - rest.gyro_bias_rad_s).norm() > BIAS_MOVED_RAD_S
     }
 
     /// A stream that falls silent stops the tip.

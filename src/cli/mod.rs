@@ -5,14 +5,20 @@
 
 pub mod bench;
 pub mod calibrate;
+pub mod client;
 pub mod commission;
+pub mod doctor;
+pub mod drill;
 pub mod evaluate;
 pub mod gap;
 pub mod hands;
 pub mod home;
 pub mod imu;
 pub mod jog;
+pub mod logging;
 pub mod output;
+pub mod replay;
+pub mod run;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -49,6 +55,16 @@ enum Command {
     /// Orientation filters on recordings.
     #[command(subcommand)]
     Imu(imu::Imu),
+    /// Run the service.
+    Run(run::Args),
+    #[command(flatten)]
+    Client(client::Client),
+    /// Hold the board file against this machine.
+    Doctor(doctor::Args),
+    /// Inject every fault that is claimed to be survived.
+    Drill(drill::Args),
+    /// Run a recording through the loop of today.
+    Replay(replay::Args),
 }
 
 /// How a command ended, other than by an error.
@@ -84,6 +100,11 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Gap(command) => gap::run(&command),
         Command::Calibrate(command) => calibrate::run(&command),
         Command::Imu(command) => imu::run(&command),
+        Command::Run(args) => run::run(&args),
+        Command::Client(command) => client::run(&command),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Drill(args) => drill::run(&args),
+        Command::Replay(args) => replay::run(&args),
     };
     if let Err(report) = &end {
         eprintln!("{report:?}");

@@ -19,6 +19,8 @@ pub enum Order {
     Bend(Command, Option<f64>),
     /// As [`Order::Bend`], one of a stream: when it falls silent the tip stops.
     Stream(Command),
+    /// Come to rest smoothly where the set-point is, hold.
+    Hold,
     /// Brake now, hold.
     Stop,
     /// Back to rest, slowly, then de-energise.
@@ -93,6 +95,7 @@ impl Pilot {
             Order::Bend(..) | Order::Stream(_) if self.modes.now().moves() && !sensed.energised => Err(Refusal::Busy),
             Order::Bend(command, speed_rad_s) => self.bend(&command, speed_rad_s, None),
             Order::Stream(command) => self.bend(&command, None, Some(sensed.t.0 + self.config.dead_man_s)),
+            Order::Hold => self.hold(),
             Order::Stop => self.stop(),
             Order::Relax => self.relax(),
             Order::Zero => self.zero(),
@@ -138,6 +141,18 @@ impl Pilot {
         self.stream_until = until;
         self.pending.command = Some(Command { bend: shape.bend, length: shape.length });
         Ok(())
+    }
+
+    fn hold(&mut self) -> Result<(), Refusal> {
+        self.stream_until = None;
+        match self.modes.now() {
+            Mode::Holding => Ok(()),
+            Mode::Tracking => {
+                self.pending.command = Some(Command { bend: self.setpoint.bend, length: self.setpoint.length });
+                Ok(())
+            }
+            mode => Err(Refusal::Mode(mode)),
+        }
     }
 
     fn stop(&mut self) -> Result<(), Refusal> {

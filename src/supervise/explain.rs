@@ -23,11 +23,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ExplainConfig {
-    /// Unexplained bend that is worth a word while the set-point rests, degrees. Default 3. Larger
+    /// Unexplained bend that is worth a word while the set-point rests, degrees. Default 4. Larger
     /// overlooks larger leaks and hears less of creep.
     pub rest_deg: f64,
-    /// … more of it per degree that the set-point has moved since. Default 0.25: a gain that is off by
-    /// a quarter. Larger overlooks a line that answers weakly.
+    /// … more of it per degree that the set-point has moved since. Default 0.35: a gain that is off by
+    /// a third. Larger overlooks a line that answers weakly.
     pub share: f64,
     /// How long it must stand, s. Default 0.1. Larger overlooks knocks and says leaks later.
     pub for_s: f64,
@@ -38,7 +38,7 @@ pub struct ExplainConfig {
 
 impl Default for ExplainConfig {
     fn default() -> Self {
-        Self { rest_deg: 3.0, share: 0.25, for_s: 0.1, sudden_deg_s: 12.0 }
+        Self { rest_deg: 4.0, share: 0.35, for_s: 0.1, sudden_deg_s: 12.0 }
     }
 }
 
@@ -129,12 +129,17 @@ pub struct Explain {
     /// Unexplained bend since, smoothed, and how fast it grew at most.
     smooth: Vector2<f64>,
     growth_rad_s: f64,
+    /// How fast the pistons bent it lately, at most.
+    given_rad_s: f64,
+    said_s: f64,
     beyond_s: f64,
     said: Option<Suspicion>,
 }
 
 /// Rest of the set-point after which what stays unexplained is the new normal, s.
 const SETTLE_S: f64 = 0.6;
+/// How long a new suspicion is weighed on, s.
+const WEIGH_S: f64 = 0.4;
 /// Smoothing of the unexplained bend, s.
 const SMOOTH_S: f64 = 0.03;
 
@@ -155,6 +160,8 @@ impl Explain {
             last_given: zero,
             smooth: zero,
             growth_rad_s: 0.0,
+            given_rad_s: 0.0,
+            said_s: 0.0,
             beyond_s: 0.0,
             said: None,
         }
@@ -175,7 +182,9 @@ impl Explain {
     pub fn step(&mut self, seen: &Seen) -> Option<Suspicion> {
         let model = self.follow(seen);
         let unexplained = seen.felt - model;
-        self.path_rad += (seen.given - self.last_given).norm();
+        let given = (seen.given - self.last_given).norm();
+        self.path_rad += given;
+        self.given_rad_s = (given / seen.dt_s).max(self.given_rad_s * (-seen.dt_s / 0.3).exp());
         self.last_given = seen.given;
         self.rested_s = if seen.moving { 0.0 } else { self.rested_s + seen.dt_s };
         let moves_off = seen.moving && self.settled;
@@ -207,11 +216,19 @@ impl Explain {
         let allowed = self.config.rest_deg.to_radians() + self.config.share * moved;
         let size = self.smooth.norm();
         self.beyond_s = if size > allowed { self.beyond_s + seen.dt_s } else { 0.0 };
-        if self.beyond_s < self.config.for_s || self.said.is_some() {
+        if self.said.is_some() {
+            // more of it tells more, for a while
+            self.said_s += seen.dt_s;
+            if self.said_s < WEIGH_S && self.beyond_s > 0.0 {
+                self.said = Some(self.name(seen, moved > 2.0 * allowed));
+            }
             return None;
         }
-        let found = self.name(seen, moved > 2.0 * allowed);
-        self.said = Some(found);
+        if self.beyond_s < self.config.for_s {
+            return None;
+        }
+        self.said_s = 0.0;
+        self.said = Some(self.name(seen, moved > 2.0 * allowed));
         self.said
     }
 
@@ -223,13 +240,13 @@ impl Explain {
         let x_mm = -1.5 * self.r_mm * along[j];
         let bellow = |bend: &Vector2<f64>| -self.r_mm * Geometry::spoke(j).dot(bend);
         let (way_mm, all_mm) = (bellow(&(seen.given - self.base_given)), bellow(&seen.given));
-        let sudden = self.growth_rad_s > self.config.sudden_deg_s.to_radians();
+        let sudden = self.growth_rad_s > self.config.sudden_deg_s.to_radians() + 2.5 * self.given_rad_s;
         let deg = u.norm().to_degrees();
         let of = |kind, share| Suspicion { kind, channel: Some(j as u8 + 1), share, deg };
-        if seen.blocked {
+        if seen.blocked && !sudden {
             return Suspicion { kind: Kind::Contact, channel: None, share: -1.0, deg };
         }
-        if moved && way_mm.abs() > 0.8 {
+        if moved && !sudden && way_mm.abs() > 0.8 {
             let share = x_mm / way_mm;
             return match share {
                 s if s < -1.5 => of(Kind::Inverted, s),

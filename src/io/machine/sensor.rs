@@ -80,7 +80,14 @@ impl Sensor {
         let (to, readings) = rtrb::RingBuffer::new(READINGS);
         let stop = Arc::new(AtomicBool::new(false));
         let (tell, told) = std::sync::mpsc::channel();
-        let mut reader = Reader { config: config.clone(), correction: ImuCalibration::default().correction(), to, stop: stop.clone(), failures: 0, retry_ns: 0 };
+        let mut reader = Reader {
+            config: config.clone(),
+            correction: ImuCalibration::default().correction(),
+            to,
+            stop: stop.clone(),
+            failures: 0,
+            retry_ns: 0,
+        };
         std::thread::Builder::new().name("imu".into()).spawn(move || reader.run(&tell))?;
         let limit_s = SETUP_MAX_S;
         match told.recv_timeout(Duration::from_secs_f64(limit_s)) {
