@@ -26,6 +26,7 @@ use crate::supervise::gate::{self, Following, Gate, Told};
 use crate::supervise::mode::{Event, Mode, Modes};
 use crate::tick::{self, Command, Config, FeedbackConfig, Frame, Input, Kept, State, tick};
 use crate::units::{Mm, Seconds, Steps};
+use nalgebra::Vector3;
 
 /// Everything that does not change while the pilot flies, but by `reload`.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,6 +45,10 @@ pub struct PilotConfig {
 
 /// Change of the gyroscope's bias since the rest that is worth a word, rad/s (0.9 °/s).
 const BIAS_MOVED_RAD_S: f64 = 0.016;
+
+/// How long pistons stand before a rate is held against the sensor, half of it, and what rate, s and rad/s.
+const RESTING_S: f64 = 0.5;
+const RESTING_RAD_S: f64 = 0.012;
 
 /// What one turn came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,6 +105,7 @@ pub struct Pilot {
     explain: Explain,
     last: Option<Sensed>,
     sent: Steps,
+    last_counted: Steps,
     setpoint: Shape,
     /// What is to be proved before it is believed.
     kept: Option<Kept>,
@@ -112,6 +118,11 @@ pub struct Pilot {
     pace: Pace,
     stream_until: Option<f64>,
     blind_s: f64,
+    /// The machine is still taking its alarm back, s.
+    clearing_s: f64,
+    /// Rate of a tip whose pistons stand, without bias, smoothed, rad/s.
+    resting_rate_rad_s: Vector3<f64>,
+    resting_s: f64,
     pending: Pending,
 }
 
@@ -143,6 +154,7 @@ impl Pilot {
             explain: Explain::new(&config.explain, r_mm),
             last: None,
             sent,
+            last_counted: sent,
             setpoint: Shape { bend: Bend::STRAIGHT, length: Mm(config.tick.geometry.rest_length_mm) },
             kept: kept.filter(|k| k.steps != Steps::default()),
             adrift: false,
@@ -151,6 +163,9 @@ impl Pilot {
             pace: config.tick.bend_pace,
             stream_until: None,
             blind_s: 0.0,
+            clearing_s: 0.0,
+            resting_rate_rad_s: Vector3::zeros(),
+            resting_s: 0.0,
             pending,
             config,
         }
@@ -232,6 +247,7 @@ impl Pilot {
         let frame = tick(&self.config.tick, &mut self.state, &input);
         self.setpoint = frame.setpoint;
         let raised = self.watch_senses(dt_s);
+        self.watch_bias(&frame, sensed, paced_s);
         self.follow_alignment(&frame);
         let tripped = self.pass(&frame, sensed, dt_s);
         self.follow_motion(&frame, sensed);
@@ -286,7 +302,21 @@ impl Pilot {
         verdict.raised
     }
 
+    /// A tip that rests does not turn: a mean rate that stays is the sensor's, or the base's.
+    fn watch_bias(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) {
+        let rests = sensed.counted == self.last_counted && frame.felt.is_some();
+        self.last_counted = sensed.counted;
+        self.resting_s = if rests { self.resting_s + dt_s } else { 0.0 };
+        if let Some(rate) = self.state.fusion.rate_rad_s() {
+            let keep = (-2.0 * dt_s / RESTING_S).exp();
+            self.resting_rate_rad_s = rate + (self.resting_rate_rad_s - rate) * keep;
+        }
+    }
+
     fn bias_moved(&self) -> bool {
+        if self.resting_s > 2.0 * RESTING_S && self.resting_rate_rad_s.norm() > RESTING_RAD_S {
+            return true;
+        }
         let fusion = &self.state.fusion;
         let now = fusion.estimator().and_then(|e| e.as_bend()).map(|f| f.gyro_bias_rad_s());
         let (Some(now), Some(rest)) = (now, fusion.rest()) else { return false };
@@ -309,6 +339,7 @@ impl Pilot {
     /// The gate: what goes out, and what a trip makes of the mode.
     fn pass(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> Option<gate::Cause> {
         let armed = self.modes.now().moves() && !self.handing_over;
+        self.clearing_s = (self.clearing_s - dt_s).max(0.0);
         let geometry = &self.config.tick.geometry;
         let felt = frame.felt;
         let stretch_mm = frame.setpoint.length.0 - geometry.rest_length_mm;
@@ -327,7 +358,7 @@ impl Pilot {
             stale_s: self.blind_s,
             disagree: frame.senses.disagrees,
             emergency_stop: sensed.inputs.emergency_stop,
-            alarm: sensed.alarm.is_some(),
+            alarm: sensed.alarm.is_some() && self.clearing_s <= 0.0,
         };
         let passed = self.gate.pass(&told);
         self.sent = passed.steps;

@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
+#[path = "emulated_pi/closed.rs"]
+mod closed;
 #[path = "emulated_pi/fuse.rs"]
 mod fuse;
 #[path = "emulated_pi/gpio.rs"]
@@ -16,8 +18,11 @@ mod rig;
 #[path = "emulated_pi/server.rs"]
 mod server;
 
+use closed::{Service, Spoil, turn};
 use common::repo;
 use registers::Registers;
+use retroflex::model::bend::Bend;
+use retroflex::service::protocol::Request;
 use retroflex::config::board::Board;
 use retroflex::config::source;
 use rig::{Rig, on_a_pi};
@@ -179,5 +184,69 @@ fn a_machine_that_is_no_raspberry_pi_is_told_so() {
         let said = flat(&err);
         assert_eq!(code, 3, "{said}");
         assert!(said.contains("no Raspberry Pi that rppal knows") && said.contains("pins.backend = \"cdev\""), "{said}");
+    });
+}
+
+/// The whole of it: boot, align, bend to within 1.0° of the truth, three kinds of trouble with the sensor,
+/// 100,000 pulses counted alike on both sides, and a tip that is straight and without current at the end.
+#[test]
+fn the_service_closes_its_loop_through_the_device_files() {
+    on_a_pi(world("linux-gpiochip"), |rig| {
+        let board = repo("boards/linux-gpiochip.toml").to_str().unwrap().to_owned();
+        let mut service = Service::start(rig, &board);
+        service.until("aligned", 20.0, |s| turn(s)["mode"] == "disarmed");
+        service.ask(&Request::Arm {});
+        service.arrived();
+        for (bend, dir) in [(40.0, 60.0), (65.0, -120.0), (25.0, 170.0)] {
+            service.bend(bend, dir);
+            let error = service.settled_error_deg(bend, dir);
+            assert!(error <= 1.0, "{error}");
+        }
+
+        // a burst of NACKs and a frozen sensor in motion: shorter than the gate's patience, survived alone
+        for (how, bend, dir) in [(Spoil::Nack, 50.0, 0.0), (Spoil::Frozen, 30.0, 90.0)] {
+            service.bend(bend, dir);
+            service.spoil(how, 0.3);
+            let error = service.settled_error_deg(bend, dir);
+            assert!(error <= 1.0, "{how:?}: {error}");
+            assert!(turn(&service.status())["latched"].is_null());
+        }
+
+        // a bus that hangs for longer: held, latched, not one pulse more; then on, when it is asked to
+        service.bend(60.0, -60.0);
+        service.spoil(Spoil::Hang, 1.2);
+        let status = service.until("faulted", 2.0, |s| turn(s)["mode"] == "faulted");
+        assert_eq!(turn(&status)["latched"], "stale");
+        let pulses = rig.world().chip.pulses;
+        std::thread::sleep(std::time::Duration::from_millis(500));
+        assert!(rig.world().chip.pulses == pulses && rig.world().chip.energised(), "it does not hold");
+        service.until("feeling again", 10.0, |s| turn(s)["senses"]["held"] == false);
+        service.ask(&Request::ResetFault {});
+        service.ask(&Request::Arm {});
+        service.bend(60.0, -60.0);
+        let error = service.settled_error_deg(60.0, -60.0);
+        assert!(error <= 1.0, "after the hang: {error}");
+
+        // the long way
+        let mut dir = 0.0;
+        while rig.world().chip.pulses < 100_000 {
+            dir += 150.0;
+            service.bend(75.0, dir);
+            service.arrived();
+            service.compare();
+        }
+        service.bend(35.0, 30.0);
+        let error = service.settled_error_deg(35.0, 30.0);
+        assert!(error <= 1.0, "after the long way: {error}");
+        println!("{} pulses, counts compared {} times", rig.world().chip.pulses, service.compared);
+        assert!(service.compared > 40);
+
+        let status = service.terminate();
+        assert!(status.success(), "{status}: {}", closed::said(rig));
+        let mut world = rig.world();
+        assert_eq!((world.chip.counted, world.chip.lost, world.chip.torn), ([0; 3], 0, 0));
+        assert!(!world.chip.energised());
+        let left = Bend::from_rotation(&world.truth().r_base_tip).beta().to_degrees();
+        assert!(left < 8.0, "relaxed, and still bent by {left}°");
     });
 }

@@ -11,7 +11,7 @@ use crate::model::bend::Bend;
 use crate::pilot::flight::Flight;
 use crate::pilot::order::Order;
 use crate::pilot::{Pilot, PilotConfig, Turned};
-use crate::plant::{Fault, PlantError};
+use crate::plant::{Channel, Fault, PlantError};
 use crate::sim::Sim;
 use crate::tick::{Command, Kept};
 use crate::units::{Mm, Seconds, Steps};
@@ -43,6 +43,16 @@ impl Breakable {
         self.inner.world.plant_mut().inject(fault);
     }
 
+    /// Puts a rack back to its mark by hand, with the pistons at rest: what was lost on the way there is made up for.
+    pub fn put_back(&mut self) {
+        let step_mm = self.nature().step_mm;
+        let Some(slack_mm) = self.inner.world.last().map(|out| out.truth.slack_mm) else { return };
+        for channel in Channel::ALL {
+            let microsteps = (slack_mm[channel.index()] / step_mm).round() as i32;
+            self.inject(Fault::StepLoss { channel, microsteps });
+        }
+    }
+
     /// Mends everything; consequences stay.
     pub fn mend(&mut self) {
         self.inner.world.plant_mut().clear();
@@ -59,8 +69,12 @@ impl Machine for Breakable {
         if let (Some(fault), Outcome::Sample(..)) = (self.bus, sensed.imu) {
             sensed.imu = Outcome::Failed(fault);
         }
-        if let Outcome::Sample(sample, _) = &mut sensed.imu {
+        if let Outcome::Sample(sample, quality) = &mut sensed.imu {
             sample.t.0 += self.stamps_off_s;
+            // as a driver sees it in the counts
+            let chip = &self.inner.world.unit().imu;
+            quality.gyro_load = sample.gyro_rad_s.amax().to_degrees() / chip.gyro_range_deg_s;
+            quality.acc_load = sample.acc_m_s2.amax() / (chip.acc_range_g * 9.80665);
         }
         sensed.inputs = Inputs { emergency_stop: self.pressed, ..sensed.inputs };
         sensed.alarm = self.alarm;

@@ -2,7 +2,7 @@
 
 use crate::drill::Row;
 use crate::drill::bench::{Bench, Make, bend};
-use crate::drill::list::{Promise, Spec, Strike};
+use crate::drill::list::{Notice, Promise, Spec, Strike};
 use crate::pilot::Turned;
 use crate::pilot::order::Order;
 use crate::supervise::mode::Mode;
@@ -12,9 +12,12 @@ use crate::world::WorldError;
 const MID_MOTION_S: f64 = 0.22;
 /// How long a fault is watched, s.
 const WATCHED_S: f64 = 4.0;
-/// Where it was, where it was to go, where it goes afterwards.
+/// After how long the operator goes on with a fault that was not noticed, s.
+const GOES_ON_S: f64 = 1.5;
+/// Where it was, where it was to go, where it goes on to, where it goes afterwards.
 const FROM: (f64, f64) = (45.0, 30.0);
 const TO: (f64, f64) = (68.0, 80.0);
+const FURTHER: (f64, f64) = (55.0, 230.0);
 const AFTER: (f64, f64) = (35.0, 150.0);
 /// Largest error of the pose after it, degrees.
 const AFTER_MAX_DEG: f64 = 2.5;
@@ -37,7 +40,9 @@ impl Allowance {
         let gate = bench.flight.pilot.config().gate;
         let pace = bench.flight.pilot.config().tick.piston_pace;
         let stopping_mm = pace.speed * pace.speed / (2.0 * pace.acceleration);
-        let braking = (3.0 * stopping_mm / gate.step_mm).ceil() as i64 + 6;
+        // it may go on blindly for a while at full speed before it is held, and then it brakes
+        let blind_mm = pace.speed * bench.flight.pilot.config().tick.fuse.health.blind_max_s;
+        let braking = (3.0 * (stopping_mm + blind_mm) / gate.step_mm).ceil() as i64 + 6;
         let Some(mut last) = take_off(&mut bench)? else { return Ok(Self { braking, moving: 0 }) };
         let mut moving = 0;
         bench.turn(Some(bend(TO.0, TO.1)))?;
@@ -104,12 +109,18 @@ fn watch(bench: &mut Bench, spec: &Spec, before: Turned, row: &mut Row) -> Resul
     let begun_s = bench.now_s;
     let (mut order, mut next) = spec.strike.strike(bench);
     let mut last = before;
+    let mut went_on = false;
     while bench.now_s - begun_s < WATCHED_S {
         if bench.now_s - begun_s >= spec.strike.lasts_s() {
             bench.flight.machine.mend();
         }
         let turned = bench.turn(order.take())?;
         order = next.take();
+        if matches!(spec.notice, Notice::Words(_)) && row.detected_s.is_none() && !went_on && bench.now_s - begun_s > GOES_ON_S {
+            // the operator, who has noticed nothing either, goes on
+            went_on = true;
+            order = Some(bend(FURTHER.0, FURTHER.1));
+        }
         if row.detected_s.is_some() {
             row.steps_after += emitted(&last, &turned);
         } else if let Some(message) = spec.notice.sees(&turned) {
@@ -146,6 +157,9 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, WorldEr
         let rested = bench.until(15.0, |t| matches!(t.mode, Mode::Disarmed | Mode::Aligning))?;
         row.demand(rested, |_| "did not come back to rest".to_owned());
         bench.flight.machine.mend();
+        if spec.by_hand {
+            bench.flight.machine.put_back();
+        }
         bench.run(1.0)?;
     }
     if spec.zero {
@@ -161,7 +175,8 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, WorldEr
         bench.run(0.05)?;
     }
     refuse_is_failure(bench, bend(AFTER.0, AFTER.1), row)?;
-    bench.run(3.5)?;
+    let turned = bench.run(3.5)?;
+    row.demand(turned.mode == Mode::Holding, |_| format!("came to {} after it was mended", turned.mode));
     let (mut sum, n) = (0.0, (0.3 / bench.period_s()) as u32);
     let wanted = crate::model::bend::Bend::from_deg(AFTER.0, AFTER.1);
     for _ in 0..n {

@@ -70,6 +70,9 @@ pub enum Refusal {
     Busy,
 }
 
+/// Time that a machine has to take its alarm back, s.
+const CLEARING_S: f64 = 0.1;
+
 fn hint(mode: Mode) -> &'static str {
     match mode {
         Mode::Boot => "the devices are being opened",
@@ -221,6 +224,7 @@ impl Pilot {
             self.take(event)?;
         }
         self.pending.clear = true;
+        self.clearing_s = CLEARING_S;
         // what the step generator really did counts, not what it was told
         self.sent = sensed.counted;
         self.gate.reset(&self.sent);

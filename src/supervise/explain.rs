@@ -23,22 +23,25 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ExplainConfig {
-    /// Unexplained bend that is worth a word while the set-point rests, degrees. Default 4. Larger
+    /// Unexplained bend that is worth a word while the set-point rests, degrees. Default 4.5. Larger
     /// overlooks larger leaks and hears less of creep.
     pub rest_deg: f64,
-    /// … more of it per degree that the set-point has moved since. Default 0.35: a gain that is off by
-    /// a third. Larger overlooks a line that answers weakly.
+    /// Unexplained bend that is worth a word while it moves, degrees. Default 10: backlash and lag that
+    /// are not quite as believed make 8 of them. Larger overlooks larger faults.
+    pub motion_deg: f64,
+    /// … both more by so much per degree that the pistons have led the tip since. Default 0.22: gains
+    /// that are off by a fifth. Larger overlooks a line that answers weakly.
     pub share: f64,
     /// How long it must stand, s. Default 0.1. Larger overlooks knocks and says leaks later.
     pub for_s: f64,
-    /// Growth that is called sudden, degrees/s. Default 12. Larger calls a quick leak a leak, a slow
-    /// burst too.
-    pub sudden_deg_s: f64,
+    /// A leap of the unexplained bend within 64 turns that is called sudden, degrees; as much as the
+    /// pistons led the tip meanwhile is allowed besides. Default 3.5. Larger overlooks larger bursts.
+    pub leap_deg: f64,
 }
 
 impl Default for ExplainConfig {
     fn default() -> Self {
-        Self { rest_deg: 4.0, share: 0.35, for_s: 0.1, sudden_deg_s: 12.0 }
+        Self { rest_deg: 4.5, motion_deg: 10.0, share: 0.22, for_s: 0.1, leap_deg: 3.5 }
     }
 }
 
@@ -126,11 +129,17 @@ pub struct Explain {
     settled: bool,
     path_rad: f64,
     last_given: Vector2<f64>,
-    /// Unexplained bend since, smoothed, and how fast it grew at most.
+    /// Unexplained bend since, smoothed.
     smooth: Vector2<f64>,
-    growth_rad_s: f64,
-    /// How fast the pistons bent it lately, at most.
-    given_rad_s: f64,
+    /// The last turns: unexplained bend and how far the pistons led the tip.
+    lately: [(Vector2<f64>, f64); LATELY],
+    head: usize,
+    filled: usize,
+    /// The last leap, and how long ago it was, s.
+    leap: Vector2<f64>,
+    leapt_s: f64,
+    /// Most that the pistons led the tip within as many turns lately, rad.
+    led_rad: f64,
     said_s: f64,
     beyond_s: f64,
     said: Option<Suspicion>,
@@ -138,6 +147,10 @@ pub struct Explain {
 
 /// Rest of the set-point after which what stays unexplained is the new normal, s.
 const SETTLE_S: f64 = 0.6;
+/// Turns within which a leap is a leap.
+const LATELY: usize = 64;
+/// How long a leap, and what the pistons did before it, is remembered, s.
+const LEAP_MEMORY_S: f64 = 0.3;
 /// How long a new suspicion is weighed on, s.
 const WEIGH_S: f64 = 0.4;
 /// Smoothing of the unexplained bend, s.
@@ -159,8 +172,12 @@ impl Explain {
             path_rad: 0.0,
             last_given: zero,
             smooth: zero,
-            growth_rad_s: 0.0,
-            given_rad_s: 0.0,
+            lately: [(zero, 0.0); LATELY],
+            head: 0,
+            filled: 0,
+            leap: zero,
+            leapt_s: f64::INFINITY,
+            led_rad: 0.0,
             said_s: 0.0,
             beyond_s: 0.0,
             said: None,
@@ -171,6 +188,13 @@ impl Explain {
     #[must_use]
     pub fn suspicion(&self) -> Option<&Suspicion> {
         self.said.as_ref()
+    }
+
+    /// Size of the unexplained bend, and how far the pistons led the tip since it was last taken for
+    /// normal: straight, and along the way, rad.
+    #[must_use]
+    pub fn figures(&self) -> (f64, f64, f64) {
+        (self.smooth.norm(), (self.last_given - self.base_given).norm(), self.path_rad)
     }
 
     /// Forgets everything: after a reset or a re-alignment.
@@ -184,22 +208,20 @@ impl Explain {
         let unexplained = seen.felt - model;
         let given = (seen.given - self.last_given).norm();
         self.path_rad += given;
-        self.given_rad_s = (given / seen.dt_s).max(self.given_rad_s * (-seen.dt_s / 0.3).exp());
         self.last_given = seen.given;
         self.rested_s = if seen.moving { 0.0 } else { self.rested_s + seen.dt_s };
         let moves_off = seen.moving && self.settled;
         let comes_to_rest = !self.settled && self.rested_s > SETTLE_S + 4.0 * seen.answer_s;
         if (moves_off || comes_to_rest) && self.said.is_none() && self.beyond_s == 0.0 {
             (self.base, self.base_given, self.path_rad) = (unexplained, seen.given, 0.0);
-            (self.smooth, self.growth_rad_s) = (Vector2::zeros(), 0.0);
+            self.smooth = Vector2::zeros();
         }
         self.settled = !seen.moving && (self.settled || comes_to_rest);
         let since = unexplained - self.base;
         let keep = (-seen.dt_s / SMOOTH_S).exp();
         let before = self.smooth;
         self.smooth = since + (before - since) * keep;
-        let growth = (self.smooth.norm() - before.norm()) / seen.dt_s;
-        self.growth_rad_s = growth.max(self.growth_rad_s * (-seen.dt_s / 0.5).exp());
+        self.watch_leap(unexplained, given, seen.dt_s);
         self.judge(seen)
     }
 
@@ -211,16 +233,35 @@ impl Explain {
         model
     }
 
+    /// A change of the unexplained bend that is quicker than any motion of the pistons explains.
+    fn watch_leap(&mut self, unexplained: Vector2<f64>, given: f64, dt_s: f64) {
+        let (then, _) = self.lately[self.head];
+        self.lately[self.head] = (unexplained, given);
+        self.head = (self.head + 1) % LATELY;
+        self.filled = (self.filled + 1).min(LATELY + 1);
+        let led: f64 = self.lately.iter().map(|(_, given)| given).sum();
+        self.led_rad = led.max(self.led_rad * (-dt_s / LEAP_MEMORY_S).exp());
+        self.leapt_s += dt_s;
+        let leap = unexplained - then;
+        let leaps = self.filled > LATELY && leap.norm() > self.config.leap_deg.to_radians() + self.led_rad;
+        if leaps && (self.leapt_s > LEAP_MEMORY_S || leap.norm() > self.leap.norm()) {
+            (self.leap, self.leapt_s) = (leap, 0.0);
+        }
+    }
+
     fn judge(&mut self, seen: &Seen) -> Option<Suspicion> {
-        let moved = (seen.given - self.base_given).norm().max(if self.settled { 0.0 } else { self.path_rad.min(1.5) });
-        let allowed = self.config.rest_deg.to_radians() + self.config.share * moved;
-        let size = self.smooth.norm();
-        self.beyond_s = if size > allowed { self.beyond_s + seen.dt_s } else { 0.0 };
+        let net = (seen.given - self.base_given).norm();
+        let (least_deg, moved) =
+            if self.settled { (self.config.rest_deg, net) } else { (self.config.motion_deg, net.max(self.path_rad)) };
+        let allowed = least_deg.to_radians() + self.config.share * moved;
+        let sudden = self.leapt_s < LEAP_MEMORY_S;
+        let beyond = self.smooth.norm() > allowed;
+        self.beyond_s = if beyond || sudden { self.beyond_s + seen.dt_s } else { 0.0 };
         if self.said.is_some() {
             // more of it tells more, for a while
             self.said_s += seen.dt_s;
-            if self.said_s < WEIGH_S && self.beyond_s > 0.0 {
-                self.said = Some(self.name(seen, moved > 2.0 * allowed));
+            if self.said_s < WEIGH_S && beyond {
+                self.said = Some(self.name(seen, moved, sudden));
             }
             return None;
         }
@@ -228,25 +269,24 @@ impl Explain {
             return None;
         }
         self.said_s = 0.0;
-        self.said = Some(self.name(seen, moved > 2.0 * allowed));
+        self.said = Some(self.name(seen, moved, sudden));
         self.said
     }
 
     /// The channel whose spoke the unexplained bend lies along, and what its size says.
-    fn name(&self, seen: &Seen, moved: bool) -> Suspicion {
-        let u = self.smooth;
+    fn name(&self, seen: &Seen, moved: f64, sudden: bool) -> Suspicion {
+        let u = if sudden { self.leap } else { self.smooth };
         let along: [f64; 3] = std::array::from_fn(|j| u.dot(&Geometry::spoke(j)));
         let j = (0..3).fold(0, |best, j| if along[j].abs() > along[best].abs() { j } else { best });
         let x_mm = -1.5 * self.r_mm * along[j];
         let bellow = |bend: &Vector2<f64>| -self.r_mm * Geometry::spoke(j).dot(bend);
         let (way_mm, all_mm) = (bellow(&(seen.given - self.base_given)), bellow(&seen.given));
-        let sudden = self.growth_rad_s > self.config.sudden_deg_s.to_radians() + 2.5 * self.given_rad_s;
         let deg = u.norm().to_degrees();
         let of = |kind, share| Suspicion { kind, channel: Some(j as u8 + 1), share, deg };
         if seen.blocked && !sudden {
             return Suspicion { kind: Kind::Contact, channel: None, share: -1.0, deg };
         }
-        if moved && !sudden && way_mm.abs() > 0.8 {
+        if !sudden && moved > u.norm() && way_mm.abs() > 0.8 {
             let share = x_mm / way_mm;
             return match share {
                 s if s < -1.5 => of(Kind::Inverted, s),
