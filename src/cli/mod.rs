@@ -4,6 +4,7 @@
 //! or service not reachable.
 
 pub mod evaluate;
+pub mod exam;
 pub mod gap;
 pub mod imu;
 pub mod output;

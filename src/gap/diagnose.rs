@@ -158,6 +158,21 @@ pub struct Diagnosis {
     pub verdict: VerdictEntry,
     /// What is left.
     pub unknown: UnknownEntry,
+    /// Sets that were compared, best first.
+    pub rivals: Vec<Rival>,
+}
+
+/// A set of effects and what it leaves.
+#[derive(Debug, Clone, Serialize)]
+pub struct Rival {
+    /// Names; empty for the nominal model.
+    pub names: Vec<&'static str>,
+    /// Held-out energy over all kinds, deg².
+    pub energy_deg2: f64,
+    /// Held-out RMSE per kind: reference, accelerometer, magnetometer (degrees) and gyroscope (°/s).
+    pub rmse_deg: [f64; 4],
+    /// Weighted sum of squares in sample.
+    pub cost: f64,
 }
 
 /// A diagnosis and what it was made from.
@@ -230,7 +245,19 @@ fn write(
         unknown: UnknownEntry { probability: doubt(verdict, &after), rmse_deg: rms((after.energy() - floor).max(0.0)) },
         verdict: VerdictEntry { kind: verdict.kind, names: verdict.names.clone(), equivalent },
         effects,
+        rivals: rivals(found),
     }
+}
+
+/// Sets shown of each size.
+const SHOWN: usize = 12;
+
+fn rivals(found: &Found) -> Vec<Rival> {
+    let of = |c: &Candidate| Rival { names: c.names.clone(), energy_deg2: c.energy(), rmse_deg: c.held_out.rmse_deg, cost: c.fitted.cost };
+    let shown = found.singles.iter().take(SHOWN).chain(found.pairs.iter().take(SHOWN)).chain([&found.nominal]);
+    let mut out: Vec<Rival> = shown.map(of).collect();
+    out.sort_by(|a, b| a.energy_deg2.total_cmp(&b.energy_deg2));
+    out
 }
 
 /// The calibration as given, only gravity, field and gyroscope bias solved.

@@ -9,6 +9,7 @@ pub mod begin;
 pub mod chain;
 pub mod decide;
 pub mod diagnose;
+pub mod exam;
 pub mod fit;
 pub mod holdout;
 pub mod observe;

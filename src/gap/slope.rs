@@ -67,6 +67,23 @@ impl Tangent {
         Self { columns }
     }
 
+    /// Number of parameters.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.columns.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.columns.is_empty()
+    }
+
+    /// Adds the columns of another from `from` on.
+    pub fn append(&mut self, other: Self, from: usize) {
+        self.columns.extend(other.columns.into_iter().skip(from));
+    }
+
     /// Sums over all bins.
     #[must_use]
     pub fn sums(&self, point: &Point, bounds: &[Bound], bins: usize) -> Sums {
