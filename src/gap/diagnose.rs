@@ -1,7 +1,9 @@
 //! The diagnosis as a document: gap, where, which, how much.
 
-use crate::effects::{Effect, Stage};
+use crate::effects::Effect;
 use crate::gap::chain::{Model, NOMINAL, run};
+pub use crate::gap::credit::StageShare;
+use crate::gap::credit::{credits, stages};
 use crate::gap::decide::{Verdict, decide, floor};
 use crate::gap::fit::nominal_start;
 use crate::gap::sense::sense;
@@ -23,15 +25,6 @@ pub struct Gap {
     pub explained_deg: f64,
     /// What noise alone would leave.
     pub noise_floor_deg: f64,
-}
-
-/// A stage and its share of the gap.
-#[derive(Debug, Clone, Serialize)]
-pub struct StageShare {
-    /// Stage name.
-    pub name: &'static str,
-    /// Share, 0..=1; all shares add up to 1.
-    pub share: f64,
 }
 
 /// A region of bend and direction.
@@ -231,7 +224,7 @@ fn write(
             noise_floor_deg: rms(floor),
         },
         location: Where {
-            stages: stages(catalogue, &believed),
+            stages: stages(catalogue, &credits(found, chosen, (nominal.energy() - floor).max(1e-9)), &believed),
             merged: merged(catalogue, &equivalent),
             regions: regions(log, &nominal, &after),
             when: when(log, &nominal, &after),
@@ -392,22 +385,6 @@ fn params(log: &Observed, catalogue: &[Box<dyn Effect>], e: &dyn Effect, c: &Can
             }
         })
         .collect()
-}
-
-/// Shares of the stages by the beliefs in their effects.
-fn stages(catalogue: &[Box<dyn Effect>], believed: &[(&'static str, f64)]) -> Vec<StageShare> {
-    let mut shares: Vec<StageShare> = Stage::ALL.iter().map(|s| StageShare { name: s.name(), share: 1e-3 }).collect();
-    for e in catalogue {
-        if let (Some(s), Some(b)) = (shares.iter_mut().find(|s| s.name == e.stage().name()), believed.iter().find(|b| b.0 == e.name())) {
-            s.share += b.1;
-        }
-    }
-    let total: f64 = shares.iter().map(|s| s.share).sum();
-    for s in &mut shares {
-        s.share /= total;
-    }
-    shares.sort_by(|a, b| b.share.total_cmp(&a.share));
-    shares
 }
 
 fn merged(catalogue: &[Box<dyn Effect>], groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {

@@ -7,6 +7,7 @@
 
 pub mod begin;
 pub mod chain;
+pub mod credit;
 pub mod decide;
 pub mod diagnose;
 pub mod exam;

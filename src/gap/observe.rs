@@ -410,6 +410,28 @@ fn noise(bins: &[Bin], field_ut: f64) -> [f64; 4] {
 
 /// Rotation vector of a small rotation given as a (mean) matrix: ½ of its antisymmetric part.
 #[must_use]
+#[inline]
 pub fn vee(a: &Matrix3<f64>) -> Vector3<f64> {
     Vector3::new(a[(2, 1)] - a[(1, 2)], a[(0, 2)] - a[(2, 0)], a[(1, 0)] - a[(0, 1)]) / 2.0
+}
+
+/// `vee(aᵀ b)`: the small rotation from `a` to `b`.
+#[must_use]
+#[inline]
+pub fn between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Vector3<f64> {
+    let (a, b) = (a.as_slice(), b.as_slice());
+    let dot = |i: usize, j: usize| a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2];
+    Vector3::new(dot(2, 1) - dot(1, 2), dot(0, 2) - dot(2, 0), dot(1, 0) - dot(0, 1)) / 2.0
+}
+
+/// `aᵀ v`.
+#[must_use]
+#[inline]
+pub fn back(a: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+    let a = a.as_slice();
+    Vector3::new(
+        a[0] * v.x + a[1] * v.y + a[2] * v.z,
+        a[3] * v.x + a[4] * v.y + a[5] * v.z,
+        a[6] * v.x + a[7] * v.y + a[8] * v.z,
+    )
 }
