@@ -7,11 +7,10 @@ use crate::gap::credit::{credits, stages};
 use crate::gap::decide::{Verdict, decide, floor};
 use crate::gap::fit::nominal_start;
 use crate::gap::sense::sense;
+use crate::gap::interval::{Compared, closed_ci95};
 use crate::gap::observe::{Kind, Observed};
 use crate::gap::search::{Candidate, Found, HeldOut, model_of, score, search};
 use crate::model::transmission::Line;
-use rand::rngs::StdRng;
-use rand::{RngExt, SeedableRng};
 use serde::Serialize;
 
 /// The gap in figures, degrees RMS over all kinds of observation.
@@ -332,32 +331,9 @@ fn entry(
         gap_before_deg: (before.energy() / kinds).sqrt(),
         gap_after_deg: (after.energy() / kinds).sqrt(),
         closed: value,
-        closed_ci95: bootstrap(&before, &after, &nominal, floor, value, seed),
+        closed_ci95: closed_ci95(&Compared { before: &before, after: &after, nominal: &nominal, floor }, value, seed),
         params: from.map_or(vec![], |c| params(log, catalogue, e, c)),
     }
-}
-
-/// 95 % interval of the closed part: blocks are drawn with replacement.
-fn bootstrap(before: &HeldOut, after: &HeldOut, nominal: &HeldOut, floor: f64, value: f64, seed: u64) -> [f64; 2] {
-    let n = before.blocks.len().min(after.blocks.len()).min(nominal.blocks.len());
-    if n == 0 {
-        return [value, value];
-    }
-    let mut rng = StdRng::seed_from_u64(seed);
-    let mut draws: Vec<f64> = (0..1000)
-        .map(|_| {
-            let (mut b, mut a, mut whole) = (0.0, 0.0, -floor);
-            for _ in 0..n {
-                let i = rng.random_range(0..n);
-                b += before.blocks[i];
-                a += after.blocks[i];
-                whole += nominal.blocks[i];
-            }
-            ((b - a) / whole.max(1e-9)).clamp(-1.0, 1.0)
-        })
-        .collect();
-    draws.sort_by(f64::total_cmp);
-    [draws[25].min(value), draws[974].max(value)]
 }
 
 /// Residuals are correlated over about this long, s: one independent observation per such stretch.

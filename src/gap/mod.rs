@@ -13,6 +13,7 @@ pub mod diagnose;
 pub mod exam;
 pub mod fit;
 pub mod holdout;
+pub mod interval;
 pub mod observe;
 pub mod saved;
 pub mod search;
