@@ -140,7 +140,7 @@ fn summary(s: &Sheet) -> String {
     let wrong: Vec<String> = s
         .confusion
         .iter()
-        .flat_map(|(truth, said)| said.iter().filter(move |(a, _)| *a != truth).map(move |(a, n)| format!("  {truth} → {a} ({n})")))
+        .flat_map(|(truth, said)| said.iter().filter(move |(a, _)| *a != truth && !(*a == "unknown" && truth.starts_with("unknown"))).map(move |(a, n)| format!("  {truth} → {a} ({n})")))
         .collect();
     format!("{table}\ncalibration error of the probabilities {:.3}\n{others}\nanswers that differ from the truth:\n{}", s.calibration_error, wrong.join("\n"))
 }

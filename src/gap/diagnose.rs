@@ -234,7 +234,7 @@ fn write(
                 .map(|(k, kind)| KindShare { name: kind.name(), rmse_deg: nominal.rmse_deg[k], explained_deg: after.rmse_deg[k] })
                 .collect(),
         },
-        unknown: UnknownEntry { probability: doubt(verdict, &after), rmse_deg: rms((after.energy() - floor).max(0.0)) },
+        unknown: UnknownEntry { probability: verdict.doubt, rmse_deg: rms((after.energy() - floor).max(0.0)) },
         verdict: VerdictEntry { kind: verdict.kind, names: verdict.names.clone(), equivalent },
         effects,
         rivals: rivals(found),
@@ -291,12 +291,6 @@ fn beliefs(log: &Observed, found: &Found, verdict: &Verdict) -> Vec<(&'static st
         }
     }
     out
-}
-
-fn doubt(verdict: &Verdict, after: &HeldOut) -> f64 {
-    let worst = after.rmse_deg.iter().copied().fold(0.0, f64::max);
-    let x = 8.0 * (verdict.left - 0.3) + 2.0 * (worst - 0.8).min(0.5);
-    1.0 / (1.0 + (-x).exp())
 }
 
 #[allow(clippy::too_many_arguments)]

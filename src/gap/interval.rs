@@ -55,7 +55,8 @@ pub fn closed_ci95(c: &Compared<'_>, value: f64, seed: u64) -> [f64; 2] {
     // an effect that closes nothing leaves the same on every log
     let between = BETWEEN_LOGS * value.clamp(0.0, 1.0);
     let half = 1.96 * (square / DRAWS as f64 + between * between).sqrt();
-    [(1.0 - left * half.exp()).max(-1.0), (1.0 - left * (-half).exp()).max(value).min(1.0)]
+    let least = left * (-half).exp();
+    [(1.0 - left * half.exp()).max(-1.0), if least < LEFT_MIN { 1.0 } else { (1.0 - least).max(value).min(1.0) }]
 }
 
 #[cfg(test)]

@@ -391,21 +391,26 @@ fn trapezoid(v: &[Vector3<f64>], from: usize, to: usize) -> Vector3<f64> {
     mean((from..to).map(|k| (v[k] + v[k + 1]) / 2.0)).unwrap_or(Vector3::repeat(f64::NAN))
 }
 
-/// White noise of a bin from differences of neighbouring bins in still stretches, degrees (°/s).
+/// Median of a chi-squared variable of three degrees of freedom.
+const CHI2_3_MEDIAN: f64 = 2.366;
+
+/// White noise of a bin from differences of neighbouring bins in still stretches, degrees (°/s); their
+/// median, because a tip that jumps or rings while the pistons rest makes no noise of the sensors.
 fn noise(bins: &[Bin], field_ut: f64) -> [f64; 4] {
-    let mut sum = [(0.0, 0usize); 4];
+    let mut squares: [Vec<f64>; 4] = Default::default();
     let quiet = |b: &Bin| b.idle_s > 0.3 && b.lasting_s < 1.5 * BIN_S;
     for w in bins.windows(2).filter(|w| quiet(&w[0]) && quiet(&w[1])) {
         let turn = vee(&(w[0].reference.transpose() * w[1].reference));
         let d = [turn, (w[1].acc - w[0].acc) / G_M_S2, (w[1].mag - w[0].mag) / field_ut, w[1].gyr - w[0].gyr];
-        for (s, v) in sum.iter_mut().zip(d) {
-            if !v.x.is_nan() {
-                *s = (s.0 + v.norm_squared(), s.1 + 1);
-            }
+        for (s, v) in squares.iter_mut().zip(d).filter(|(_, v)| !v.x.is_nan()) {
+            s.push(v.norm_squared());
         }
     }
-    // a difference of two has twice the variance; three axes in the norm
-    sum.map(|(s, n)| if n == 0 { 0.0 } else { (s / n as f64 / 6.0).sqrt().to_degrees() })
+    squares.map(|mut s| {
+        s.sort_by(f64::total_cmp);
+        // median of a chi-squared of three; a difference of two has twice the variance
+        s.get(s.len() / 2).map_or(0.0, |m| (m / CHI2_3_MEDIAN / 2.0).sqrt().to_degrees())
+    })
 }
 
 /// Rotation vector of a small rotation given as a (mean) matrix: ½ of its antisymmetric part.

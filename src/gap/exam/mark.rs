@@ -83,7 +83,11 @@ pub struct Sheet {
 /// What a set is called in the confusion matrix.
 fn called(kind: &str, names: &[&str]) -> String {
     match kind {
-        "effects" => names.join("+"),
+        "effects" => {
+            let mut names = names.to_vec();
+            names.sort_unstable();
+            names.join("+")
+        }
         kind => kind.to_owned(),
     }
 }
@@ -107,7 +111,11 @@ pub fn mark(seed: u64, questions: &[Question], answers: &[Answer]) -> Sheet {
     let unknown = |a: &Answer| a.diagnosis.verdict.kind == "unknown";
     let mut confusion: BTreeMap<String, BTreeMap<String, usize>> = BTreeMap::new();
     for (q, a) in &all {
-        let truth = if q.names.is_empty() { "none".to_owned() } else { q.names.join("+") };
+        let truth = match q.holds {
+            Holds::None => "none".to_owned(),
+            Holds::Outside => format!("unknown ({})", q.names[0]),
+            Holds::Single | Holds::Pair => called("effects", &q.names),
+        };
         let v = &a.diagnosis.verdict;
         *confusion.entry(truth).or_default().entry(called(v.kind, &v.names)).or_default() += 1;
     }
@@ -175,7 +183,7 @@ fn macro_f1(all: &[Marked<'_>], said: impl Fn(&Answer) -> String) -> f64 {
     let truth = |q: &Question| match q.holds {
         Holds::None => "none".to_owned(),
         Holds::Outside => "unknown".to_owned(),
-        Holds::Single | Holds::Pair => q.names.join("+"),
+        Holds::Single | Holds::Pair => called("effects", &q.names),
     };
     let asked: Vec<(String, String)> = all.iter().filter(|(q, _)| q.holds != Holds::Pair).map(|(q, a)| (truth(q), said(a))).collect();
     let mut classes: Vec<&String> = asked.iter().map(|(t, _)| t).collect();

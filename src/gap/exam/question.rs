@@ -161,8 +161,11 @@ fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
     let mut out: f64 = 0.0;
     if let (Some(x), Some(y)) = (&a.imu, &b.imu) {
         let field = y.mag.iter().find(|m| !m.x.is_nan()).map_or(48.0, Vector3::norm);
-        let gyro_white = rms(&x.gyr, &y.gyr, 1.0).to_degrees();
-        out = rms(&x.acc, &y.acc, 9.81).max(rms(&x.mag, &y.mag, field)).to_degrees().max(gyro_white);
+        // a constant difference of rates is nobody's effect
+        let apart: Vec<Vector3<f64>> = x.gyr.iter().zip(&y.gyr).map(|(x, y)| x - y).filter(|d| !d.x.is_nan()).collect();
+        let mean = apart.iter().sum::<Vector3<f64>>() / apart.len().max(1) as f64;
+        let rate = rms(&apart, &vec![mean; apart.len()], 1.0);
+        out = rms(&x.acc, &y.acc, 9.81).max(rms(&x.mag, &y.mag, field)).max(rate).to_degrees();
     }
     if let (Some(x), Some(y)) = (&a.reference, &b.reference) {
         let angles = x.iter().zip(y).filter_map(|(x, y)| Some(x.as_ref()?.angle_to(y.as_ref()?).powi(2)));
