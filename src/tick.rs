@@ -15,7 +15,7 @@ use crate::calib_imu::motor::MotorField;
 use crate::control::follow::{Follower, Pace};
 use crate::control::limit::{Cut, Limits};
 use crate::control::pi::{Dynamics, PiGains, PiState, ReferenceModel};
-use crate::control::reach::Reach;
+use crate::control::reach::{Patience, Reach};
 use crate::control::rest::{RestConfig, RestState};
 use crate::control::wall::{WallConfig, WallState};
 use crate::fuse::health::{Action, CauseSet, Outcome as Reading};
@@ -30,6 +30,7 @@ use crate::refine::online::{RefineConfig, RefineState};
 use crate::sample::ImuSample;
 use crate::units::{Mm, Seconds, Steps};
 use nalgebra::{Vector1, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Everything that does not change while the loop runs.
 #[derive(Debug, Clone, PartialEq)]
@@ -228,6 +229,40 @@ struct Held {
     stop_mm: Vector3<f64>,
 }
 
+/// What outlives a restart of the loop.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Kept {
+    /// Microsteps counted since zero.
+    pub steps: Steps,
+    /// Felt bend vector, rad.
+    pub bend_rad: [f64; 2],
+    /// Far ends of the plays, mm of piston.
+    pub slack_mm: [f64; 3],
+    /// Refined extension gains.
+    pub k_epsilon: [f64; 3],
+    /// Backlash half-widths, mm.
+    pub k_lambda_mm: [f64; 3],
+    /// Learnt lag, s.
+    pub lag_s: f64,
+    /// Learnt dead time, s.
+    pub delay_s: f64,
+    /// The rest, once it was found.
+    pub rest: Option<KeptRest>,
+}
+
+/// The rest as alignment found it, in the base frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KeptRest {
+    /// Mean specific force, m/s².
+    pub acc_m_s2: [f64; 3],
+    /// Mean field, µT, where there was a magnetometer.
+    pub mag_ut: Option<[f64; 3]>,
+    /// Gyroscope bias, rad/s.
+    pub gyro_bias_rad_s: [f64; 3],
+}
+
 /// Pistons must have rested this long before the tip counts as still, s.
 const STILL_AFTER_S: f64 = 0.5;
 /// Time constant with which targets leave a hold, s.
@@ -280,6 +315,66 @@ impl State {
     /// Replaces the transmission gains, as a new calibration does.
     pub fn set_lines(&mut self, lines: [Line; 3]) {
         self.lines = lines;
+    }
+
+    /// The pistons rest at these counts, wherever they were led from, and the tip is to stay at `at`:
+    /// what feedback is in the pistons becomes the integral part, so that nothing moves by itself.
+    pub fn stand(&mut self, config: &Config, steps: &Steps, at: Bend) {
+        let piston_mm = config.drive.piston_mm(steps);
+        for i in 0..3 {
+            let line = &self.lines[i];
+            let w_mm = line.play(self.slack_mm[i], piston_mm[i]);
+            let side = if line.k_lambda_mm > 0.0 { ((piston_mm[i] - w_mm) / line.k_lambda_mm).clamp(-1.0, 1.0) } else { 0.0 };
+            self.slack_mm[i] = w_mm;
+            self.realised_mm[i] = w_mm;
+            self.sides[i] = SideState { w_mm, side, way: if side == 0.0 { 0.0 } else { side.signum() } };
+            self.pistons[i] = Follower::resting(Vector1::new(piston_mm[i]));
+        }
+        let given = config.geometry.shape(&bellows_of(&self.lines, &self.realised_mm));
+        let length = given.length.0.clamp(0.5 * config.geometry.rest_length_mm, 2.0 * config.geometry.rest_length_mm);
+        self.target = Shape { bend: at, length: Mm(length) };
+        self.bend = Follower::resting(at.0);
+        self.length = Follower::resting(Vector1::new(length));
+        let feedback = given.bend.0 - at.0;
+        self.pi = PiState { integral: feedback, feedback };
+        self.model = ReferenceModel::resting(at.0);
+        (self.rest, self.rested_s, self.wall) = (RestState::default(), 0.0, WallState::default());
+        (self.held, self.ease_mm, self.easing) = (None, Vector3::zeros(), false);
+        self.last_steps = *steps;
+        self.reach.forget();
+    }
+
+    /// Takes the feedback out of the command, as an open loop needs it.
+    pub fn forget_feedback(&mut self) {
+        self.pi = PiState::default();
+    }
+
+    /// What is worth keeping over a restart, with the pistons at these counts.
+    #[must_use]
+    pub fn keep(&self, steps: &Steps) -> Kept {
+        let rest = self.fusion.rest().map(|r| KeptRest {
+            acc_m_s2: r.acc_rest_m_s2.into(),
+            mag_ut: r.mag_rest_ut.map(Into::into),
+            gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
+        });
+        Kept {
+            steps: *steps,
+            bend_rad: self.fusion.felt().map_or([0.0; 2], |f| f.bend.0.into()),
+            slack_mm: self.slack_mm.into(),
+            k_epsilon: self.lines.map(|l| l.k_epsilon),
+            k_lambda_mm: self.lines.map(|l| l.k_lambda_mm),
+            lag_s: self.dynamics.lag_s,
+            delay_s: self.dynamics.delay_s,
+            rest,
+        }
+    }
+
+    /// Takes up what was kept before alignment: where the pistons stand and what was learnt.
+    pub fn take_up(&mut self, config: &Config, kept: &Kept) {
+        self.lines = [0, 1, 2].map(|i: usize| Line { k_epsilon: kept.k_epsilon[i], k_lambda_mm: kept.k_lambda_mm[i] });
+        self.dynamics = Dynamics { lag_s: kept.lag_s, delay_s: kept.delay_s };
+        self.slack_mm = kept.slack_mm.into();
+        self.stand(config, &kept.steps, Bend(kept.bend_rad.into()));
     }
 }
 
@@ -525,9 +620,9 @@ fn eased(state: &mut State, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> 
 /// Eq. 16 per channel; a reversal asked for by feedback alone jumps the learned share of the gap.
 fn invert_transmission(config: &Config, state: &mut State, bellow_mm: &Vector3<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector3<f64> {
     let nudging = config.feedback.is_some() && !moving;
-    let reach = if nudging { state.reach.share } else { 1.0 };
     let mut turned = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {
+        let reach = if nudging { state.reach.share(i) } else { 1.0 };
         let wanted = Wanted { q_mm: bellow_mm[i], dt_s, reach };
         let (u, next) = config.side.invert(&state.lines[i], state.sides[i], &wanted);
         turned[i] = next.way != state.sides[i].way;
@@ -536,7 +631,11 @@ fn invert_transmission(config: &Config, state: &mut State, bellow_mm: &Vector3<f
     });
     if nudging {
         let answer_s = state.dynamics.delay_s + 3.0 * state.dynamics.lag_s + 0.08;
-        state.reach.step(turned, &(state.target.bend.0 - felt.0), answer_s, dt_s);
+        let worth_rad = config.feedback.map_or(0.0, |f| f.rest.open_rad);
+        let bites = state.reach.step(turned, &(state.target.bend.0 - felt.0), &Patience { answer_s, worth_rad }, dt_s);
+        for (side, bite) in state.sides.iter_mut().zip(bites) {
+            side.side = (side.side + 2.0 * bite * side.way).clamp(-1.0, 1.0);
+        }
     } else {
         state.reach.forget();
     }

@@ -25,6 +25,8 @@ use std::path::{Path, PathBuf};
 pub enum Calibrate {
     /// The inertial sensor at the tip.
     Imu(Args),
+    /// The transmission of a running service: Algorithm 1, or its short form.
+    Transmission(crate::cli::client::TransmissionArgs),
 }
 
 /// Arguments of `calibrate imu`.
@@ -78,7 +80,10 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// # Errors
 /// A report that names what is wrong with the input.
 pub fn run(command: &Calibrate) -> Result<Outcome> {
-    let Calibrate::Imu(args) = command;
+    let args = match command {
+        Calibrate::Imu(args) => args,
+        Calibrate::Transmission(args) => return crate::cli::client::transmission(args),
+    };
     let date = args.date.clone().unwrap_or_else(today);
     let source = args.file.as_ref().or(args.live.as_ref()).map_or_else(String::new, |p| p.display().to_string());
     let from = Pedigree { date: &date, source: &source };

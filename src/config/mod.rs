@@ -8,6 +8,11 @@ pub mod board;
 pub mod calib;
 mod fuse;
 pub mod gains;
+pub mod hardware;
+pub mod pilot;
+pub mod pins;
+pub mod power;
+pub mod service;
 pub mod source;
 
 use crate::config::board::Board;

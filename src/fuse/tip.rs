@@ -194,6 +194,15 @@ impl Fusion {
         self.base.restart();
     }
 
+    /// Right after alignment: the tip was not straight over that stretch but bent by `bend`, and the true
+    /// rest is known from before a restart: mean specific force, m/s², and field, µT.
+    pub fn assume(&mut self, config: &FuseConfig, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
+        if let Stage::Running(running) = &mut self.stage {
+            running.assume(config, bend, acc_m_s2, mag_ut);
+            self.judge.set_known(Known::default(), &running.rest.acc_rest_m_s2, running.rest.mag_rest_ut.as_ref());
+        }
+    }
+
     /// True while a re-alignment waits for its still stretch.
     #[must_use]
     pub fn realigning(&self) -> bool {
@@ -381,6 +390,15 @@ impl Running {
         }
         self.ease.arm();
         self.ease.offset = felt - self.estimator.bend().0;
+    }
+
+    fn assume(&mut self, config: &FuseConfig, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
+        let bent = bend.rotation().inverse();
+        let mag_rest_ut = self.rest.mag_rest_ut.and(mag_ut);
+        let now = Alignment { acc_rest_m_s2: bent.apply(acc_m_s2), mag_rest_ut: mag_rest_ut.map(|m| bent.apply(&m)), ..self.rest };
+        self.rest = Alignment { acc_rest_m_s2: *acc_m_s2, mag_rest_ut, ..self.rest };
+        self.estimator.rebase(config.filter, &config.bend, &now, bend, REALIGN_SIGMA_RAD);
+        self.second.estimator.rebase(config.filter.second(), &config.bend, &now, bend, REALIGN_SIGMA_RAD);
     }
 
     fn bend_filter(&self) -> Option<&BendFilter> {
