@@ -69,54 +69,6 @@ fn dice(seed: u64) -> impl FnMut() -> f64 {
 }
 
 #[test]
-<<<<<<< HEAD
-fn explore() {
-    for fault in [
-        None,
-        Some(Fault::Leak { channel: Channel::Two, rate_per_s: 0.1 }),
-        Some(Fault::Burst { channel: Channel::Two }),
-        Some(Fault::AirBubble { channel: Channel::Two, factor: 1.8 }),
-        Some(Fault::Blocked { channel: Channel::Two }),
-        Some(Fault::Gain { channel: Channel::Two, factor: 0.5 }),
-        Some(Fault::Gain { channel: Channel::Two, factor: 2.0 }),
-        Some(Fault::StepLoss { channel: Channel::Two, microsteps: 100 }),
-        Some(Fault::Inverted { channel: Channel::Two }),
-        Some(Fault::Disabled { channel: Channel::Two }),
-        Some(Fault::EndStop { channel: Channel::Two, at_mm: 14.0 }),
-        Some(Fault::Wall { at_deg: 50.0, dir_deg: 100.0 }),
-        Some(Fault::Push { bend_deg: 12.0, dir_deg: 0.0 }),
-        Some(Fault::BaseTurn { axis: [1.0, 0.0, 0.0], angle_deg: 10.0, over_s: 0.5 }),
-    ] {
-        for mid in [true, false] {
-            eprintln!("===== {fault:?} mid {mid}");
-            let mut f = Fly::new(None, None);
-            f.run(2.5);
-            f.order(Order::Arm);
-            f.run(0.1);
-            f.bend(40.0, 30.0);
-            f.run(2.0);
-            f.bend(70.0, 60.0);
-            f.run(if mid { 0.25 } else { 2.0 });
-            if let Some(fault) = fault {
-                f.flight.machine.world.plant_mut().inject(fault);
-            }
-            f.run(4.0);
-            f.bend(20.0, 200.0);
-            let t = f.run(3.0);
-            let truth = f.flight.machine.world.last().unwrap().truth.r_base_tip;
-            let b = Bend::from_rotation(&truth);
-            eprintln!(
-                "end {} felt {:?} true {:.2} {:.2}",
-                t.mode,
-                t.frame.felt.map(|f| f.bend.beta().to_degrees()),
-                b.beta().to_degrees(),
-                b.delta().to_degrees()
-            );
-            if f.flight.pilot.mode().moves() {
-                f.order(Order::Relax);
-                f.run(6.0);
-                assert_eq!(f.flight.pilot.mode(), Mode::Disarmed);
-=======
 fn healthy_tips_are_suspected_of_nothing_and_never_tripped() {
     let mut roll = dice(88_172_645_463_325_252);
     for u in 0..8u64 {
@@ -131,7 +83,6 @@ fn healthy_tips_are_suspected_of_nothing_and_never_tripped() {
                 assert!(t.tripped.is_none(), "unit {u}, pose {n}: {:?}", t.tripped);
                 // units are as different as their make; the first poses teach their gains
                 assert!(!t.suspects || n < 2, "unit {u}, pose {n}: {}", t.suspicion.unwrap());
->>>>>>> serve
             }
         }
     }
