@@ -10,6 +10,7 @@ pub mod commission;
 pub mod doctor;
 pub mod drill;
 pub mod evaluate;
+pub mod exam;
 pub mod gap;
 pub mod hands;
 pub mod home;
