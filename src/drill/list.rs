@@ -38,7 +38,7 @@ pub enum Strike {
 pub enum Notice {
     /// One of these causes against the sensor.
     Senses(&'static [Cause]),
-    /// One of these suspicions, or a trip.
+    /// One of these suspicions, a trip, or a tip that was shaken.
     Words(&'static [Kind]),
     /// One of these trips.
     Trip(&'static [gate::Cause]),
@@ -120,7 +120,7 @@ pub fn specs() -> Vec<Spec> {
         by_hand(words("step_loss", Fault::StepLoss { channel: TWO, microsteps: 160 }, &[Kind::LostSteps, Kind::Weak, Kind::Leak, Kind::Contact], true)),
         by_hand(words("dir_inverted", Fault::Inverted { channel: TWO }, &[Kind::Inverted, Kind::Deaf], true)),
         by_hand(words("en_stuck", Fault::Disabled { channel: TWO }, &[Kind::Deaf, Kind::Weak], true)),
-        by_hand(words("end_stop", Fault::EndStop { channel: TWO, at_mm: 18.0 }, &[Kind::Deaf, Kind::Weak], true)),
+        by_hand(words("end_stop", Fault::EndStop { channel: TWO, at_mm: 13.0 }, &[Kind::Deaf, Kind::Weak], true)),
         words("leak", Fault::Leak { channel: TWO, rate_per_s: 0.1 }, &[Kind::Leak, Kind::Weak], true),
         words("burst", Fault::Burst { channel: TWO }, &[Kind::Burst, Kind::Deaf], true),
         words("air_bubble", Fault::AirBubble { channel: TWO, factor: 1.8 }, &[Kind::Weak, Kind::Leak], true),
@@ -144,7 +144,14 @@ pub fn specs() -> Vec<Spec> {
         row("emergency_stop", Strike::Press, Notice::Trip(&[gate::Cause::EmergencyStop]), Promise::Freezes, FAULT, true),
         row("step_thread_starved", Strike::Alarm(Alarm::Starved), Notice::Trip(&[gate::Cause::StepGenerator]), Promise::Holds, FAULT, false),
         words("wall", Fault::Wall { at_deg: 48.0, dir_deg: 80.0 }, &[Kind::Contact, Kind::Deaf, Kind::Weak, Kind::Strong, Kind::Burst], false),
-        words("pushed", Fault::Push { bend_deg: 15.0, dir_deg: 0.0 }, &[Kind::Contact, Kind::Strong, Kind::Weak, Kind::LostSteps, Kind::Leak], true),
+        row(
+            "pushed",
+            Strike::Plant(Fault::Push { bend_deg: 15.0, dir_deg: 0.0 }, LASTS),
+            Notice::Senses(&[Cause::AccelDisturbed, Cause::Spike]),
+            Promise::Copes,
+            &["holding", "tracking", "faulted"],
+            true,
+        ),
         senses("magnet", Strike::Plant(Fault::Magnet { field_ut: [40.0, -30.0, 20.0] }, LASTS), &[Cause::FieldDisturbed], Promise::GoesOn, GOES),
         row(
             "base_turned",
@@ -198,7 +205,7 @@ impl Notice {
             }
             Self::Words(_) => match turned.suspicion.filter(|_| turned.suspects) {
                 Some(s) => Some(s.to_string()),
-                None => trip(&[]),
+                None => trip(&[]).or_else(|| turned.raised.contains(Cause::AccelDisturbed).then(|| Cause::AccelDisturbed.advice().to_owned())),
             },
             Self::Trip(causes) => trip(causes),
             Self::LateTurn => (turned.dt_s > 0.0015).then(|| format!("a turn came {:.0} ms late", (turned.dt_s - 1e-3) * 1e3)),
