@@ -36,8 +36,34 @@ impl Dice {
 
 /// Pieces that parsers trip over.
 const PIECES: [&str; 28] = [
-    "nan", "-inf", "1e999", "-0", "99999999999999999999", "\"", "'''", "[", "]", "{", "}", "\n", "\r", ",", ",,", "=", "\0", "é", "\u{feff}",
-    "true", "null", "0x", "1_000", "[[a]]", "\\u0000", "-", ".", "  ",
+    "nan",
+    "-inf",
+    "1e999",
+    "-0",
+    "99999999999999999999",
+    "\"",
+    "'''",
+    "[",
+    "]",
+    "{",
+    "}",
+    "\n",
+    "\r",
+    ",",
+    ",,",
+    "=",
+    "\0",
+    "é",
+    "\u{feff}",
+    "true",
+    "null",
+    "0x",
+    "1_000",
+    "[[a]]",
+    "\\u0000",
+    "-",
+    ".",
+    "  ",
 ];
 
 /// A seed with some of it changed, cut, doubled or crossed with another.
@@ -126,7 +152,8 @@ fn told_apart(name: &str, (taken, refused): (u64, u64)) {
 
 #[test]
 fn toml_files() {
-    let small_board = "[limits]\ntravel_mm = 25.0\n[safety.on]\nlate = \"relax\"\n[service]\npriority = 5\n[plant.line]\nk_epsilon = [1.0, 2.0, 3.0]\n";
+    let small_board =
+        "[limits]\ntravel_mm = 25.0\n[safety.on]\nlate = \"relax\"\n[service]\npriority = 5\n[plant.line]\nk_epsilon = [1.0, 2.0, 3.0]\n";
     let small_gains = "[loop]\ntau_c_s = 0.2\n[fuse.align]\nwindow_s = 1.0\n";
     let paper = std::fs::read_to_string(repo("calib/paper.toml")).unwrap();
     let whole = std::fs::read_to_string(repo("boards/sim.toml")).unwrap();

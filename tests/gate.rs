@@ -434,7 +434,9 @@ fn every_cause_leads_where_the_board_says() {
         (Cause::Pressure, pressure, |on, s| on.pressure = s),
         (Cause::Stale, Told { stale_s: 9.0, ..told([30; 3]) }, |on, s| on.stale = s),
         (Cause::Disagreement, Told { disagree: true, ..told([30; 3]) }, |on, s| on.disagreement = s),
-        (Cause::Following, Told { following: Some(Following { setpoint: [0.0; 2], felt: [2.0, 0.0] }), ..told([30; 3]) }, |on, s| on.following = s),
+        (Cause::Following, Told { following: Some(Following { setpoint: [0.0; 2], felt: [2.0, 0.0] }), ..told([30; 3]) }, |on, s| {
+            on.following = s
+        }),
     ];
     for (cause, t, set) in cases {
         for safe in [Safe::Hold, Safe::Relax, Safe::Release] {

@@ -231,20 +231,29 @@ fn bend(args: &BendArgs) -> Result<Outcome> {
         std::thread::sleep(Duration::from_millis(50));
         let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(Outcome::NotGoodEnough) };
         let felt = s["felt"]["bend_deg"].as_f64().unwrap_or(0.0);
-        let line = format!("{:>5.1} s  {}  felt {felt:.1}° of {:.1}°", begun.elapsed().as_secs_f64(), s["mode"].as_str().unwrap_or(""), args.bend);
+        let line =
+            format!("{:>5.1} s  {}  felt {felt:.1}° of {:.1}°", begun.elapsed().as_secs_f64(), s["mode"].as_str().unwrap_or(""), args.bend);
         if live {
             eprint!("\r{line}   ");
         }
         let why = match s["mode"].as_str().unwrap_or("") {
             "holding" if s["settled"] == true => {
-                eprintln!("{}{line}{}", if live { "\r" } else { "" }, if s["blocked"] == true { ": held by something" } else { ": settled" });
+                eprintln!(
+                    "{}{line}{}",
+                    if live { "\r" } else { "" },
+                    if s["blocked"] == true { ": held by something" } else { ": settled" }
+                );
                 return Ok(if s["blocked"] == true { Outcome::NotGoodEnough } else { Outcome::Good });
             }
             "tracking" | "holding" if begun.elapsed() < Duration::from_secs(60) => continue,
             "faulted" => s["fault"].as_str().unwrap_or("a fault").to_owned(),
             other => format!("mode {other}"),
         };
-        eprintln!("{}not settled: {why}{}", if live { "\n" } else { "" }, s["suspicion"].as_str().map_or_else(String::new, |x| format!("; {x}")));
+        eprintln!(
+            "{}not settled: {why}{}",
+            if live { "\n" } else { "" },
+            s["suspicion"].as_str().map_or_else(String::new, |x| format!("; {x}"))
+        );
         return Ok(Outcome::NotGoodEnough);
     }
 }
@@ -267,13 +276,18 @@ fn status(args: &StatusArgs) -> Result<Outcome> {
 
 fn readable(s: &Value) -> String {
     let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
-    let pose = |v: &Value| v["bend_deg"].as_f64().map_or_else(|| "–".to_owned(), |b| format!("{b:.1}° at {:.0}°", v["dir_deg"].as_f64().unwrap_or(0.0)));
+    let pose = |v: &Value| {
+        v["bend_deg"].as_f64().map_or_else(|| "–".to_owned(), |b| format!("{b:.1}° at {:.0}°", v["dir_deg"].as_f64().unwrap_or(0.0)))
+    };
     let mut lines = vec![
         format!("mode      {}{}", text(&s["mode"]), if s["energised"] == true { ", energised" } else { "" }),
         format!("felt      {}   target {}", pose(&s["felt"]), pose(&s["target"])),
         format!("pistons   {} mm", s["piston_mm"]),
         format!("tip       {}   calibration {}", text(&s["tip"]), text(&s["calibration"])),
-        format!("loop      {} turns, {} late, the latest {} µs, {} frames lost", s["turns"], s["late_turns"], s["latest_us"], s["lost_frames"]),
+        format!(
+            "loop      {} turns, {} late, the latest {} µs, {} frames lost",
+            s["turns"], s["late_turns"], s["latest_us"], s["lost_frames"]
+        ),
     ];
     for (name, key) in [("fault", "fault"), ("suspected", "suspicion"), ("alarm", "alarm"), ("running", "calibrating")] {
         if !s[key].is_null() {

@@ -109,7 +109,12 @@ fn kernel() -> Finding {
     let release = read("/proc/sys/kernel/osrelease").unwrap_or_default();
     let preempt = read("/sys/kernel/realtime").as_deref() == Some("1") || release.contains("-rt");
     let verdict = if preempt { Verdict::Pass } else { Verdict::Warn };
-    Finding::new("kernel", verdict, release, "not a PREEMPT_RT kernel: rare late steps, see `retroflex bench rt`; a latched fault guards against harm")
+    Finding::new(
+        "kernel",
+        verdict,
+        release,
+        "not a PREEMPT_RT kernel: rare late steps, see `retroflex bench rt`; a latched fault guards against harm",
+    )
 }
 
 /// What the kernel grants, asked for in a thread of its own that gives it back by ending.
@@ -139,7 +144,13 @@ fn throttling() -> Finding {
         return Finding::new("power", Verdict::Pass, "no firmware to ask", "");
     };
     let bits = u32::from_str_radix(word.trim_start_matches("0x"), 16).unwrap_or(0);
-    let names = [(0, "under-voltage now"), (1, "frequency capped now"), (2, "throttled now"), (16, "under-voltage since boot"), (18, "throttled since boot")];
+    let names = [
+        (0, "under-voltage now"),
+        (1, "frequency capped now"),
+        (2, "throttled now"),
+        (16, "under-voltage since boot"),
+        (18, "throttled since boot"),
+    ];
     let set: Vec<&str> = names.iter().filter(|(bit, _)| bits >> bit & 1 == 1).map(|(_, name)| *name).collect();
     if set.is_empty() {
         return Finding::new("power", Verdict::Pass, "no under-voltage, not throttled", "");
@@ -163,8 +174,18 @@ fn disk(state: &Path) -> Finding {
     });
     match free_kib {
         None => Finding::new("disk", Verdict::Warn, "free space unknown", "see that the state folder can be written"),
-        Some(k) if k < 1024 => Finding::new("disk", Verdict::Fail, format!("{k} KiB free under {}", folder.display()), "make room: memory and recordings need it"),
-        Some(k) if k < 512 * 1024 => Finding::new("disk", Verdict::Warn, format!("{} MiB free under {}", k / 1024, folder.display()), "a recording takes 15 MiB a minute"),
+        Some(k) if k < 1024 => Finding::new(
+            "disk",
+            Verdict::Fail,
+            format!("{k} KiB free under {}", folder.display()),
+            "make room: memory and recordings need it",
+        ),
+        Some(k) if k < 512 * 1024 => Finding::new(
+            "disk",
+            Verdict::Warn,
+            format!("{} MiB free under {}", k / 1024, folder.display()),
+            "a recording takes 15 MiB a minute",
+        ),
         Some(k) => Finding::new("disk", Verdict::Pass, format!("{} MiB free under {}", k / 1024, folder.display()), ""),
     }
 }
@@ -173,6 +194,11 @@ fn folder(what: &str, path: Option<&Path>) -> Finding {
     let Some(path) = path else { return Finding::new(what, Verdict::Fail, "none", "name the socket with its folder") };
     match std::fs::metadata(path) {
         Ok(m) => Finding::new(what, Verdict::Pass, format!("{} ({:o}, {}:{})", path.display(), m.mode() & 0o777, m.uid(), m.gid()), ""),
-        Err(e) => Finding::new(what, Verdict::Warn, format!("{}: {e}", path.display()), "the unit's RuntimeDirectory= makes it; by hand use --socket"),
+        Err(e) => Finding::new(
+            what,
+            Verdict::Warn,
+            format!("{}: {e}", path.display()),
+            "the unit's RuntimeDirectory= makes it; by hand use --socket",
+        ),
     }
 }

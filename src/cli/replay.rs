@@ -69,7 +69,8 @@ fn pilot_of(header: &Header) -> Result<Pilot> {
     let board: Board = source::parse("board of the tape", &header.texts[0])?;
     let gains: Gains = source::parse("gains of the tape", &header.texts[1])?;
     let calibration: Calibration = source::parse("calibration of the tape", &header.texts[2])?;
-    let nature = Nature { name: header.machine.clone(), period_s: header.period_s, step_mm: header.step_mm, rest_length_mm: header.rest_length_mm };
+    let nature =
+        Nature { name: header.machine.clone(), period_s: header.period_s, step_mm: header.step_mm, rest_length_mm: header.rest_length_mm };
     let mut config = assemble(&board, &calibration, &gains, &nature);
     config.tick.lines = header.lines.map(|[k_epsilon, k_lambda_mm]| Line { k_epsilon, k_lambda_mm });
     config.tick.dynamics = Dynamics { lag_s: header.dynamics[0], delay_s: header.dynamics[1] };

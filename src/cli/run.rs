@@ -65,15 +65,19 @@ pub fn run(args: &Args) -> Result<Outcome> {
     setup.service.state = args.state.clone().unwrap_or(setup.service.state);
     match serve(setup) {
         Ok(()) => Ok(Outcome::Good),
-        Err(e @ (ServiceError::World(_) | ServiceError::Died)) => Err(Unreachable { what: "the machine".to_owned(), why: e.to_string() }.into()),
+        Err(e @ (ServiceError::World(_) | ServiceError::Died)) => {
+            Err(Unreachable { what: "the machine".to_owned(), why: e.to_string() }.into())
+        }
         Err(e) => Err(miette!("{e}")),
     }
 }
 
 fn prepare(args: &Args) -> Result<Setup> {
     let (board, board_text): (Board, String) = read_or(args.board.as_deref(), "boards/sim.toml", include_str!("../../boards/sim.toml"))?;
-    let (gains, gains_text): (Gains, String) = read_or(args.gains.as_deref(), "boards/gains.toml", include_str!("../../boards/gains.toml"))?;
-    let (calibration, calib_text): (Calibration, String) = read_or(args.calib.as_deref(), "calib/paper.toml", include_str!("../../calib/paper.toml"))?;
+    let (gains, gains_text): (Gains, String) =
+        read_or(args.gains.as_deref(), "boards/gains.toml", include_str!("../../boards/gains.toml"))?;
+    let (calibration, calib_text): (Calibration, String) =
+        read_or(args.calib.as_deref(), "calib/paper.toml", include_str!("../../calib/paper.toml"))?;
     let tip = check_tip(args, &calibration)?;
     if args.fast && (args.plant.is_none() && board.plant.is_none()) {
         return Err(miette!("--fast: only a plant can run faster than the clock; give --plant, or a board with a [plant] table"));
@@ -136,7 +140,10 @@ pub fn open(args: &Args, board: &Board, _calibration: &Calibration) -> Result<Bo
         let args: Vec<String> = words.collect();
         return Ok(Box::new(Lockstep::new(Link::start(&program, &args).into_diagnostic()?)));
     }
-    let section = board.plant.clone().ok_or_else(|| miette!("this board has no [plant] table and no hardware to run on; give --plant, or a board that describes one"))?;
+    let section = board
+        .plant
+        .clone()
+        .ok_or_else(|| miette!("this board has no [plant] table and no hardware to run on; give --plant, or a board that describes one"))?;
     Ok(Box::new(Lockstep::new(Sim::new(&section.make(), args.seed, 1, section.period_s).into_diagnostic()?)))
 }
 

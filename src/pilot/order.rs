@@ -83,7 +83,9 @@ fn hint(mode: Mode) -> &'static str {
         Mode::Relaxing => "it is on its way back to rest",
         Mode::Calibrating => "a calibration runs; `retroflex stop` ends it",
         Mode::Faulted => "mend the cause, then `retroflex reset-fault`; `retroflex relax` leads back to rest",
-        Mode::Lost => "where the pistons stand is not known; `retroflex relax` to drive back by the remembered steps, or relax the tip by hand and `retroflex zero`",
+        Mode::Lost => {
+            "where the pistons stand is not known; `retroflex relax` to drive back by the remembered steps, or relax the tip by hand and `retroflex zero`"
+        }
     }
 }
 

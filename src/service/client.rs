@@ -64,7 +64,9 @@ impl Client {
         let mut line = String::new();
         match self.reader.read_line(&mut line) {
             Ok(0) => Err(Failure { code: 3, words: "the service closed the connection".to_owned() }),
-            Ok(_) => serde_json::from_str(&line).map_err(|e| Failure { code: 3, words: format!("the service said `{}`: {e}", line.trim()) }),
+            Ok(_) => {
+                serde_json::from_str(&line).map_err(|e| Failure { code: 3, words: format!("the service said `{}`: {e}", line.trim()) })
+            }
             Err(e) => Err(lost(&e)),
         }
     }

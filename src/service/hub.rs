@@ -10,8 +10,8 @@ use crate::config::gains::Gains;
 use crate::config::service::ServiceSection;
 use crate::io::rt::RtStatus;
 use crate::memory::Memory;
-use crate::pilot::{PilotConfig, Turned};
 use crate::pilot::order::Order;
+use crate::pilot::{PilotConfig, Turned};
 use crate::service::ServiceError;
 use crate::service::calibrate::Session;
 use crate::service::keeper::Keeper;
@@ -279,7 +279,8 @@ impl Hub {
             None => json!({"mode": Mode::Boot.name()}),
         };
         let shared = &self.parts.shared;
-        let rt: Vec<Value> = self.parts.grants.rows().iter().map(|(name, grant)| json!({"what": name, "grant": grant.to_string()})).collect();
+        let rt: Vec<Value> =
+            self.parts.grants.rows().iter().map(|(name, grant)| json!({"what": name, "grant": grant.to_string()})).collect();
         let memory = &self.parts.memory;
         let last = memory.faults.len().saturating_sub(8);
         let more = json!({

@@ -178,10 +178,8 @@ fn report_recall(recall: &Recall) {
 fn pilot_of(setup: &Setup, memory: &Memory, unknown: bool) -> Pilot {
     let mut config = setup.pilot.clone();
     if let Some(gains) = memory.accepted.as_ref().filter(|g| g.tip == setup.tip) {
-        config.tick.lines = std::array::from_fn(|i| crate::model::transmission::Line {
-            k_epsilon: gains.k_epsilon[i],
-            k_lambda_mm: gains.k_lambda_mm[i],
-        });
+        config.tick.lines =
+            std::array::from_fn(|i| crate::model::transmission::Line { k_epsilon: gains.k_epsilon[i], k_lambda_mm: gains.k_lambda_mm[i] });
         config.tick.dynamics = crate::control::pi::Dynamics { lag_s: gains.lag_s, delay_s: gains.delay_s };
     }
     let mut kept = memory.kept;

@@ -5,9 +5,9 @@
 //! mid-flight cannot be written down.
 
 use crate::fuse::health::Outcome;
+use crate::machine::Sensed;
 use crate::pilot::Turned;
 use crate::service::tape;
-use crate::machine::Sensed;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -57,7 +57,17 @@ impl Recording {
                 Some(tape)
             }
         };
-        Ok(Self { path: path.to_owned(), log, tape, step_mm, rows: 0, begun_s: None, last_s: f64::NEG_INFINITY, scratch: Vec::new(), waits: header.is_some() })
+        Ok(Self {
+            path: path.to_owned(),
+            log,
+            tape,
+            step_mm,
+            rows: 0,
+            begun_s: None,
+            last_s: f64::NEG_INFINITY,
+            scratch: Vec::new(),
+            waits: header.is_some(),
+        })
     }
 
     /// Where it is written.

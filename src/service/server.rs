@@ -141,15 +141,7 @@ impl Server {
                 let number = self.next;
                 self.next += 1;
                 let (inward, outward) = (Vec::new(), Vec::new());
-                self.clients.push(Client {
-                    number,
-                    stream,
-                    commands: *commands,
-                    inward,
-                    begun: Instant::now(),
-                    outward,
-                    closing: false,
-                });
+                self.clients.push(Client { number, stream, commands: *commands, inward, begun: Instant::now(), outward, closing: false });
             }
         }
     }

@@ -76,7 +76,11 @@ pub fn write(into: &mut Vec<u8>, record: &Record) {
     w.option(s.base_imu.as_ref(), Writer::sample);
     s.counted.0.iter().for_each(|&n| w.i32(n));
     let home = s.inputs.home;
-    w.u8(u8::from(s.energised) | u8::from(s.inputs.emergency_stop) << 1 | u8::from(home[0]) << 2 | u8::from(home[1]) << 3 | u8::from(home[2]) << 4);
+    w.u8(u8::from(s.energised)
+        | u8::from(s.inputs.emergency_stop) << 1
+        | u8::from(home[0]) << 2
+        | u8::from(home[1]) << 3
+        | u8::from(home[2]) << 4);
     w.alarm(s.alarm);
     w.option(record.order.as_ref(), Writer::order);
     w.0.extend_from_slice(&record.digest.to_le_bytes());
@@ -272,18 +276,39 @@ mod tests {
 
     #[test]
     fn turns_come_back_bit_for_bit() {
-        let sample = ImuSample { t: Seconds(0.1), gyro_rad_s: Vector3::new(1.0, -0.0, 1e-300), acc_m_s2: Vector3::z(), mag_ut: Some(Vector3::x()) };
+        let sample =
+            ImuSample { t: Seconds(0.1), gyro_rad_s: Vector3::new(1.0, -0.0, 1e-300), acc_m_s2: Vector3::z(), mag_ut: Some(Vector3::x()) };
         let command = Command { bend: Bend([0.1, 0.2].into()), length: Mm(20.0) };
         let lines = [1.0, 2.0, 3.0].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.5 });
-        let orders = PLAIN.into_iter().chain([Order::Bend(command, None), Order::Bend(command, Some(1.5)), Order::Stream(command), Order::Lines(lines)]);
+        let orders = PLAIN.into_iter().chain([
+            Order::Bend(command, None),
+            Order::Bend(command, Some(1.5)),
+            Order::Stream(command),
+            Order::Lines(lines),
+        ]);
         let outcomes = [Outcome::Nothing, Outcome::Sample(sample, Quality::default())].into_iter().chain(FAULTS.map(Outcome::Failed));
-        let alarms = [None, Some(Alarm::Late { late_s: 0.5 }), Some(Alarm::Starved), Some(Alarm::Torn { gap_mm: 1.0 }), Some(Alarm::Pins), Some(Alarm::Dead)];
+        let alarms = [
+            None,
+            Some(Alarm::Late { late_s: 0.5 }),
+            Some(Alarm::Starved),
+            Some(Alarm::Torn { gap_mm: 1.0 }),
+            Some(Alarm::Pins),
+            Some(Alarm::Dead),
+        ];
         let mut records = Vec::new();
         for (k, (order, (imu, alarm))) in orders.map(Some).chain([None]).zip(outcomes.cycle().zip(alarms.into_iter().cycle())).enumerate() {
             let inputs = Inputs { emergency_stop: k % 2 == 0, home: [k % 3 == 0, k % 4 == 0, k % 5 == 0] };
             let base_imu = (k % 3 == 1).then_some(sample);
-            let sensed =
-                Sensed { t: Seconds(k as f64), imu, base_imu, counted: Steps([k as i32, -7, 1 << 30]), energised: k % 3 == 1, inputs, alarm, truth: None };
+            let sensed = Sensed {
+                t: Seconds(k as f64),
+                imu,
+                base_imu,
+                counted: Steps([k as i32, -7, 1 << 30]),
+                energised: k % 3 == 1,
+                inputs,
+                alarm,
+                truth: None,
+            };
             records.push(Record { sensed, order, digest: k as u64 });
         }
         let mut tape = Vec::new();

@@ -251,8 +251,7 @@ impl Explain {
 
     fn judge(&mut self, seen: &Seen) -> Option<Suspicion> {
         let net = (seen.given - self.base_given).norm();
-        let (least_deg, moved) =
-            if self.settled { (self.config.rest_deg, net) } else { (self.config.motion_deg, net.max(self.path_rad)) };
+        let (least_deg, moved) = if self.settled { (self.config.rest_deg, net) } else { (self.config.motion_deg, net.max(self.path_rad)) };
         let allowed = least_deg.to_radians() + self.config.share * moved;
         let sudden = self.leapt_s < LEAP_MEMORY_S;
         let beyond = self.smooth.norm() > allowed;
@@ -260,8 +259,9 @@ impl Explain {
         if self.said.is_some() {
             // more of it tells more, for a while
             self.said_s += seen.dt_s;
-            if self.said_s < WEIGH_S && beyond {
-                self.said = Some(self.name(seen, moved, sudden));
+            let now = self.name(seen, moved, sudden);
+            if self.said_s < WEIGH_S && beyond && self.said.is_none_or(|before| now.deg > before.deg) {
+                self.said = Some(now);
             }
             return None;
         }

@@ -471,4 +471,3 @@ impl Grained {
 fn distance(a: &[f64; 2], b: &[f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
-

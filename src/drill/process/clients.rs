@@ -19,7 +19,14 @@ pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
     let daemon = Daemon::start(program, folder)?;
     daemon.take_off()?;
     let baseline = turns(&daemon, FOR_S)?;
-    let mut rows = vec![flood(&daemon, &baseline)?, half_open(&daemon, &baseline)?, slow_reader(&daemon)?, huge_line(&daemon)?, garbage(&daemon)?, two_clients(&daemon)?];
+    let mut rows = vec![
+        flood(&daemon, &baseline)?,
+        half_open(&daemon, &baseline)?,
+        slow_reader(&daemon)?,
+        huge_line(&daemon)?,
+        garbage(&daemon)?,
+        two_clients(&daemon)?,
+    ];
     rows.push(dead_man(&daemon)?);
     let (well, took_s) = daemon.end()?;
     let mut row = Row::process("sigterm_while_bent", Some(took_s), "relaxed", format!("relaxed and ended within {took_s:.1} s"));

@@ -128,7 +128,14 @@ fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<R
     let script = "mount -t tmpfs -o size=160k none \"$1\" && \"$2\" drill --exercise \"$1\" --harm \"$3\" && \"$2\" drill --recall \"$1\"";
     let begun = Instant::now();
     let own = |flags: &str| {
-        Command::new("unshare").arg(flags).args(["sh", "-c", script, "sh"]).arg(folder).arg(program).arg(word(harm)).stderr(Stdio::inherit()).output()
+        Command::new("unshare")
+            .arg(flags)
+            .args(["sh", "-c", script, "sh"])
+            .arg(folder)
+            .arg(program)
+            .arg(word(harm))
+            .stderr(Stdio::inherit())
+            .output()
     };
     let mut said = own("-m").ok().filter(|o| o.status.success());
     if said.is_none() {
@@ -156,7 +163,11 @@ fn judge(name: &str, text: &str, how: &str, took_s: f64) -> Row {
     let recalled = text.lines().rfind(|l| l.starts_with("recalled"));
     row.demand(recalled.is_some_and(|r| Some(r.trim_start_matches("recalled ")) == last), |_| format!("kept `{last:?}`, {recalled:?}"));
     let reason = failed.first().map_or("", |f| **f);
-    row.message = format!("{} writes kept and {} writes failed after it, {how}; nothing lost. {reason}", after.len().saturating_sub(2 + failed.len()), failed.len());
+    row.message = format!(
+        "{} writes kept and {} writes failed after it, {how}; nothing lost. {reason}",
+        after.len().saturating_sub(2 + failed.len()),
+        failed.len()
+    );
     if !failed.is_empty() {
         row.state = "disarmed".to_owned();
     }

@@ -41,7 +41,9 @@ pub fn killed(make: &Make, program: &Path, folder: &Path, kills: u32) -> io::Res
         let (Some(kept), Some((steps, armed))) = (memory.kept, acknowledged) else { continue };
         // what is on the disk is what was acknowledged last, or one write newer
         let same = kept.steps.0 == steps && memory.armed == armed;
-        row.demand(same || recall_is_newer(folder, steps), |_| format!("kill {n}: {:?} was acknowledged, {:?} is remembered", steps, kept.steps.0));
+        row.demand(same || recall_is_newer(folder, steps), |_| {
+            format!("kill {n}: {:?} was acknowledged, {:?} is remembered", steps, kept.steps.0)
+        });
         if !memory.armed {
             at_rest += 1;
             row.demand(kept.steps.0 == [0; 3], |_| format!("kill {n}: disarmed away from zero"));
@@ -74,8 +76,13 @@ fn recall_is_newer(folder: &Path, acknowledged: [i32; 3]) -> bool {
 /// Lets a child work with the memory and kills it after a while; what it had acknowledged last.
 fn kill_at(program: &Path, folder: &Path, after: Duration) -> io::Result<Option<([i32; 3], bool)>> {
     std::fs::create_dir_all(folder)?;
-    let mut child =
-        Command::new(program).args(["drill", "--exercise"]).arg(folder).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit()).spawn()?;
+    let mut child = Command::new(program)
+        .args(["drill", "--exercise"])
+        .arg(folder)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::inherit())
+        .spawn()?;
     let pipe = child.stdout.take().ok_or_else(|| io::Error::other("no pipe"))?;
     let mut lines = BufReader::new(pipe).lines();
     // the clock starts with its first word, so that short delays hit its work and not its start
@@ -171,7 +178,8 @@ pub fn while_bent(make: &Make) -> io::Result<Row> {
         let right = if moved { Mode::Lost } else { Mode::Disarmed };
         row.demand(turned.mode == right, |_| format!("came to {} where {right} is right", turned.mode));
         if moved {
-            row.message = again.turn(Some(Order::Arm)).map_err(world)?.answer.and_then(Result::err).map(|r| r.to_string()).unwrap_or_default();
+            row.message =
+                again.turn(Some(Order::Arm)).map_err(world)?.answer.and_then(Result::err).map(|r| r.to_string()).unwrap_or_default();
         } else {
             row.detected_s = Some(again.now_s - now_s - 1.0);
             again.turn(Some(Order::Arm)).map_err(world)?;

@@ -163,7 +163,8 @@ impl Hub {
         if let Some(note) = newest {
             let changed = self.parts.memory.kept.is_none_or(|k| k.steps != note.kept.steps || k.rest.is_some() != note.kept.rest.is_some());
             self.parts.memory.kept = Some(note.kept);
-            let at_rest = note.at_rest && !self.mode().moves() && self.mode() != crate::supervise::mode::Mode::Relaxing && self.ahead.is_empty();
+            let at_rest =
+                note.at_rest && !self.mode().moves() && self.mode() != crate::supervise::mode::Mode::Relaxing && self.ahead.is_empty();
             let disarms = self.armed_on_disk && at_rest;
             self.parts.memory.armed = !at_rest;
             let due = self.last_checkpoint.elapsed().as_secs_f64() >= self.parts.service.checkpoint_s;
@@ -209,7 +210,10 @@ impl Hub {
     /// STATUS for the service manager, when it changes.
     pub(super) fn tell_manager(&mut self) {
         let Some(last) = &self.last else { return };
-        let felt = last.frame.felt.map_or_else(String::new, |f| format!(", {:.1}° at {:.0}°", f.bend.beta().to_degrees(), f.bend.delta().to_degrees()));
+        let felt = last
+            .frame
+            .felt
+            .map_or_else(String::new, |f| format!(", {:.1}° at {:.0}°", f.bend.beta().to_degrees(), f.bend.delta().to_degrees()));
         let fault = last.latched.map_or_else(String::new, |c| format!(": {}", status::words(c)));
         let line = format!("STATUS={}{felt}{fault}", last.mode);
         let (said, when) = &self.last_status;

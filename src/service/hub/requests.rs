@@ -269,10 +269,8 @@ impl Hub {
         if gains.tip != self.parts.tip {
             return Some(Err(Failure::refused(format!("it was made on tip `{}`, mounted is `{}`", gains.tip, self.parts.tip))));
         }
-        let lines = std::array::from_fn(|i| crate::model::transmission::Line {
-            k_epsilon: gains.k_epsilon[i],
-            k_lambda_mm: gains.k_lambda_mm[i],
-        });
+        let lines =
+            std::array::from_fn(|i| crate::model::transmission::Line { k_epsilon: gains.k_epsilon[i], k_lambda_mm: gains.k_lambda_mm[i] });
         if !matches!(self.mode(), Mode::Disarmed | Mode::Holding) {
             return Some(Err(Failure::refused(format!("not while {}", self.mode()))));
         }
