@@ -8,12 +8,13 @@
 //! | F0 words | [`units`], [`frames`], [`sample`], [`check`] |
 //! | F1 laws: pure, stateless | [`model`] |
 //! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`], [`supervise`] |
-//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`machine`], [`pilot`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
-//! | F4 edges | [`config`], [`io`], [`memory`], [`sim`], [`link`], [`service`], [`drill`], [`cli`] |
+//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`machine`], [`commission`], [`pilot`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
+//! | F4 edges | [`io`], [`config`], [`memory`], [`sim`], [`link`], [`service`], [`drill`], [`cli`] |
 
 pub mod calib_imu;
 pub mod check;
 pub mod cli;
+pub mod commission;
 pub mod config;
 pub mod control;
 pub mod drill;

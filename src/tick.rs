@@ -14,7 +14,7 @@ use crate::calib_imu::Correction;
 use crate::control::follow::{Follower, Pace};
 use crate::control::limit::{Cut, Limits};
 use crate::control::pi::{Dynamics, PiGains, PiState, ReferenceModel};
-use crate::control::reach::Reach;
+use crate::control::reach::{Patience, Reach};
 use crate::control::rest::{RestConfig, RestState};
 use crate::control::wall::{WallConfig, WallState};
 use crate::fuse::health::{Action, CauseSet, Outcome as Reading};
@@ -607,9 +607,9 @@ fn eased(state: &mut State, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> 
 /// Eq. 16 per channel; a reversal asked for by feedback alone jumps the learned share of the gap.
 fn invert_transmission(config: &Config, state: &mut State, bellow_mm: &Vector3<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector3<f64> {
     let nudging = config.feedback.is_some() && !moving;
-    let reach = if nudging { state.reach.share } else { 1.0 };
     let mut turned = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {
+        let reach = if nudging { state.reach.share(i) } else { 1.0 };
         let wanted = Wanted { q_mm: bellow_mm[i], dt_s, reach };
         let (u, next) = config.side.invert(&state.lines[i], state.sides[i], &wanted);
         turned[i] = next.way != state.sides[i].way;
@@ -618,7 +618,11 @@ fn invert_transmission(config: &Config, state: &mut State, bellow_mm: &Vector3<f
     });
     if nudging {
         let answer_s = state.dynamics.delay_s + 3.0 * state.dynamics.lag_s + 0.08;
-        state.reach.step(turned, &(state.target.bend.0 - felt.0), answer_s, dt_s);
+        let worth_rad = config.feedback.map_or(0.0, |f| f.rest.open_rad);
+        let bites = state.reach.step(turned, &(state.target.bend.0 - felt.0), &Patience { answer_s, worth_rad }, dt_s);
+        for (side, bite) in state.sides.iter_mut().zip(bites) {
+            side.side = (side.side + 2.0 * bite * side.way).clamp(-1.0, 1.0);
+        }
     } else {
         state.reach.forget();
     }

@@ -21,6 +21,8 @@ pub enum Gap {
     Diagnose(DiagnoseArgs),
     /// Apply a saved model to a fresh log of the same unit.
     Check(CheckArgs),
+    /// Examine the diagnosis on logs of the built-in plant whose labels it does not see.
+    Exam(crate::cli::exam::Args),
 }
 
 /// Arguments of `gap diagnose`.
@@ -62,6 +64,7 @@ pub fn run(command: &Gap) -> Result<Outcome> {
     match command {
         Gap::Diagnose(args) => run_diagnose(args),
         Gap::Check(args) => run_check(args),
+        Gap::Exam(args) => crate::cli::exam::run(args),
     }
 }
 

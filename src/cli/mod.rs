@@ -3,13 +3,19 @@
 //! 0 done · 1 the run finished and the answer is "not good enough" · 2 bad input or usage · 3 hardware
 //! or service not reachable.
 
+pub mod bench;
 pub mod calibrate;
 pub mod client;
+pub mod commission;
 pub mod doctor;
 pub mod drill;
 pub mod evaluate;
+pub mod exam;
 pub mod gap;
+pub mod hands;
+pub mod home;
 pub mod imu;
+pub mod jog;
 pub mod logging;
 pub mod output;
 pub mod replay;
@@ -32,6 +38,15 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: three open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
+    /// Prove with small guarded moves that a machine is wired as its board file says, and tight.
+    Commission(commission::Args),
+    /// Find zero.
+    Home(home::Args),
+    /// Move one piston slowly, for bring-up.
+    Jog(jog::Args),
+    /// Measure this machine.
+    #[command(subcommand)]
+    Bench(bench::Bench),
     /// Diagnose the gap between model and machine.
     #[command(subcommand)]
     Gap(gap::Gap),
@@ -79,6 +94,10 @@ pub struct Unreachable {
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Commission(args) => commission::run(&args),
+        Command::Home(args) => home::run(&args),
+        Command::Jog(args) => jog::run(&args),
+        Command::Bench(command) => bench::run(&command),
         Command::Gap(command) => gap::run(&command),
         Command::Calibrate(command) => calibrate::run(&command),
         Command::Imu(command) => imu::run(&command),

@@ -1,11 +1,12 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
-use crate::cli::{Outcome, Unreachable, logging};
+use crate::cli::{Outcome, Unreachable, hands, logging};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::pilot::assemble;
 use crate::config::source;
+use crate::io::machine::Hardware;
 use crate::link::{self, Link};
 use crate::machine::{Lockstep, Machine};
 use crate::service::{ServiceError, Setup, serve};
@@ -140,10 +141,13 @@ pub fn open(args: &Args, board: &Board, _calibration: &Calibration) -> Result<Bo
         let args: Vec<String> = words.collect();
         return Ok(Box::new(Lockstep::new(Link::start(&program, &args).into_diagnostic()?)));
     }
-    let section = board
-        .plant
-        .clone()
-        .ok_or_else(|| miette!("this board has no [plant] table and no hardware to run on; give --plant, or a board that describes one"))?;
+    if let Some(config) = board.hardware() {
+        let path = args.board.as_deref().unwrap_or(Path::new("the built-in board"));
+        return Ok(Box::new(Hardware::open(&config).map_err(|e| hands::told(path, e))?));
+    }
+    let section = board.plant.clone().ok_or_else(|| {
+        miette!("this board has neither [pins] nor [plant], so there is nothing to run on; give --plant, or a board that describes one")
+    })?;
     Ok(Box::new(Lockstep::new(Sim::new(&section.make(), args.seed, 1, section.period_s).into_diagnostic()?)))
 }
 

@@ -30,7 +30,7 @@ fn bend(b: &BendFilterConfig, to: &mut Checker) {
     to.range("fuse.bend.correction_period_s", b.correction_period_s, 0.0005..=0.5, "s", "0.01");
     to.range("fuse.bend.acc_bias_sigma_m_s2", b.acc_bias_sigma_m_s2, 1e-4..=3.0, "m/s²", "0.25");
     to.range("fuse.bend.mag_bias_sigma_ut", b.mag_bias_sigma_ut, 1e-3..=100.0, "µT", "6");
-    to.range("fuse.bend.twist_sigma", b.twist_sigma, 1e-6..=1.0, "rad/rad", "0.05");
+    to.range("fuse.bend.twist_sigma", b.twist_sigma, 1e-6..=1.0, "rad/rad", "0.1");
     to.range("fuse.bend.mount_sigma_rad", b.mount_sigma_rad, 1e-6..=1.0, "rad", "0.03");
     to.range("fuse.bend.gyro_walk_rad_s_rts", b.gyro_walk_rad_s_rts, 0.0..=0.1, "rad/s/√s", "1e-4");
     to.range("fuse.bend.acc_walk_m_s2_rts", b.acc_walk_m_s2_rts, 0.0..=1.0, "m/s²/√s", "0.002");
@@ -38,6 +38,11 @@ fn bend(b: &BendFilterConfig, to: &mut Checker) {
     to.range("fuse.bend.acc_motion_m_s2_per_rad_s", b.acc_motion_m_s2_per_rad_s, 0.0..=20.0, "m/s² per rad/s", "0.15");
     to.range("fuse.bend.direction_error", b.direction_error, 1e-5..=1.0, "", "0.004");
     to.range("fuse.bend.direction_time_s", b.direction_time_s, 0.0..=100.0, "s", "1");
+    to.range("fuse.bend.arc_mm", b.arc_mm, 0.0..=500.0, "mm", "20, the length of the bellows");
+    to.range("fuse.bend.beyond_mm", b.beyond_mm, -100.0..=200.0, "mm", "5");
+    to.range("fuse.bend.field_error", b.field_error, 1e-5..=1.0, "", "0.012");
+    to.range("fuse.bend.twist_error", b.twist_error, 1e-4..=10.0, "rad/rad", "0.03");
+    to.range("fuse.bend.gyro_walk_factor_max", b.gyro_walk_factor_max, 1.0..=1000.0, "", "12");
     to.range("fuse.bend.twist_walk", b.twist_walk, 0.0..=1.0, "rad/rad/√rad", "0.02");
     to.range("fuse.bend.still_rate_sigma_rad_s", b.still_rate_sigma_rad_s, 1e-5..=1.0, "rad/s", "0.005");
 }

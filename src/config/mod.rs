@@ -8,7 +8,10 @@ pub mod board;
 pub mod calib;
 mod fuse;
 pub mod gains;
+pub mod hardware;
 pub mod pilot;
+pub mod pins;
+pub mod power;
 pub mod service;
 pub mod source;
 

@@ -105,12 +105,12 @@ impl Estimator {
         }
     }
 
-    /// Estimated bend.
+    /// Estimated bend: the one nearest to the turn since the rest.
     #[must_use]
     pub fn bend(&self) -> Bend {
         match self {
             Self::Bend(f) => f.bend(),
-            Self::Generic(f) => Bend::from_rotation(&f.r_base_tip()),
+            Self::Generic(f) => Bend::nearest(&f.r_base_tip()),
         }
     }
     /// Tip in the base.

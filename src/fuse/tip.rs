@@ -165,7 +165,7 @@ impl Fusion {
         if let Stage::Running(r) = &mut self.stage
             && now.0 - r.saved_at_s > REMEMBER_S
         {
-            r.saved = r.estimator.as_bend().cloned();
+            r.saved = r.bend_filter().cloned();
             r.saved_at_s = now.0;
         }
     }
@@ -245,12 +245,13 @@ impl Fusion {
     pub fn rest(&self) -> Option<&Alignment> {
         if let Stage::Running(r) = &self.stage { Some(&r.rest) } else { None }
     }
-    /// Rate of the sample that was used last, without bias, sensor axes, rad/s; `None` when the last
-    /// reading was not used.
+    /// Rate of the sample that was used last, without the bias that stood when all was quiet last, sensor
+    /// axes, rad/s; `None` when the last reading was not used.
     #[must_use]
     pub fn rate_rad_s(&self) -> Option<Vector3<f64>> {
         let (Stage::Running(r), Some(verdict)) = (&self.stage, self.verdict) else { return None };
-        let bias = r.bend_filter().map_or(r.rest.gyro_bias_rad_s, |f| f.gyro_bias_rad_s());
+        // the present estimate may have begun to take a turn of the base for drift
+        let bias = r.saved.as_ref().map_or(r.rest.gyro_bias_rad_s, BendFilter::gyro_bias_rad_s);
         r.last.filter(|_| verdict.gyro).map(|s| s.gyro_rad_s - bias)
     }
 }

@@ -1,14 +1,16 @@
 //! The diagnosis as a document: gap, where, which, how much.
 
-use crate::effects::{Effect, Stage};
+use crate::effects::Effect;
 use crate::gap::chain::{Model, NOMINAL, run};
+pub use crate::gap::credit::StageShare;
+use crate::gap::credit::{credits, stages};
 use crate::gap::decide::{Verdict, decide, floor};
-use crate::gap::fit::{nominal_start, sense};
+use crate::gap::fit::nominal_start;
+use crate::gap::interval::{Compared, closed_ci95};
 use crate::gap::observe::{Kind, Observed};
 use crate::gap::search::{Candidate, Found, HeldOut, model_of, score, search};
+use crate::gap::sense::sense;
 use crate::model::transmission::Line;
-use rand::rngs::StdRng;
-use rand::{RngExt, SeedableRng};
 use serde::Serialize;
 
 /// The gap in figures, degrees RMS over all kinds of observation.
@@ -22,15 +24,6 @@ pub struct Gap {
     pub explained_deg: f64,
     /// What noise alone would leave.
     pub noise_floor_deg: f64,
-}
-
-/// A stage and its share of the gap.
-#[derive(Debug, Clone, Serialize)]
-pub struct StageShare {
-    /// Stage name.
-    pub name: &'static str,
-    /// Share, 0..=1; all shares add up to 1.
-    pub share: f64,
 }
 
 /// A region of bend and direction.
@@ -157,6 +150,21 @@ pub struct Diagnosis {
     pub verdict: VerdictEntry,
     /// What is left.
     pub unknown: UnknownEntry,
+    /// Sets that were compared, best first.
+    pub rivals: Vec<Rival>,
+}
+
+/// A set of effects and what it leaves.
+#[derive(Debug, Clone, Serialize)]
+pub struct Rival {
+    /// Names; empty for the nominal model.
+    pub names: Vec<&'static str>,
+    /// Held-out energy over all kinds, deg².
+    pub energy_deg2: f64,
+    /// Held-out RMSE per kind: reference, accelerometer, magnetometer (degrees) and gyroscope (°/s).
+    pub rmse_deg: [f64; 4],
+    /// Weighted sum of squares in sample.
+    pub cost: f64,
 }
 
 /// A diagnosis and what it was made from.
@@ -185,7 +193,7 @@ fn pick(found: &Found, verdict: &Verdict) -> Candidate {
 }
 
 fn held(c: &Candidate) -> HeldOut {
-    c.held_out.clone().unwrap_or_else(|| HeldOut { rmse_deg: [0.0; 4], blocks: vec![], residual: Default::default() })
+    c.held_out.clone()
 }
 
 fn write(
@@ -215,7 +223,7 @@ fn write(
             noise_floor_deg: rms(floor),
         },
         location: Where {
-            stages: stages(catalogue, &believed),
+            stages: stages(catalogue, &credits(found, chosen, (nominal.energy() - floor).max(1e-9)), &believed),
             merged: merged(catalogue, &equivalent),
             regions: regions(log, &nominal, &after),
             when: when(log, &nominal, &after),
@@ -226,10 +234,22 @@ fn write(
                 .map(|(k, kind)| KindShare { name: kind.name(), rmse_deg: nominal.rmse_deg[k], explained_deg: after.rmse_deg[k] })
                 .collect(),
         },
-        unknown: UnknownEntry { probability: doubt(verdict, &after), rmse_deg: rms((after.energy() - floor).max(0.0)) },
+        unknown: UnknownEntry { probability: verdict.doubt, rmse_deg: rms((after.energy() - floor).max(0.0)) },
         verdict: VerdictEntry { kind: verdict.kind, names: verdict.names.clone(), equivalent },
         effects,
+        rivals: rivals(found),
     }
+}
+
+/// Sets shown of each size.
+const SHOWN: usize = 12;
+
+fn rivals(found: &Found) -> Vec<Rival> {
+    let of = |c: &Candidate| Rival { names: c.names.clone(), energy_deg2: c.energy(), rmse_deg: c.held_out.rmse_deg, cost: c.fitted.cost };
+    let shown = found.singles.iter().take(SHOWN).chain(found.pairs.iter().take(SHOWN)).chain([&found.nominal]);
+    let mut out: Vec<Rival> = shown.map(of).collect();
+    out.sort_by(|a, b| a.energy_deg2.total_cmp(&b.energy_deg2));
+    out
 }
 
 /// The calibration as given, only gravity, field and gyroscope bias solved.
@@ -253,7 +273,7 @@ fn beliefs(log: &Observed, found: &Found, verdict: &Verdict) -> Vec<(&'static st
         .iter()
         .chain(&found.pairs)
         .chain([&found.nominal])
-        .filter_map(|c| c.held_out.as_ref().map(|h| (c, h.energy())))
+        .map(|c| (c, c.energy()))
         .map(|(c, e)| {
             // a set larger than the verdict's must earn its size, and the verdict has earned its own
             let size = c.names.len().abs_diff(verdict.names.len()) as f64;
@@ -271,12 +291,6 @@ fn beliefs(log: &Observed, found: &Found, verdict: &Verdict) -> Vec<(&'static st
         }
     }
     out
-}
-
-fn doubt(verdict: &Verdict, after: &HeldOut) -> f64 {
-    let worst = after.rmse_deg.iter().copied().fold(0.0, f64::max);
-    let x = 8.0 * (verdict.left - 0.3) + 2.0 * (worst - 0.8).min(0.5);
-    1.0 / (1.0 + (-x).exp())
 }
 
 #[allow(clippy::too_many_arguments)]
@@ -311,32 +325,9 @@ fn entry(
         gap_before_deg: (before.energy() / kinds).sqrt(),
         gap_after_deg: (after.energy() / kinds).sqrt(),
         closed: value,
-        closed_ci95: bootstrap(&before, &after, &nominal, floor, value, seed),
+        closed_ci95: closed_ci95(&Compared { before: &before, after: &after, nominal: &nominal, floor }, value, seed),
         params: from.map_or(vec![], |c| params(log, catalogue, e, c)),
     }
-}
-
-/// 95 % interval of the closed part: blocks are drawn with replacement.
-fn bootstrap(before: &HeldOut, after: &HeldOut, nominal: &HeldOut, floor: f64, value: f64, seed: u64) -> [f64; 2] {
-    let n = before.blocks.len().min(after.blocks.len()).min(nominal.blocks.len());
-    if n == 0 {
-        return [value, value];
-    }
-    let mut rng = StdRng::seed_from_u64(seed);
-    let mut draws: Vec<f64> = (0..1000)
-        .map(|_| {
-            let (mut b, mut a, mut whole) = (0.0, 0.0, -floor);
-            for _ in 0..n {
-                let i = rng.random_range(0..n);
-                b += before.blocks[i];
-                a += after.blocks[i];
-                whole += nominal.blocks[i];
-            }
-            ((b - a) / whole.max(1e-9)).clamp(-1.0, 1.0)
-        })
-        .collect();
-    draws.sort_by(f64::total_cmp);
-    [draws[25].min(value), draws[974].max(value)]
 }
 
 /// Residuals are correlated over about this long, s: one independent observation per such stretch.
@@ -366,22 +357,6 @@ fn params(log: &Observed, catalogue: &[Box<dyn Effect>], e: &dyn Effect, c: &Can
         .collect()
 }
 
-/// Shares of the stages by the beliefs in their effects.
-fn stages(catalogue: &[Box<dyn Effect>], believed: &[(&'static str, f64)]) -> Vec<StageShare> {
-    let mut shares: Vec<StageShare> = Stage::ALL.iter().map(|s| StageShare { name: s.name(), share: 1e-3 }).collect();
-    for e in catalogue {
-        if let (Some(s), Some(b)) = (shares.iter_mut().find(|s| s.name == e.stage().name()), believed.iter().find(|b| b.0 == e.name())) {
-            s.share += b.1;
-        }
-    }
-    let total: f64 = shares.iter().map(|s| s.share).sum();
-    for s in &mut shares {
-        s.share /= total;
-    }
-    shares.sort_by(|a, b| b.share.total_cmp(&a.share));
-    shares
-}
-
 fn merged(catalogue: &[Box<dyn Effect>], groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {
     let stage = |name: &str| catalogue.iter().find(|e| e.name() == name).map_or("", |e| e.stage().name());
     groups
@@ -403,7 +378,7 @@ const SAME_SHARE: f64 = 0.02;
 fn equivalents(log: &Observed, found: &Found, verdict: &Verdict) -> Vec<Vec<&'static str>> {
     let nominal = held(&found.nominal).energy();
     let unit = SAME_SHARE * (nominal - floor(log));
-    let energy = |name: &str| found.singles.iter().find(|s| s.names[0] == name).and_then(|s| s.held_out.as_ref()).map(HeldOut::energy);
+    let energy = |name: &str| found.singles.iter().find(|s| s.names[0] == name).map(Candidate::energy);
     TWINS
         .iter()
         .filter(|t| t.iter().any(|n| verdict.names.contains(n)) && !log.has[0])
@@ -415,7 +390,7 @@ fn equivalents(log: &Observed, found: &Found, verdict: &Verdict) -> Vec<Vec<&'st
 /// Bend and direction each bin is at, degrees, from the nominal model's gravity-free side: the command.
 fn pose_of(log: &Observed, k: usize) -> (f64, f64) {
     let g = crate::model::arc::Geometry::default();
-    let u = log.piston_mm[log.bins[k].rows.0] / 3.2;
+    let u = log.piston_mm[log.bins[k].at] / 3.2;
     let b = g.shape(&u).bend;
     (b.beta().to_degrees(), b.delta().to_degrees().rem_euclid(360.0))
 }
@@ -456,7 +431,7 @@ fn regions(log: &Observed, nominal: &HeldOut, after: &HeldOut) -> Vec<Region> {
 }
 
 fn when(log: &Observed, nominal: &HeldOut, after: &HeldOut) -> Vec<When> {
-    let (t0, length) = (log.t_s[0], log.duration_s() / 20.0);
+    let (t0, length) = (log.start_s(), log.duration_s() / 20.0);
     (0..20)
         .filter_map(|i| {
             let (from_s, to_s) = (t0 + length * f64::from(i), t0 + length * f64::from(i + 1));

@@ -4,9 +4,9 @@ use crate::check::{Check, Checker};
 use crate::effects::Effect;
 use crate::gap::chain::{LAG_MAX_S, NOMINAL, run};
 use crate::gap::decide::floor;
-use crate::gap::fit::sense;
 use crate::gap::observe::Observed;
 use crate::gap::search::{Candidate, Found, model_of, score};
+use crate::gap::sense::sense;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -122,7 +122,7 @@ impl SavedModel {
         Checked {
             before_deg: (before / kinds).sqrt(),
             after_deg: (after / kinds).sqrt(),
-            closed: (before - after) / (before - floor(log)).max(1e-9),
+            closed: ((before - after) / (before - floor(log)).max(1e-9)).min(1.0),
         }
     }
 

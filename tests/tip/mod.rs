@@ -55,6 +55,8 @@ pub struct TipPlant {
     bellow: Vector3<f64>,
     bend: Bend,
     before: UnitQuaternion<f64>,
+    /// Places of the sensor in the base at this and the two steps before, m.
+    places: [Vector3<f64>; 3],
     steps: Steps,
     n: u64,
     rng: StdRng,
@@ -62,6 +64,13 @@ pub struct TipPlant {
 
 fn field_world() -> Vector3<f64> {
     Vector3::new(20.0, 0.0, -44.0)
+}
+
+/// Where the sensor sits: 6 mm past the end of an arc of 20 mm, m.
+fn place(bend: &Bend) -> Vector3<f64> {
+    let beta = bend.beta().max(1e-9);
+    let (x, z) = (20.0 * (1.0 - beta.cos()) / beta + 6.0 * beta.sin(), 20.0 * beta.sin() / beta + 6.0 * beta.cos());
+    Vector3::new(x * bend.0.x / beta, -x * bend.0.y / beta, z) * 1e-3
 }
 
 impl TipPlant {
@@ -93,6 +102,7 @@ impl TipPlant {
             bellow: Vector3::zeros(),
             bend: Bend::STRAIGHT,
             before: base,
+            places: [place(&Bend::STRAIGHT); 3],
             steps: Steps::default(),
             n: 0,
             rng,
@@ -110,6 +120,7 @@ impl TipPlant {
         }
         self.before = self.base * self.bend.rotation().quat();
         self.bend = self.geometry.shape(&self.bellow).bend;
+        self.places = [place(&self.bend), self.places[0], self.places[1]];
         self.base = UnitQuaternion::from_scaled_axis(self.base_rate * self.dt_s) * self.base;
         (self.steps, self.n, self.t_s) = (*steps, self.n + 1, self.t_s + self.dt_s);
     }
@@ -130,11 +141,17 @@ impl TipPlant {
             field += Vector3::new(0.6, -0.64, 0.48) * ut;
         }
         Motion {
-            acc_m_s2: back * Vector3::new(0.0, 0.0, GRAVITY) + self.acc_bias + self.push,
+            acc_m_s2: back * (Vector3::new(0.0, 0.0, GRAVITY) + self.base * self.acceleration()) + self.acc_bias + self.push,
             gyro_rad_s: (self.before.inverse() * now).scaled_axis() / self.dt_s + self.gyro_bias,
             mag_ut: field,
             temp_c: 25.0,
         }
+    }
+
+    /// Second difference of the sensor's place, m/s², base axes.
+    fn acceleration(&self) -> Vector3<f64> {
+        let [now, before, earlier] = self.places;
+        (now - before * 2.0 + earlier) / (self.dt_s * self.dt_s)
     }
 
     fn coils(&self) -> Vector3<f64> {
