@@ -112,6 +112,8 @@ pub struct Pilot {
     adrift: bool,
     /// The gate moved by itself; the controller takes over once it stands.
     handing_over: bool,
+    /// A way back has ended, and its last steps are on their way.
+    arriving: bool,
     /// The feedback that a calibration has put aside.
     aside: Option<FeedbackConfig>,
     pace: Pace,
@@ -157,6 +159,7 @@ impl Pilot {
             kept: kept.filter(|k| k.steps != Steps::default()),
             adrift: false,
             handing_over: false,
+            arriving: false,
             aside: None,
             pace: config.tick.bend_pace,
             stream_until: None,
@@ -208,7 +211,8 @@ impl Pilot {
     /// True when the next restart has nothing to prove: the pistons are at zero.
     #[must_use]
     pub fn is_at_rest(&self) -> bool {
-        self.sent == Steps::default() && !self.adrift
+        let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
+        self.sent == Steps::default() && there && !self.adrift
     }
 
     /// Puts another configuration in place, bumpless, and gives back the old one: the pistons stay, the
@@ -368,7 +372,10 @@ impl Pilot {
         if !passed.energise && !passed.rested && self.sent != Steps::default() {
             self.adrift = true;
         }
-        if passed.rested && self.modes.now() == Mode::Relaxing {
+        // the last step must be out before the drivers are let go
+        self.arriving = (self.arriving || passed.rested) && self.modes.now() == Mode::Relaxing;
+        if self.arriving && sensed.counted == self.sent {
+            self.arriving = false;
             self.come_to_rest();
         }
         passed.tripped

@@ -153,6 +153,7 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, WorldEr
     if mend_first {
         bench.flight.machine.mend();
         // what is let go of leaps, and then the base may seem to have moved: the rest is to be found again
+        bench.until(20.0, |t| t.frame.senses.in_force.is_empty())?;
         let moved = bench.run(2.0)?.frame.base_moved;
         (stays, zero) = (stays && !moved, zero || moved);
     }

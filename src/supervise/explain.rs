@@ -34,8 +34,8 @@ pub struct ExplainConfig {
     pub share: f64,
     /// How long it must stand, s. Default 0.1. Larger overlooks knocks and says leaks later.
     pub for_s: f64,
-    /// A leap of the unexplained bend within 64 turns that is called sudden, degrees; half of what the
-    /// pistons led the tip meanwhile is allowed besides. Default 3.5. Larger overlooks larger bursts.
+    /// A leap of the unexplained bend within 64 turns that is called sudden, degrees; twice what the
+    /// pistons led the tip meanwhile is allowed besides: no way of theirs to turn explains more. Default 3.5. Larger overlooks larger bursts.
     pub leap_deg: f64,
 }
 
@@ -243,7 +243,7 @@ impl Explain {
         self.led_rad = led.max(self.led_rad * (-dt_s / LEAP_MEMORY_S).exp());
         self.leapt_s += dt_s;
         let leap = unexplained - then;
-        let leaps = self.filled > LATELY && leap.norm() > self.config.leap_deg.to_radians() + 0.5 * self.led_rad;
+        let leaps = self.filled > LATELY && leap.norm() > self.config.leap_deg.to_radians() + 2.0 * self.led_rad;
         if leaps && (self.leapt_s > LEAP_MEMORY_S || leap.norm() > self.leap.norm()) {
             (self.leap, self.leapt_s) = (leap, 0.0);
         }
