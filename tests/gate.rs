@@ -68,9 +68,9 @@ fn steady(gate: &mut Gate, i: usize, speed_mm_s: f64, seconds: f64) -> Option<Ca
 fn moving() -> (Gate, i32) {
     let mut gate = at(0);
     assert_eq!(steady(&mut gate, 0, 20.0, 0.3), None);
-    let counts = gate.pass(&told([194, 0, 0]));
+    let counts = gate.pass(&told([188, 0, 0]));
     assert_eq!(counts.tripped, None);
-    (gate, 194)
+    (gate, 188)
 }
 
 #[test]
@@ -108,7 +108,7 @@ fn speed_trips_above_its_limit_and_one_step_of_grain() {
     assert_eq!(steady(&mut at(0), 1, 34.4, 0.5), None);
     assert_eq!(steady(&mut at(0), 2, 38.5, 0.5), Some(Cause::Rate));
     let mut gate = at(0);
-    assert_eq!(trips(&mut gate, &told([0, 0, 4])), Some(Cause::Acceleration), "a jump is a push first");
+    assert_eq!(trips(&mut gate, &told([0, 0, 14])), Some(Cause::Acceleration), "a jump is a push first");
 }
 
 #[test]
@@ -430,7 +430,7 @@ fn every_cause_leads_where_the_board_says() {
         (Cause::Late, Told { dt_s: 0.2, ..told([30; 3]) }, |on, s| on.late = s),
         (Cause::Unarmed, Told { armed: false, ..told([31; 3]) }, |on, s| on.unarmed = s),
         (Cause::Travel, told([3000; 3]), |on, s| on.travel = s),
-        (Cause::Acceleration, told([90; 3]), |on, s| on.acceleration = s),
+        (Cause::Acceleration, told([44; 3]), |on, s| on.acceleration = s),
         (Cause::Pressure, pressure, |on, s| on.pressure = s),
         (Cause::Stale, Told { stale_s: 9.0, ..told([30; 3]) }, |on, s| on.stale = s),
         (Cause::Disagreement, Told { disagree: true, ..told([30; 3]) }, |on, s| on.disagreement = s),
