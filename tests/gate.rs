@@ -483,3 +483,51 @@ fn defaults_are_as_documented() {
     assert!(hold.iter().all(|s| *s == Safe::Hold));
     assert_eq!((on.emergency_stop, on.pressure), (Safe::Release, Safe::Relax));
 }
+
+/// Limits and times that binary numbers hold exactly, so that "at the limit" means it.
+fn exact() -> Limits {
+    Limits {
+        step_mm: 1.0 / 32.0,
+        tick_s: 1.0 / 1024.0,
+        travel_mm: 64.0,
+        speed_mm_s: 34.0,
+        acceleration_mm_s2: 1e9,
+        squeeze_mm: 29.5,
+        following_rad: 0.25,
+        following_s: 0.5,
+        following_for_s: 0.5,
+        late_s: 0.5,
+        ..limits()
+    }
+}
+
+#[test]
+fn at_the_limit_is_within_it() {
+    let tick = Told { dt_s: 1.0 / 1024.0, ..told([0; 3]) };
+    // 18 steps in 16 ticks are 36 mm/s, and 2 mm/s are grain
+    let run = |steps: i32| {
+        let mut gate = Gate::new(&exact(), &Steps([0; 3]));
+        (1..=16).find_map(|k| trips(&mut gate, &Told { wanted: Steps([steps * k / 16, 0, 0]), ..tick }))
+    };
+    assert_eq!((run(18), run(19)), (None, Some(Cause::Rate)));
+    // the air that 944 steps of a piston compress is 29.5 mm
+    let press = |steps: i32| {
+        let mut gate = Gate::new(&exact(), &Steps([steps - 1, 0, 0]));
+        trips(&mut gate, &Told { wanted: Steps([steps, 0, 0]), felt_bellow_mm: Some([0.0; 3]), ..tick })
+    };
+    assert_eq!((press(944), press(945)), (None, Some(Cause::Pressure)));
+    // an error of the allowed size is none, and one that lasts as long as it may is allowed
+    let follow = |off: f64, ticks: usize| {
+        let mut gate = Gate::new(&exact(), &Steps([0; 3]));
+        let following = Some(Following { setpoint: [1.0, 0.0], felt: [1.0 - off, 0.0] });
+        (0..ticks).find_map(|_| trips(&mut gate, &Told { dt_s: 0.25, following, ..tick }))
+    };
+    assert_eq!((follow(0.25, 50), follow(0.5, 2), follow(0.5, 3)), (None, None, Some(Cause::Following)));
+    // a push of exactly the limit: n·4 mm/s over 1/64 s, less two grains of 4 mm/s
+    let push = |steps: i32| {
+        let limits = Limits { step_mm: 1.0 / 16.0, acceleration_mm_s2: 2048.0, speed_mm_s: 1e9, ..exact() };
+        let mut gate = Gate::new(&limits, &Steps([0; 3]));
+        (1..=16).find_map(|k| trips(&mut gate, &Told { wanted: Steps([steps * k / 16, 0, 0]), ..tick }))
+    };
+    assert_eq!((push(10), push(11)), (None, Some(Cause::Acceleration)));
+}

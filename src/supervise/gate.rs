@@ -426,16 +426,15 @@ impl Gate {
         self.send(Steps(steps), dt_s);
     }
 
-    /// Pistons within half a step of zero and slow are at zero; true once all are, and released then.
+    /// Once no piston is a step from zero they are at zero; true then, and released.
     fn arrive(&mut self) -> bool {
-        let near = self.limits.step_mm / 2.0;
-        if self.at_mm.iter().all(|mm| mm.abs() < near) {
+        let there = self.sent[self.head] == Steps::default();
+        if there {
             self.speed_mm_s = [0.0; 3];
             self.at_mm = [0.0; 3];
             self.doing = Doing::Released;
-            return true;
         }
-        false
+        there
     }
 
     fn send(&mut self, steps: Steps, dt_s: f64) {
