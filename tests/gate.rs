@@ -530,4 +530,11 @@ fn at_the_limit_is_within_it() {
         (1..=16).find_map(|k| trips(&mut gate, &Told { wanted: Steps([steps * k / 16, 0, 0]), ..tick }))
     };
     assert_eq!((push(10), push(11)), (None, Some(Cause::Acceleration)));
+    // and a stop of exactly the limit
+    let limits = Limits { step_mm: 1.0 / 16.0, acceleration_mm_s2: 2048.0, speed_mm_s: 1e9, ..exact() };
+    let mut gate = Gate::new(&limits, &Steps([0; 3]));
+    for k in 1..=64 {
+        let steps = 10 * k.min(16) / 16;
+        assert_eq!(trips(&mut gate, &Told { wanted: Steps([steps, 0, 0]), ..tick }), None, "tick {k}");
+    }
 }

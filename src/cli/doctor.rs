@@ -139,7 +139,7 @@ fn devices(board: &Board) -> Vec<Finding> {
     let Some(machine) = board.hardware() else { return findings };
     for (what, sensor) in [("tip IMU", &machine.imu), ("base IMU", &machine.base_imu)] {
         let Some(config) = sensor else { continue };
-        findings.push(match Sensor::start(config, &machine.correction) {
+        findings.push(match Sensor::start(config) {
             Ok(s) => {
                 let i = s.identity();
                 Finding::new(what, Verdict::Pass, format!("{} at {:#04x}, {:.0} Hz", i.inertial.part, i.inertial.address, i.rate_hz), "")
