@@ -447,7 +447,6 @@ impl Gate {
     fn settle(&mut self, at: &Steps) {
         self.sent = [*at; 2 * WINDOW];
         self.took_s = [self.limits.tick_s; 2 * WINDOW];
-        self.at_mm = at.0.map(|n| f64::from(n) * self.limits.step_mm);
         self.speed_mm_s = [0.0; 3];
         (self.setpoint, self.recent_rad_s, self.astray_s) = (None, 0.0, 0.0);
     }
