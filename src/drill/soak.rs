@@ -105,6 +105,9 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
                         bench.turn(Some(Order::Relax))?;
                         bench.until(15.0, |t| t.mode != Mode::Relaxing)?;
                     }
+                    // racks back to their marks, lines vented, and the rest found again
+                    bench.flight.machine.put_back();
+                    bench.run(10.0)?;
                     bench.turn(Some(Order::Zero))?;
                     bench.until(8.0, |t| t.mode != Mode::Aligning)?;
                     bench.call_straight();
