@@ -9,6 +9,8 @@
 //! goes out) and keeps its own speeds: the counts of the last window against those of the window before,
 //! `v = (n_k − n_{k−W})/W`, `a = (v_k − v_{k−W})/W`, each with the grain of one microstep allowed for.
 
+#![allow(clippy::neg_cmp_op_on_partial_ord, reason = "what is no number is beyond every limit")]
+
 use crate::units::Steps;
 use serde::{Deserialize, Serialize};
 
