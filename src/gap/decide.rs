@@ -102,7 +102,10 @@ fn judged(log: &Observed, nominal: &Candidate, chosen: &Candidate, floor: f64) -
 
 /// Probability that what is left has a cause of its own.
 fn doubt(log: &Observed, left: f64, h: &HeldOut) -> f64 {
-    let worst = (0..4).filter(|&k| log.has[k]).map(|k| (h.rmse_deg[k].powi(2) - 3.0 * log.noise_deg[k].powi(2)).max(0.0).sqrt()).fold(0.05, f64::max);
+    let worst = (0..4)
+        .filter(|&k| log.has[k])
+        .map(|k| (h.rmse_deg[k].powi(2) - 3.0 * log.noise_deg[k].powi(2)).max(0.0).sqrt())
+        .fold(0.05, f64::max);
     let x = DOUBT[0] + DOUBT[1] * left.max(1e-3).ln() + DOUBT[2] * worst.ln();
     1.0 / (1.0 + (-x).exp())
 }

@@ -6,10 +6,10 @@ pub use crate::gap::credit::StageShare;
 use crate::gap::credit::{credits, stages};
 use crate::gap::decide::{Verdict, decide, floor};
 use crate::gap::fit::nominal_start;
-use crate::gap::sense::sense;
 use crate::gap::interval::{Compared, closed_ci95};
 use crate::gap::observe::{Kind, Observed};
 use crate::gap::search::{Candidate, Found, HeldOut, model_of, score, search};
+use crate::gap::sense::sense;
 use crate::model::transmission::Line;
 use serde::Serialize;
 
