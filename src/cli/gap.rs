@@ -1,6 +1,7 @@
 //! `retroflex gap …`: diagnose a bend log, check a saved model on a fresh one.
 
 use crate::cli::Outcome;
+use crate::cli::gap_excite::{self, ExciteArgs};
 use crate::cli::output::write;
 use crate::config::calib::Calibration;
 use crate::config::source;
@@ -21,6 +22,8 @@ pub enum Gap {
     Diagnose(DiagnoseArgs),
     /// Apply a saved model to a fresh log of the same unit.
     Check(CheckArgs),
+    /// Design a schedule on which effects can be told apart.
+    Excite(ExciteArgs),
 }
 
 /// Arguments of `gap diagnose`.
@@ -62,11 +65,12 @@ pub fn run(command: &Gap) -> Result<Outcome> {
     match command {
         Gap::Diagnose(args) => run_diagnose(args),
         Gap::Check(args) => run_check(args),
+        Gap::Excite(args) => gap_excite::run(args),
     }
 }
 
 /// The paper's gains: where recalibration starts when no calibration is given.
-const PAPER: [Line; 3] =
+pub const PAPER: [Line; 3] =
     [Line { k_epsilon: 2.22, k_lambda_mm: 0.87 }, Line { k_epsilon: 2.53, k_lambda_mm: 0.92 }, Line { k_epsilon: 2.21, k_lambda_mm: 0.81 }];
 
 fn observe(path: &Path) -> Result<Observed> {
@@ -89,7 +93,8 @@ fn run_diagnose(args: &DiagnoseArgs) -> Result<Outcome> {
         write(path, &(text + "\n"))?;
     }
     if let Some(path) = &args.save {
-        let saved = SavedModel::new(&args.log.display().to_string(), &catalogue, &done.found, &done.chosen);
+        let saved =
+            SavedModel::new(&args.log.display().to_string(), &catalogue, &done.found, &done.chosen, &done.document.verdict.equivalent);
         write(path, &toml::to_string(&saved).into_diagnostic()?)?;
     }
     Ok(Outcome::Good)

@@ -8,6 +8,7 @@
 pub mod chain;
 pub mod decide;
 pub mod diagnose;
+pub mod excite;
 pub mod fit;
 pub mod observe;
 pub mod saved;
