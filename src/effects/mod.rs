@@ -198,6 +198,10 @@ pub trait Effect: Send + Sync {
     fn latency_s(&self, _p: &[f64]) -> f64 {
         0.0
     }
+    /// True when what it adds to a reading changes with every single step of the motors.
+    fn follows_motors(&self) -> bool {
+        false
+    }
     /// True when the effect leaves the tip's motion as it is (a fit then need not simulate it again).
     fn sensing_only(&self) -> bool {
         matches!(self.stage(), Stage::Sensor | Stage::Base)

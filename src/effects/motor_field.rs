@@ -69,6 +69,9 @@ impl Effect for MotorField {
         let after = |s: f64| [vec![0.1; 18], vec![0.5, s]].concat();
         vec![after(0.4), after(1.2), after(3.0)]
     }
+    fn follows_motors(&self) -> bool {
+        true
+    }
     fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut Reading) {
         let mut field = Vector3::zeros();
         for (motor, u_mm) in p.chunks_exact(6).zip(at.counted_mm.iter()) {

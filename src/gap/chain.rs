@@ -1,8 +1,9 @@
 //! The nominal model run forward from the pistons, with any set of effects in it.
 //!
 //! pistons → play → 1/(1 + k_ε) → first-order lag τ₀ → constant curvature → tip orientation, all by
-//! `model::*`; each effect changes the signal at its own place. The result is the tip's orientation
-//! row by row; what the sensors make of it is [`crate::gap::fit`]'s part, because most of that is
+//! `model::*`; each effect changes the signal at its own place. The lag takes what comes between two
+//! instants as a straight line, so its step may be longer than τ₀. The result is the tip's orientation
+//! instant by instant; what the sensors make of it is [`crate::gap::fit`]'s part, because most of that is
 //! linear.
 
 use crate::effects::{Effect, Memory, Moment, Pose};
@@ -58,7 +59,7 @@ impl<'a> Model<'a> {
     }
 }
 
-/// Tip in the base, row by row.
+/// Tip in the base, instant by instant; zero where nothing looks.
 pub type Motion = Vec<Matrix3<f64>>;
 
 /// The lines of a nominal parameter vector.
@@ -75,8 +76,10 @@ pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
     let lag_s = theta[6].max(1e-3);
     let transport_s: f64 = model.each(theta).map(|(e, p)| e.transport_s(p)).sum();
     let mut memory = vec![Memory::default(); model.effects.len()];
-    let (mut w_mm, mut lagged) = (Vector3::zeros(), Vector3::zeros());
+    let (mut w_mm, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let mut delayed = Delayed { log, behind_s: transport_s, at: 0 };
+    let start_s = log.start_s();
+    let every = model.each(theta).any(|(e, p)| e.latency_s(p) > 0.0);
     let mut moment = Moment {
         t_s: 0.0,
         dt_s: 0.01,
@@ -91,13 +94,18 @@ pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
     for k in 0..log.t_s.len() {
         let dt_s = if k == 0 { 0.01 } else { log.t_s[k] - log.t_s[k - 1] };
         let u = delayed.piston(k);
-        (moment.t_s, moment.dt_s, moment.counted_mm, moment.idle_s) = (log.t_s[k] - log.t_s[0], dt_s, u, log.idle_s[k]);
+        (moment.t_s, moment.dt_s, moment.counted_mm, moment.idle_s) = (log.t_s[k] - start_s, dt_s, u, log.idle_s[k]);
         if (dt_s - keep_dt).abs() > 1e-7 {
             (keep, keep_dt) = ((-dt_s / lag_s).exp(), dt_s);
         }
         let q = bellows(model, theta, &mut memory, &moment, &lines, &mut w_mm);
-        lagged = q + (lagged - q) * keep;
-        out.push(orientation(model, theta, &mut memory, &moment, &geometry, &lagged));
+        // a ramp is followed at the distance slope · τ₀
+        let behind = (q - before) * (lag_s / dt_s);
+        lagged = q - behind + (lagged - before + behind) * keep;
+        before = q;
+        // between the middles of bins only a late sensor looks
+        let seen = every || log.middle[k];
+        out.push(if seen { orientation(model, theta, &mut memory, &moment, &geometry, &lagged) } else { Matrix3::zeros() });
     }
     from_rest(&mut out);
     out
@@ -172,7 +180,7 @@ fn rotation(bend: &Bend) -> Matrix3<f64> {
     Matrix3::new(1.0 - v * y * y, v * x * y, s * y, v * x * y, 1.0 - v * x * x, -s * x, -s * y, s * x, 1.0 - v * beta2)
 }
 
-/// Reads the pistons as they were a while ago, between rows by straight lines.
+/// Reads the pistons as they were a while ago, from the log's own rows.
 struct Delayed<'a> {
     log: &'a Observed,
     behind_s: f64,
@@ -184,16 +192,11 @@ impl Delayed<'_> {
         if self.behind_s <= 0.0 {
             return self.log.piston_mm[k];
         }
-        let t = self.log.t_s[k] - self.behind_s;
-        while self.at + 1 < k && self.log.t_s[self.at + 1] <= t {
+        let (rows, t) = (&self.log.rows, self.log.t_s[k] - self.behind_s);
+        while rows.t_s.get(self.at + 1).is_some_and(|&next| next <= t) {
             self.at += 1;
         }
-        let (a, b) = (self.at, self.at + 1);
-        if b > k || t <= self.log.t_s[0] {
-            return self.log.piston_mm[a.min(k)];
-        }
-        let share = ((t - self.log.t_s[a]) / (self.log.t_s[b] - self.log.t_s[a])).clamp(0.0, 1.0);
-        self.log.piston_mm[a].lerp(&self.log.piston_mm[b], share)
+        rows.piston_after(self.at, t)
     }
 }
 

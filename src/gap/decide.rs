@@ -43,22 +43,16 @@ pub fn gain(from: &HeldOut, to: &HeldOut) -> f64 {
     from.rmse_deg.iter().zip(&to.rmse_deg).map(|(a, b)| a - b).fold(f64::NEG_INFINITY, f64::max)
 }
 
-fn held(c: &Candidate) -> Option<&HeldOut> {
-    c.held_out.as_ref()
-}
-
 /// Best scored candidate of a list.
 fn best(list: &[Candidate]) -> Option<(&Candidate, &HeldOut)> {
-    list.iter().filter_map(|c| held(c).map(|h| (c, h))).min_by(|a, b| a.1.energy().total_cmp(&b.1.energy()))
+    list.iter().map(|c| (c, &c.held_out)).min_by(|a, b| a.1.energy().total_cmp(&b.1.energy()))
 }
 
 /// Decides.
 #[must_use]
 pub fn decide(log: &Observed, found: &Found) -> Verdict {
     let floor = floor(log);
-    let Some(nominal) = held(&found.nominal) else {
-        return Verdict { kind: "none", names: vec![], left: 1.0 };
-    };
+    let nominal = &found.nominal.held_out;
     let gap = (nominal.energy() - floor).max(1e-9);
     let Some((single, single_score)) = best(&found.singles).filter(|(_, h)| gain(nominal, h) >= CLAIM_DEG) else {
         return unexplained(nominal, vec![], floor, gap);
@@ -78,7 +72,7 @@ pub fn decide(log: &Observed, found: &Found) -> Verdict {
 /// What a member of a pair is worth: the energy that comes back when it is taken out.
 fn worth(found: &Found, pair: &HeldOut, of: &Candidate, name: &str) -> f64 {
     let other = of.names.iter().find(|n| **n != name);
-    let alone = found.singles.iter().find(|s| Some(&s.names[0]) == other).and_then(held);
+    let alone = found.singles.iter().find(|s| Some(&s.names[0]) == other).map(|s| &s.held_out);
     alone.map_or(f64::INFINITY, |a| a.energy() - pair.energy())
 }
 

@@ -3,7 +3,8 @@
 use crate::effects::{Effect, Stage};
 use crate::gap::chain::{Model, NOMINAL, run};
 use crate::gap::decide::{Verdict, decide, floor};
-use crate::gap::fit::{nominal_start, sense};
+use crate::gap::fit::nominal_start;
+use crate::gap::sense::sense;
 use crate::gap::observe::{Kind, Observed};
 use crate::gap::search::{Candidate, Found, HeldOut, model_of, score, search};
 use crate::model::transmission::Line;
@@ -185,7 +186,7 @@ fn pick(found: &Found, verdict: &Verdict) -> Candidate {
 }
 
 fn held(c: &Candidate) -> HeldOut {
-    c.held_out.clone().unwrap_or_else(|| HeldOut { rmse_deg: [0.0; 4], blocks: vec![], residual: Default::default() })
+    c.held_out.clone()
 }
 
 fn write(
@@ -253,7 +254,7 @@ fn beliefs(log: &Observed, found: &Found, verdict: &Verdict) -> Vec<(&'static st
         .iter()
         .chain(&found.pairs)
         .chain([&found.nominal])
-        .filter_map(|c| c.held_out.as_ref().map(|h| (c, h.energy())))
+        .map(|c| (c, c.energy()))
         .map(|(c, e)| {
             // a set larger than the verdict's must earn its size, and the verdict has earned its own
             let size = c.names.len().abs_diff(verdict.names.len()) as f64;
@@ -403,7 +404,7 @@ const SAME_SHARE: f64 = 0.02;
 fn equivalents(log: &Observed, found: &Found, verdict: &Verdict) -> Vec<Vec<&'static str>> {
     let nominal = held(&found.nominal).energy();
     let unit = SAME_SHARE * (nominal - floor(log));
-    let energy = |name: &str| found.singles.iter().find(|s| s.names[0] == name).and_then(|s| s.held_out.as_ref()).map(HeldOut::energy);
+    let energy = |name: &str| found.singles.iter().find(|s| s.names[0] == name).map(Candidate::energy);
     TWINS
         .iter()
         .filter(|t| t.iter().any(|n| verdict.names.contains(n)) && !log.has[0])
@@ -415,7 +416,7 @@ fn equivalents(log: &Observed, found: &Found, verdict: &Verdict) -> Vec<Vec<&'st
 /// Bend and direction each bin is at, degrees, from the nominal model's gravity-free side: the command.
 fn pose_of(log: &Observed, k: usize) -> (f64, f64) {
     let g = crate::model::arc::Geometry::default();
-    let u = log.piston_mm[log.bins[k].rows.0] / 3.2;
+    let u = log.piston_mm[log.bins[k].at] / 3.2;
     let b = g.shape(&u).bend;
     (b.beta().to_degrees(), b.delta().to_degrees().rem_euclid(360.0))
 }
@@ -456,7 +457,7 @@ fn regions(log: &Observed, nominal: &HeldOut, after: &HeldOut) -> Vec<Region> {
 }
 
 fn when(log: &Observed, nominal: &HeldOut, after: &HeldOut) -> Vec<When> {
-    let (t0, length) = (log.t_s[0], log.duration_s() / 20.0);
+    let (t0, length) = (log.start_s(), log.duration_s() / 20.0);
     (0..20)
         .filter_map(|i| {
             let (from_s, to_s) = (t0 + length * f64::from(i), t0 + length * f64::from(i + 1));

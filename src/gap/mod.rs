@@ -5,11 +5,15 @@
 //! parameters jointly; `search` finds the smallest set that explains the log on parts that no fit has
 //! seen; `diagnose` puts the answers together.
 
+pub mod begin;
 pub mod chain;
 pub mod decide;
 pub mod diagnose;
 pub mod excite;
 pub mod fit;
+pub mod holdout;
 pub mod observe;
 pub mod saved;
 pub mod search;
+pub mod sense;
+pub mod slope;

@@ -1,7 +1,8 @@
-//! What a log says, in bins of about 50 ms with weights in degrees.
+//! What a log says, in bins of 50 ms (200 ms in long holds) with weights in degrees.
 //!
-//! Within a bin the prediction `R̄ᵀ v` of a world-fixed vector needs only the mean matrix `R̄`, so
-//! averaging costs nothing in accuracy and a factor in time. Four kinds of observation stand beside
+//! A reading averaged over a bin is what the middle of the bin predicts, up to the curvature of the
+//! motion within it, so the model is compared at the middles only. It is run row by row while a piston
+//! moves and in the steps of the bins while none does. Four kinds of observation stand beside
 //! each other and are never fused: tracker, accelerometer, magnetometer (each as an angle) and
 //! gyroscope (as a rate). A fault of one sensor then shows in one kind, a mechanical one in all.
 
@@ -10,7 +11,10 @@ use nalgebra::{Matrix3, Vector3};
 use thiserror::Error;
 
 /// Length of a bin, s.
-const BIN_S: f64 = 0.05;
+pub const BIN_S: f64 = 0.05;
+/// Length of a bin in a long hold, s, and how long the pistons must have been idle for it.
+const HOLD_BIN_S: f64 = 0.2;
+const HOLD_AFTER_S: f64 = 1.5;
 /// Gravity, m/s².
 pub const G_M_S2: f64 = 9.80665;
 /// Shortest log that is diagnosed, s.
@@ -80,15 +84,19 @@ pub enum Unfit {
 pub struct Bin {
     /// First row and one past the last.
     pub rows: (usize, usize),
+    /// Index of its middle among the instants.
+    pub at: usize,
     /// Middle, s.
     pub t_s: f64,
+    /// Length, s.
+    pub lasting_s: f64,
     /// Mean tracker orientation as a matrix, tip → base; NaN where missing.
     pub reference: Matrix3<f64>,
     /// Mean specific force, m/s²; NaN where missing.
     pub acc: Vector3<f64>,
     /// Mean field, µT; NaN where missing.
     pub mag: Vector3<f64>,
-    /// Mean rate, rad/s; NaN where missing.
+    /// Mean rate since the middle of the bin before, rad/s; NaN where missing.
     pub gyr: Vector3<f64>,
     /// 1/σ of each kind of residual (per rad, per rad, per rad, per rad/s); 0 where missing.
     pub weight: [f64; 4],
@@ -98,15 +106,49 @@ pub struct Bin {
     pub speed_mm_s: f64,
 }
 
-/// A log ready to be fitted.
+/// Pistons row by row.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Observed {
-    /// Row times, s.
+pub struct Rows {
+    /// Times, s.
     pub t_s: Vec<f64>,
     /// Counted pistons, mm.
     pub piston_mm: Vec<Vector3<f64>>,
-    /// Seconds since a piston last moved, per row.
+    /// Seconds since a piston last moved.
     pub idle_s: Vec<f64>,
+}
+
+impl Rows {
+    fn new(log: &BendLog) -> Self {
+        let mut idle_s = vec![10.0];
+        for k in 1..log.t_s.len() {
+            let moved = log.piston_mm[k] != log.piston_mm[k - 1];
+            idle_s.push(if moved { 0.0 } else { idle_s[k - 1] + log.t_s[k] - log.t_s[k - 1] });
+        }
+        Self { t_s: log.t_s.clone(), piston_mm: log.piston_mm.clone(), idle_s }
+    }
+
+    /// Counted pistons at time `t_s`, by a straight line between rows `k` and `k + 1`.
+    #[must_use]
+    pub fn piston_after(&self, k: usize, t_s: f64) -> Vector3<f64> {
+        let Some(next) = self.t_s.get(k + 1) else { return self.piston_mm[k] };
+        let share = ((t_s - self.t_s[k]) / (next - self.t_s[k])).clamp(0.0, 1.0);
+        self.piston_mm[k].lerp(&self.piston_mm[k + 1], share)
+    }
+}
+
+/// A log ready to be fitted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Observed {
+    /// Instants the model is run at, s.
+    pub t_s: Vec<f64>,
+    /// Counted pistons at them, mm.
+    pub piston_mm: Vec<Vector3<f64>>,
+    /// Seconds since a piston last moved, at them.
+    pub idle_s: Vec<f64>,
+    /// Whether an instant is the middle of a bin.
+    pub middle: Vec<bool>,
+    /// The log's own rows, for what depends on every single step.
+    pub rows: Rows,
     /// Bins.
     pub bins: Vec<Bin>,
     /// Which kinds are there.
@@ -138,17 +180,21 @@ impl Observed {
     pub fn new(log: &BendLog) -> Result<Self, Unfit> {
         refuse(log)?;
         let log = &thinned(log);
-        let (idle_s, speed) = stillness(log);
+        let rows = Rows::new(log);
+        let bins = bins(log, &rows);
         let mut o = Self {
-            t_s: log.t_s.clone(),
-            piston_mm: log.piston_mm.clone(),
-            bins: bins(log, &idle_s, &speed),
-            idle_s,
+            t_s: vec![],
+            piston_mm: vec![],
+            idle_s: vec![],
+            middle: vec![],
+            rows,
+            bins,
             has: [false; 4],
             up_base: Vector3::z(),
             field_base_ut: Vector3::zeros(),
             noise_deg: [0.0; 4],
         };
+        o.place_instants();
         let rest = o.rest_bins();
         o.up_base = mean(o.bins[..rest].iter().map(|b| b.acc)).map_or(Vector3::z(), |v| v.normalize());
         o.field_base_ut = mean(o.bins[..rest].iter().map(|b| b.mag)).unwrap_or_default();
@@ -166,6 +212,31 @@ impl Observed {
         self.bins.iter().position(|b| b.speed_mm_s > 0.0).unwrap_or(self.bins.len()).max(1)
     }
 
+    /// Middles of bins and, while a piston moves, every row between them: what comes after a corner
+    /// depends on where the corner is.
+    fn place_instants(&mut self) {
+        let mut before = 0;
+        for k in 0..self.bins.len() {
+            let bin = self.bins[k];
+            let row = (bin.rows.0 + bin.rows.1 - 1) / 2;
+            if self.rows.idle_s[row] < self.rows.t_s[row] - self.rows.t_s[before] {
+                for between in before + 1..row {
+                    self.push_instant(self.rows.t_s[between], self.rows.piston_mm[between], between, false);
+                }
+            }
+            self.bins[k].at = self.t_s.len();
+            self.push_instant(bin.t_s, self.rows.piston_after(row, bin.t_s), row, true);
+            before = row;
+        }
+    }
+
+    fn push_instant(&mut self, t_s: f64, piston_mm: Vector3<f64>, row: usize, middle: bool) {
+        self.middle.push(middle);
+        self.t_s.push(t_s);
+        self.piston_mm.push(piston_mm);
+        self.idle_s.push(self.rows.idle_s[row]);
+    }
+
     fn weigh(&mut self) {
         for b in &mut self.bins {
             let turning = if b.gyr.x.is_nan() { 0.1 * b.speed_mm_s } else { b.gyr.norm() };
@@ -181,8 +252,9 @@ impl Observed {
                 angle(self.noise_deg[2], ANGLE_MOTION),
                 1.0 / rate,
             ];
+            let long = (b.lasting_s / BIN_S).sqrt();
             for k in 0..4 {
-                b.weight[k] = if present[k] { weight[k] } else { 0.0 };
+                b.weight[k] = if present[k] { weight[k] * long } else { 0.0 };
                 self.has[k] |= present[k];
             }
         }
@@ -191,7 +263,13 @@ impl Observed {
     /// Length of the log, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
-        self.t_s.last().copied().unwrap_or(0.0) - self.t_s.first().copied().unwrap_or(0.0)
+        self.rows.t_s.last().copied().unwrap_or(0.0) - self.start_s()
+    }
+
+    /// Time of the first row, s.
+    #[must_use]
+    pub fn start_s(&self) -> f64 {
+        self.rows.t_s.first().copied().unwrap_or(0.0)
     }
 }
 
@@ -264,56 +342,60 @@ fn thinned(log: &BendLog) -> BendLog {
     }
 }
 
-/// Seconds since a piston last moved, and the fastest piston's speed, per row.
-fn stillness(log: &BendLog) -> (Vec<f64>, Vec<f64>) {
-    let (mut idle, mut speed) = (vec![10.0], vec![0.0]);
-    for k in 1..log.t_s.len() {
-        let dt = log.t_s[k] - log.t_s[k - 1];
-        let step = (log.piston_mm[k] - log.piston_mm[k - 1]).amax();
-        idle.push(if step > 0.0 { 0.0 } else { idle[k - 1] + dt });
-        speed.push(step / dt);
-    }
-    (idle, speed)
-}
-
-fn bins(log: &BendLog, idle_s: &[f64], speed: &[f64]) -> Vec<Bin> {
-    let mut out = Vec::new();
-    let mut from = 0;
+fn bins(log: &BendLog, rows: &Rows) -> Vec<Bin> {
+    let mut out: Vec<Bin> = Vec::new();
+    let (mut from, mut middle) = (0, 0);
     while from < log.t_s.len() {
-        let until = log.t_s[from] + BIN_S - 1e-6;
-        let to = (from + 1..log.t_s.len()).find(|&k| log.t_s[k] >= until).unwrap_or(log.t_s.len());
-        out.push(bin(log, idle_s, speed, from, to));
+        let long = rows.idle_s[from] > HOLD_AFTER_S && rows.t_s[from] - rows.t_s[0] > 1.0;
+        let until = log.t_s[from] + if long { HOLD_BIN_S } else { BIN_S } - 1e-6;
+        // a long bin ends where the motion begins
+        let ends = |k: usize| log.t_s[k] >= until || (long && rows.idle_s[k] == 0.0);
+        let to = (from + 1..log.t_s.len()).find(|&k| ends(k)).unwrap_or(log.t_s.len());
+        out.push(bin(log, rows, (from, to), middle));
+        middle = (from + to) / 2;
         from = to;
     }
     out
 }
 
-fn bin(log: &BendLog, idle_s: &[f64], speed: &[f64], from: usize, to: usize) -> Bin {
+/// Rates are averaged from the middle of the bin before, `since`, to this one's.
+fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> Bin {
     let nan = Vector3::repeat(f64::NAN);
-    let of =
-        |pick: fn(&ImuColumns) -> &Vec<Vector3<f64>>| log.imu.as_ref().and_then(|i| mean(pick(i)[from..to].iter().copied())).unwrap_or(nan);
+    let of = |pick: fn(&ImuColumns) -> &Vec<Vector3<f64>>, from: usize, to: usize| {
+        log.imu.as_ref().and_then(|i| mean(pick(i)[from..to].iter().copied())).unwrap_or(nan)
+    };
     let reference = log.reference.as_ref().map_or(Matrix3::repeat(f64::NAN), |r| {
         let seen: Vec<_> = r[from..to].iter().flatten().collect();
         let sum = seen.iter().fold(Matrix3::zeros(), |s, q| s + q.to_rotation_matrix().into_inner());
         if seen.is_empty() { Matrix3::repeat(f64::NAN) } else { sum / seen.len() as f64 }
     });
+    let step_s = (log.t_s[to - 1] - log.t_s[from]) / (to - from).max(2).saturating_sub(1) as f64;
+    let speed = |k: usize| (rows.piston_mm[k] - rows.piston_mm[k - 1]).amax() / (rows.t_s[k] - rows.t_s[k - 1]);
     Bin {
         rows: (from, to),
+        at: 0,
         t_s: (log.t_s[from] + log.t_s[to - 1]) / 2.0,
+        lasting_s: if to - from > 1 { step_s * (to - from) as f64 } else { BIN_S },
         reference,
-        acc: of(|i| &i.acc),
-        mag: of(|i| &i.mag),
-        gyr: of(|i| &i.gyr),
+        acc: of(|i| &i.acc, from, to),
+        mag: of(|i| &i.mag, from, to),
+        gyr: log.imu.as_ref().map_or(nan, |i| trapezoid(&i.gyr, since, ((from + to) / 2).max(since + 1).min(log.t_s.len() - 1))),
         weight: [0.0; 4],
-        idle_s: idle_s[to - 1],
-        speed_mm_s: speed[from..to].iter().copied().fold(0.0, f64::max),
+        idle_s: rows.idle_s[to - 1],
+        speed_mm_s: (from.max(1)..to).map(speed).fold(0.0, f64::max),
     }
+}
+
+/// Mean from sample `from` to sample `to`, both at half weight; NaN if no pair of neighbours is there.
+fn trapezoid(v: &[Vector3<f64>], from: usize, to: usize) -> Vector3<f64> {
+    mean((from..to).map(|k| (v[k] + v[k + 1]) / 2.0)).unwrap_or(Vector3::repeat(f64::NAN))
 }
 
 /// White noise of a bin from differences of neighbouring bins in still stretches, degrees (°/s).
 fn noise(bins: &[Bin], field_ut: f64) -> [f64; 4] {
     let mut sum = [(0.0, 0usize); 4];
-    for w in bins.windows(2).filter(|w| w[0].idle_s > 0.3 && w[1].idle_s > 0.3) {
+    let quiet = |b: &Bin| b.idle_s > 0.3 && b.lasting_s < 1.5 * BIN_S;
+    for w in bins.windows(2).filter(|w| quiet(&w[0]) && quiet(&w[1])) {
         let turn = vee(&(w[0].reference.transpose() * w[1].reference));
         let d = [turn, (w[1].acc - w[0].acc) / G_M_S2, (w[1].mag - w[0].mag) / field_ut, w[1].gyr - w[0].gyr];
         for (s, v) in sum.iter_mut().zip(d) {

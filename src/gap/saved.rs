@@ -4,7 +4,7 @@ use crate::check::{Check, Checker};
 use crate::effects::Effect;
 use crate::gap::chain::{LAG_MAX_S, NOMINAL, run};
 use crate::gap::decide::floor;
-use crate::gap::fit::sense;
+use crate::gap::sense::sense;
 use crate::gap::observe::Observed;
 use crate::gap::search::{Candidate, Found, model_of, score};
 use serde::{Deserialize, Serialize};
