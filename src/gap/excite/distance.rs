@@ -10,8 +10,9 @@ use crate::gap::chain::{Model, NOMINAL, run};
 use crate::gap::excite::points::Rival;
 use crate::gap::excite::rows::{Rig, Row};
 use crate::gap::excite::synthetic;
-use crate::gap::fit::{nominal_start, sense};
+use crate::gap::fit::nominal_start;
 use crate::gap::observe::Observed;
+use crate::gap::sense::sense;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
