@@ -2,13 +2,10 @@
 
 use crate::check::{Check, Checker};
 use crate::cli::Outcome;
-use crate::cli::gap::PAPER;
+use crate::cli::gap::{PAPER, saved};
 use crate::cli::output::{self, write};
-use crate::config::source;
-use crate::effects::catalogue;
 use crate::gap::excite::rows::csv;
 use crate::gap::excite::{APART, Designed, LONGEST_S, Wanted, design, separable};
-use crate::gap::saved::SavedModel;
 use crate::model::transmission::Line;
 use comfy_table::{CellAlignment, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -57,12 +54,7 @@ pub fn run(args: &ExciteArgs) -> Result<Outcome> {
     args.check(&mut checker);
     checker.done().map_err(|e| miette!("{}: {}: {}", e.key, e.problem, e.mend))?;
     output::check(&args.out)?;
-    let like: Option<SavedModel> = args.like.as_deref().map(source::read).transpose()?;
-    if let (Some(model), Some(path)) = (&like, &args.like)
-        && let Some(problem) = model.unknown_names(&catalogue())
-    {
-        return Err(miette!("{}: {problem}", path.display()));
-    }
+    let like = args.like.as_deref().map(saved).transpose()?;
     let lines = like.as_ref().map_or(PAPER, |m| lines(&m.with_effects));
     let wanted = Wanted { lines, like, tracker: args.tracker, seed: args.seed, rounds: args.rounds };
     let (bar, begun) = (bar(args.rounds), Instant::now());

@@ -5,6 +5,7 @@
 
 pub mod evaluate;
 pub mod gap;
+pub mod gap_diagnose;
 pub mod gap_excite;
 pub mod imu;
 pub mod output;

@@ -4,9 +4,9 @@ use crate::effects::{Effect, Stage};
 use crate::gap::chain::{Model, NOMINAL, run};
 use crate::gap::decide::{Verdict, decide, floor};
 use crate::gap::fit::nominal_start;
-use crate::gap::sense::sense;
 use crate::gap::observe::{Kind, Observed};
 use crate::gap::search::{Candidate, Found, HeldOut, model_of, score, search};
+use crate::gap::sense::sense;
 use crate::model::transmission::Line;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -356,11 +356,12 @@ fn params(log: &Observed, catalogue: &[Box<dyn Effect>], e: &dyn Effect, c: &Can
         .map(|(k, p)| {
             let at = model.at[i] + k;
             let (value, half) = (c.fitted.theta[at], 1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt());
+            let shown = |x: f64| p.shown(x).0;
             ParamValue {
                 name: p.name,
-                unit: p.unit,
-                value,
-                ci95: [(value - half).max(p.low), (value + half).min(p.high)],
+                unit: p.shown(value).1,
+                value: shown(value),
+                ci95: [shown((value - half).max(p.low)), shown((value + half).min(p.high))],
                 channel: p.channel,
             }
         })

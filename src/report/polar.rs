@@ -98,7 +98,11 @@ impl Polar {
         }
         for (deg, anchor) in [(0.0, "start"), (90.0, "middle"), (180.0, "end"), (270.0, "middle")] {
             let (x, y) = at(RADIUS + 9.0, f64::to_radians(deg));
-            let _ = write!(out, "<text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\" fill=\"#565d66\" font-size=\"11\">{deg:.0}°</text>", y + 4.0);
+            let _ = write!(
+                out,
+                "<text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\" fill=\"#565d66\" font-size=\"11\">{deg:.0}°</text>",
+                y + 4.0
+            );
         }
     }
 
@@ -135,7 +139,9 @@ fn at(radius: f64, angle: f64) -> (f64, f64) {
 
 fn sector(inner: f64, outer: f64, from: f64, to: f64) -> String {
     let [(ax, ay), (bx, by), (cx, cy), (dx, dy)] = [at(inner, from), at(outer, from), at(outer, to), at(inner, to)];
-    format!("M{ax:.1} {ay:.1}L{bx:.1} {by:.1}A{outer:.1} {outer:.1} 0 0 0 {cx:.1} {cy:.1}L{dx:.1} {dy:.1}A{inner:.1} {inner:.1} 0 0 1 {ax:.1} {ay:.1}Z")
+    format!(
+        "M{ax:.1} {ay:.1}L{bx:.1} {by:.1}A{outer:.1} {outer:.1} 0 0 0 {cx:.1} {cy:.1}L{dx:.1} {dy:.1}A{inner:.1} {inner:.1} 0 0 1 {ax:.1} {ay:.1}Z"
+    )
 }
 
 #[cfg(test)]

@@ -68,7 +68,8 @@ pub fn information(rig: &Rig, rows: &[Row], rivals: &[Rival], tracker: bool, see
     }
     let height = base.len();
     let matrix = DMatrix::from_iterator(height, columns.len(), columns.into_iter().flatten());
-    let gram = matrix.tr_mul(&matrix) * (synthetic::PERIOD_S / CORRELATED_S);
+    // a product proper is blocked for the cache, `tr_mul` is not
+    let gram = matrix.transpose() * &matrix * (synthetic::PERIOD_S / CORRELATED_S);
     Some(Information { gram: clear_of_nominal(gram), spans, rows: height, duration_s: driven.duration_s })
 }
 

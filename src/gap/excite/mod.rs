@@ -28,8 +28,8 @@ use rand::{RngExt, SeedableRng};
 pub const LONGEST_S: f64 = 285.0;
 /// Size that every effect is given on the standard schedule, standard deviations.
 const SIZE: f64 = 30.0;
-/// A distance from here on is as good as any.
-const ENOUGH: f64 = 12.0;
+/// A distance from here on is as good as any: of all pairs, and of a few that are in question.
+const ENOUGH: [f64; 2] = [15.0, 150.0];
 /// A pair nearer than this, on the schedule designed, is not separated by it.
 pub const APART: f64 = 3.0;
 
@@ -116,6 +116,7 @@ pub fn design(wanted: &Wanted, go_on: &mut dyn FnMut(usize) -> bool) -> Designed
         best: first_guess(),
         cost: f64::INFINITY,
         distances: None,
+        enough: ENOUGH[usize::from(focus.len() < names.len())],
         weight: weights(&names, &focus, wanted.tracker),
     };
     (search.cost, search.distances) = search.judge_cost(&first_guess());
@@ -167,6 +168,7 @@ struct Climb<'a> {
     cost: f64,
     distances: Option<Distances>,
     weight: nalgebra::DMatrix<f64>,
+    enough: f64,
 }
 
 impl Climb<'_> {
@@ -181,7 +183,7 @@ impl Climb<'_> {
         let mut cost = 0.0;
         for i in 0..n {
             for j in 0..=i {
-                cost += self.weight[(i, j)] / (1.0 + (d.of[(i, j)].min(ENOUGH)).powi(2));
+                cost += self.weight[(i, j)] / (1.0 + d.of[(i, j)].min(self.enough).powi(2));
             }
         }
         (cost, Some(d))

@@ -63,7 +63,8 @@ impl Evidence {
                 })
             })
             .collect();
-        let mut traces: Vec<(f64, Trace)> = (0..3).filter(|&kind| log.has[kind]).flat_map(|kind| traces(log, kind, before, after)).collect();
+        let mut traces: Vec<(f64, Trace)> =
+            (0..3).filter(|&kind| log.has[kind]).flat_map(|kind| traces(log, kind, before, after)).collect();
         traces.sort_by(|a, b| b.0.total_cmp(&a.0));
         Self { spots, traces: traces.into_iter().map(|t| t.1).collect() }
     }
@@ -77,7 +78,10 @@ impl Evidence {
             let sum = sums.entry(((s.bend_deg / RING_DEG) as usize, sector)).or_default();
             *sum = (sum.0 + pick(s).powi(2), sum.1 + 1.0);
         }
-        sums.into_iter().filter(|((ring, _), _)| *ring < 8).map(|((ring, sector), (s, n))| Cell { ring, sector, value: (s / n).sqrt() }).collect()
+        sums.into_iter()
+            .filter(|((ring, _), _)| *ring < 8)
+            .map(|((ring, sector), (s, n))| Cell { ring, sector, value: (s / n).sqrt() })
+            .collect()
     }
 
     /// RMS of what `pick` takes in `n` stretches of equal length: (middle of the stretch, RMS).
@@ -100,7 +104,8 @@ fn scored(held: &HeldOut, kind: usize, k: usize) -> Option<Vector3<f64>> {
 
 /// RMS over the kinds that are angles; `None` where nothing was scored.
 fn angle_deg(log: &Observed, held: &HeldOut, k: usize) -> Option<f64> {
-    let all: Vec<f64> = (0..3).filter(|&kind| log.bins[k].weight[kind] > 0.0).filter_map(|kind| scored(held, kind, k)).map(|r| r.norm_squared()).collect();
+    let all: Vec<f64> =
+        (0..3).filter(|&kind| log.bins[k].weight[kind] > 0.0).filter_map(|kind| scored(held, kind, k)).map(|r| r.norm_squared()).collect();
     (!all.is_empty()).then(|| (all.iter().sum::<f64>() / all.len() as f64).sqrt().to_degrees())
 }
 
@@ -126,7 +131,8 @@ fn traces(log: &Observed, kind: usize, before: &HeldOut, after: &HeldOut) -> Vec
         .map(|&axis| {
             let points: Vec<[f64; 4]> =
                 bins.iter().zip(&rows).map(|(&k, r)| [log.bins[k].t_s - log.start_s(), r[0][axis], r[1][axis], r[2][axis]]).collect();
-            let closes = points.iter().filter(|p| p[2].is_finite() && p[3].is_finite()).map(|p| (p[1] - p[2]).powi(2) - (p[1] - p[3]).powi(2)).sum();
+            let closes =
+                points.iter().filter(|p| p[2].is_finite() && p[3].is_finite()).map(|p| (p[1] - p[2]).powi(2) - (p[1] - p[3]).powi(2)).sum();
             (closes, Trace { label: label(kind, axis), points })
         })
         .collect()
@@ -135,9 +141,9 @@ fn traces(log: &Observed, kind: usize, before: &HeldOut, after: &HeldOut) -> Vec
 fn label(kind: usize, axis: usize) -> String {
     let axis_name = ["x", "y", "z"][axis];
     match kind {
-        0 => format!("bend b_{axis_name} by the tracker / °"),
-        1 => format!("gravity along sensor {axis_name} / °"),
-        _ => format!("{} along sensor {axis_name} / °", if Kind::ALL[kind] == Kind::Mag { "field" } else { "signal" }),
+        0 => format!("bend b_{axis_name} by the tracker"),
+        1 => format!("gravity along sensor {axis_name}"),
+        _ => format!("{} along sensor {axis_name}", if Kind::ALL[kind] == Kind::Mag { "field" } else { "signal" }),
     }
 }
 

@@ -34,7 +34,7 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence) -> String {
         page.text(&step);
     }
     page.heading("Where");
-    page.charts(&places(d, evidence));
+    page.charts(&places(evidence));
     page.heading("What the models make of the signals");
     page.charts(&traces(evidence));
     page.heading("Which");
@@ -61,8 +61,8 @@ fn figures(d: &Diagnosis) -> Vec<[String; 2]> {
     ]
 }
 
-/// Two maps with one scale, the residual over time, and the stages.
-fn places(d: &Diagnosis, e: &Evidence) -> Vec<(String, String)> {
+/// Two maps with one scale, and the residual over time.
+fn places(e: &Evidence) -> Vec<(String, String)> {
     let (before, after) = (e.cells(|s| s.before_deg), e.cells(|s| s.after_deg));
     let high = before.iter().chain(&after).map(|c| c.value).fold(0.1, f64::max);
     let map = |title: &str, cells| Polar { title: title.to_owned(), label: "residual / °".to_owned(), high, cells }.svg();
@@ -72,36 +72,36 @@ fn places(d: &Diagnosis, e: &Evidence) -> Vec<(String, String)> {
     let time = Chart {
         title: "Residual over time".to_owned(),
         x: Axis::new("time / s", 0.0, end, 6),
-        y: Axis::around("residual / °", was.iter().chain(&is).map(|p| p.1), &[0.0], 5),
+        y: Axis::new("residual / °", 0.0, 1.05 * was.iter().chain(&is).map(|p| p.1).fold(0.2, f64::max), 5),
         series: vec![
             Series::line("recalibrated", Ink::RED, Stroke::Solid, was),
             Series::line("with effects", Ink::BLUE, Stroke::Dashed, is),
         ],
     };
-    let stages: Vec<Bar> = d
-        .location
-        .stages
-        .iter()
-        .enumerate()
-        .map(|(k, s)| Bar { name: s.name.to_owned(), share: s.share, interval: None, strong: k == 0 && d.verdict.kind != "none" })
-        .collect();
     let angle = "Bend outwards, direction around; both maps share one scale.";
     vec![
         (map("Recalibrated model", before), format!("{angle} Cells without a colour were not visited.")),
         (map("With the verdict's effects", after), angle.to_owned()),
         (time.svg(), format!("RMS in {STRETCHES} stretches of the log.")),
-        (bars::svg("Share of the gap by stage / %", Ink::PURPLE, &stages), merged(d)),
     ]
 }
 
 fn merged(d: &Diagnosis) -> String {
     let groups: Vec<String> = d.location.merged.iter().map(|m| m.join(" and ")).collect();
-    if groups.is_empty() { "By the probabilities of the effects that live there.".to_owned() } else { format!("Not separable on this log: {}.", groups.join("; ")) }
+    if groups.is_empty() {
+        "By the probabilities of the effects that live there.".to_owned()
+    } else {
+        format!("Not separable on this log: {}.", groups.join("; "))
+    }
 }
 
-/// The two signals in which most of the gap closes, each where it was largest.
+/// The signals in which most of the gap closes, each where it was largest.
 fn traces(e: &Evidence) -> Vec<(String, String)> {
-    e.traces.iter().take(4).filter_map(|t| trace(t).map(|c| (c.svg(), format!("The {TRACE_S:.0} s in which the recalibrated model missed most.")))).collect()
+    e.traces
+        .iter()
+        .take(4)
+        .filter_map(|t| trace(t).map(|c| (c.svg(), format!("The {TRACE_S:.0} s in which the recalibrated model missed most."))))
+        .collect()
 }
 
 fn trace(t: &Trace) -> Option<Chart> {
@@ -115,7 +115,7 @@ fn trace(t: &Trace) -> Option<Chart> {
     Some(Chart {
         title: t.label.clone(),
         x: Axis::new("time / s", from, from + TRACE_S, 5),
-        y: Axis::around("°", shown.iter().flat_map(|p| p[1..].to_vec()), &[], 5),
+        y: Axis::around("angle / °", shown.iter().flat_map(|p| p[1..].to_vec()), &[], 5),
         series: vec![
             Series::line("measured", Ink::GREY, Stroke::Solid, column(1)),
             Series::line("recalibrated", Ink::RED, Stroke::Dotted, column(2)),
@@ -133,9 +133,17 @@ fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
         };
         d.effects.iter().take(RANKED).map(one).collect()
     };
+    let stages: Vec<Bar> = d
+        .location
+        .stages
+        .iter()
+        .enumerate()
+        .map(|(k, s)| Bar { name: s.name.to_owned(), share: s.share, interval: None, strong: k == 0 && d.verdict.kind != "none" })
+        .collect();
     let chance = bars::svg("Probability / %", Ink::GREEN, &bars(|e| (e.probability, None)));
     let closed = bars::svg("Part of the gap closed / %", Ink::BLUE, &bars(|e| (e.closed, Some(e.closed_ci95))));
     vec![
+        (bars::svg("Share of the gap by stage / %", Ink::PURPLE, &stages), merged(d)),
         (chance, "That the effect is at work; the verdict in full colour.".to_owned()),
         (closed, "By the effect alone or, within a set, by adding it last; whiskers 95 %.".to_owned()),
     ]
@@ -164,12 +172,21 @@ fn parameters(d: &Diagnosis) -> Vec<[String; 6]> {
     let one = |e: &crate::gap::diagnose::EffectEntry, p: &crate::gap::diagnose::ParamValue| {
         let channel = if p.channel == 0 { "–".to_owned() } else { p.channel.to_string() };
         let range = format!("{} to {}", words::short(p.ci95[0]), words::short(p.ci95[1]));
-        [words::plain(p.name), words::plain(e.name), channel, words::short(p.value), range, p.unit.to_owned()]
+        [
+            words::plain(p.name),
+            words::plain(e.name),
+            channel,
+            words::short(p.value),
+            range,
+            if p.unit.is_empty() { "–" } else { p.unit }.to_owned(),
+        ]
     };
     chosen.flat_map(|e| e.params.iter().map(move |p| one(e, p))).collect()
 }
 
 fn sensors(d: &Diagnosis) -> Vec<[String; 4]> {
     let kinds = d.location.kinds.iter();
-    kinds.map(|k| [k.name.to_owned(), format!("{:.2}", k.rmse_deg), format!("{:.2}", k.explained_deg), words::unit_of(k.name).to_owned()]).collect()
+    kinds
+        .map(|k| [k.name.to_owned(), format!("{:.2}", k.rmse_deg), format!("{:.2}", k.explained_deg), words::unit_of(k.name).to_owned()])
+        .collect()
 }

@@ -78,7 +78,14 @@ pub fn place(d: &Diagnosis) -> String {
     let Some(first) = d.location.stages.first() else { return String::new() };
     let sensor = d.location.kinds.iter().max_by(|a, b| a.rmse_deg.total_cmp(&b.rmse_deg));
     let seen = sensor.map_or_else(String::new, |k| {
-        format!(" It shows most in the {}: {:.2} {} before, {:.2} after.", k.name, k.rmse_deg, unit_of(k.name), k.explained_deg)
+        format!(
+            " It shows most in the {}: {:.2}{} before, {:.2}{} after.",
+            k.name,
+            k.rmse_deg,
+            unit_of(k.name),
+            k.explained_deg,
+            unit_of(k.name)
+        )
     });
     if d.verdict.kind == "none" {
         return format!("There is no gap to place.{seen}");
@@ -115,18 +122,20 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
     let design = "`retroflex gap diagnose LOG --save model.toml`, then `retroflex gap excite --like model.toml --out schedule.csv` designs a schedule for it";
     let mut out = Vec::new();
     for g in &d.verdict.equivalent {
-        let how: Vec<&str> = g.iter().filter_map(|n| by_name(n)).map(|e| e.separated_by()).collect();
-        let mut how: Vec<&str> = how.clone();
+        let mut how: Vec<&str> = g.iter().filter_map(|n| by_name(n)).map(|e| e.separated_by()).collect();
         how.dedup();
         out.push(format!("To tell {} apart: {}; {design}.", listed(g, "from"), how.join("; or ")));
     }
     match d.verdict.kind {
         "none" => out.push("Nothing needs to be added to the model. Keep the recalibrated gains.".to_owned()),
         "unknown" => {
-            out.push(format!("Look where the map is darkest and when the residual is largest; {design}, on which a cause shows more plainly."));
+            out.push(format!(
+                "Look where the map is darkest and when the residual is largest; {design}, on which a cause shows more plainly."
+            ));
         }
         _ => out.push(
-            "Confirm on a fresh log of the same unit: `retroflex gap check model.toml FRESH`. It refits nothing but the base frame.".to_owned(),
+            "Confirm on a fresh log of the same unit: `retroflex gap check model.toml FRESH`. It refits nothing but the base frame."
+                .to_owned(),
         ),
     }
     for name in &d.verdict.names {
