@@ -2,6 +2,7 @@
 
 use crate::cli::Outcome;
 use crate::cli::gap::{PAPER, check_results, observe};
+use crate::cli::gap_map;
 use crate::cli::output::write;
 use crate::config::calib::Calibration;
 use crate::config::source;
@@ -20,6 +21,12 @@ use std::path::{Path, PathBuf};
 pub struct DiagnoseArgs {
     /// Bend log, *.csv or *.csv.gz.
     log: PathBuf,
+    /// The log is of another rig: what its columns are.
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["calib", "html", "save"])]
+    map: Option<PathBuf>,
+    /// With --map: another log of the rig, on which the fitted model is tried as it is; may be repeated.
+    #[arg(long, value_name = "LOG", requires = "map")]
+    fresh: Vec<PathBuf>,
     /// Calibration the log was driven with.
     #[arg(long)]
     calib: Option<PathBuf>,
@@ -43,6 +50,9 @@ pub struct DiagnoseArgs {
 /// A report that names what is wrong with the input.
 pub fn run(args: &DiagnoseArgs) -> Result<Outcome> {
     check_results(&[args.json.as_deref(), args.html.as_deref(), args.save.as_deref()])?;
+    if let Some(map) = &args.map {
+        return gap_map::run(&args.log, map, &args.fresh, args.json.as_deref(), args.seed);
+    }
     let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
     let lines = calibration.map_or(PAPER, |c| c.lines());
     let observed = observe(&args.log)?;

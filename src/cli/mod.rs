@@ -7,6 +7,7 @@ pub mod evaluate;
 pub mod gap;
 pub mod gap_diagnose;
 pub mod gap_excite;
+pub mod gap_map;
 pub mod imu;
 pub mod output;
 

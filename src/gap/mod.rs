@@ -12,6 +12,7 @@ pub mod diagnose;
 pub mod excite;
 pub mod fit;
 pub mod holdout;
+pub mod map;
 pub mod observe;
 pub mod saved;
 pub mod search;
