@@ -16,6 +16,9 @@ pub struct Member {
     pub columns: Vec<Vec<f64>>,
 }
 
+/// Nominal predictions this many times as far from the middle as any that was fitted are not tried.
+const OUTSIDE: f64 = 2.5;
+
 /// How raw signals become the operators' drive; fixed by the log that was diagnosed.
 #[derive(Debug, Clone)]
 struct Scale {
@@ -94,18 +97,23 @@ impl Ground {
         task.regress(&columns, (columns.len() - last).min(columns.len() - 1), sign)
     }
 
-    /// RMSE of a fitted set on another log of the rig; only the offset is set anew.
+    /// RMSE of a fitted set on another log of the rig; only the offset is set anew. `None` if that log
+    /// runs so far outside the range that was fitted that nothing can be expected.
     #[must_use]
-    pub fn rmse_on(&self, other: &Signals, members: &[Member], coefficients: &[f64]) -> f64 {
+    pub fn rmse_on(&self, other: &Signals, members: &[Member], coefficients: &[f64]) -> Option<f64> {
         let inputs = driven(other, self.scale.swing);
         let drive = self.scale.drive(other, &inputs);
+        let (low, high) = range(&drive.v);
+        if low.abs().max(high.abs()) > OUTSIDE {
+            return None;
+        }
         let own = members.iter().flat_map(|m| (m.operator.columns)(&drive, m.eta));
         let columns: Vec<Vec<f64>> = inputs.into_iter().chain(own).collect();
         let left: Vec<f64> = (0..other.output.len())
             .map(|k| other.output[k] - columns.iter().zip(&coefficients[1..]).map(|(x, c)| x[k] * c).sum::<f64>())
             .collect();
         let mean = left.iter().sum::<f64>() / left.len() as f64;
-        (left.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / left.len() as f64).sqrt()
+        Some((left.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / left.len() as f64).sqrt())
     }
 }
 

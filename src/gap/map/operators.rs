@@ -217,9 +217,9 @@ fn times_from(d: &Drive, rows: f64, share: f64) -> Vec<f64> {
     let high = (share * span).max(2.0 * low);
     (0..24).map(|k| low * (high / low).powf(f64::from(k) / 23.0)).collect()
 }
-/// From two to 150 periods in a range, a quarter apart.
+/// From six to 150 periods in a range, a quarter apart; fewer would be a curve, not a period.
 fn periods(range: f64) -> Vec<f64> {
-    (8..=600).map(|k| range * 4.0 / f64::from(k)).collect()
+    (24..=600).map(|k| range * 4.0 / f64::from(k)).collect()
 }
 /// The play operator; it starts centred.
 pub fn play(v: &[f64], r: f64) -> Vec<f64> {
