@@ -203,10 +203,17 @@ fn tried(ground: &Ground, nominal: &Set, chosen: &Set, name: &str, other: &Signa
     Some(Fresh { log: name.to_owned(), before: rmse(nominal)?, after: rmse(chosen)? })
 }
 
-/// White noise of a row, from second differences (a parabola has none).
+/// White noise of a row: differences of order d leave `C(2d, d)` times its variance and less and less of
+/// a smooth signal, so the least of several orders is taken.
 fn noise(y: &[f64]) -> f64 {
-    let square: f64 = y.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).powi(2)).sum();
-    (square / (6.0 * (y.len() - 2) as f64)).sqrt()
+    let mut left = y.to_vec();
+    let (mut least, mut binomial) = (f64::INFINITY, 1.0);
+    for d in 1..=8 {
+        left = left.windows(2).map(|w| w[1] - w[0]).collect();
+        binomial *= f64::from(2 * (2 * d - 1)) / f64::from(d);
+        least = least.min(left.iter().map(|x| x * x).sum::<f64>() / left.len() as f64 / binomial);
+    }
+    least.sqrt()
 }
 
 /// A speed counts as the only one if nine tenths of the moving time are this near to it.

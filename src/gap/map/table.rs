@@ -97,6 +97,10 @@ pub fn parse(file: &str, text: impl Read, map: &MapFile) -> Result<Signals, MapE
         if row % map.every != 0 {
             continue;
         }
+        // a row in which a value is missing says nothing
+        if at.iter().any(|&k| record[k].is_empty()) {
+            continue;
+        }
         let line = record.position().map_or(0, csv::Position::line);
         for ((column, &k), name) in columns.iter_mut().zip(&at).zip(&wanted) {
             let value = &record[k];
