@@ -22,6 +22,8 @@ pub enum Gap {
     Check(CheckArgs),
     /// Design a schedule on which effects can be told apart.
     Excite(ExciteArgs),
+    /// Examine the diagnosis on logs of the built-in plant whose labels it does not see.
+    Exam(crate::cli::exam::Args),
 }
 
 /// Arguments of `gap check`.
@@ -45,6 +47,7 @@ pub fn run(command: &Gap) -> Result<Outcome> {
         Gap::Diagnose(args) => gap_diagnose::run(args),
         Gap::Check(args) => run_check(args),
         Gap::Excite(args) => gap_excite::run(args),
+        Gap::Exam(args) => crate::cli::exam::run(args),
     }
 }
 

@@ -5,7 +5,7 @@
 //! and refitted with it.
 //!
 //! Law: `ω′ = ω + b(t)` with b piecewise linear per axis through knots at 0 (where it is nothing), 12,
-//! 30, 60, 100, 150, 200, 250 and 300 s: close together while the part warms, wider while it wanders.
+//! 30, 50 s and from there every 25 s up to 300 s: close together while the part warms, wider while it wanders.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
@@ -18,11 +18,11 @@ use crate::effects::{Effect, Memory, Moment, Param, Reading, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Times of the knots after the first, s.
-const KNOTS_S: [f64; 8] = [12.0, 30.0, 60.0, 100.0, 150.0, 200.0, 250.0, 300.0];
+const KNOTS_S: [f64; 13] = [12.0, 30.0, 50.0, 75.0, 100.0, 125.0, 150.0, 175.0, 200.0, 225.0, 250.0, 275.0, 300.0];
 /// Names of the knots' values, axis by axis.
-const NAMES: [&str; 24] = [
-    "x1", "x2", "x3", "x4", "x5", "x6", "x7", "x8", "y1", "y2", "y3", "y4", "y5", "y6", "y7", "y8", "z1", "z2", "z3", "z4", "z5", "z6",
-    "z7", "z8",
+const NAMES: [&str; 39] = [
+    "x1", "x2", "x3", "x4", "x5", "x6", "x7", "x8", "x9", "x10", "x11", "x12", "x13", "y1", "y2", "y3", "y4", "y5", "y6", "y7", "y8", "y9",
+    "y10", "y11", "y12", "y13", "z1", "z2", "z3", "z4", "z5", "z6", "z7", "z8", "z9", "z10", "z11", "z12", "z13",
 ];
 
 /// A wander of the three rates.

@@ -5,13 +5,16 @@
 //! Control* 2003),
 //! `q′ = (q + Σ_k ω_k F_rk[q]) / (1 + Σ_k ω_k)`, with F_r the play of half-width r and six radii
 //! 0.15-4 mm of bellow length. The division keeps the gain of large moves, so what is left is the loops:
-//! `q′ = q − Σ ω_k (q − F_rk[q]) / (1 + Σ ω_k)`. Alike in the three bellows.
+//! `q′ = q − c_i (1 + s q/√(q² + L²)) Σ ω_k (q − F_rk[q]) / (1 + Σ ω_k)`, L = 3 mm: loops may be wider where
+//! the bellow is long (s > 0), and no two bellows are quite alike (c₁ = 1).
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
 //! | `small` ω of r = 0.15, 0.4 mm | – | 0 ± 0.15 | 0-0.5 |
 //! | `middle` ω of r = 0.8, 1.4 mm | – | 0 ± 0.15 | 0-0.5 |
 //! | `large` ω of r = 2.4, 4.0 mm | – | 0 ± 0.15 | 0-0.5 |
+//! | `skew` s | – | 0 ± 0.2 | 0-0.3 |
+//! | `excess` c_i − 1 of channels 2, 3 | – | 0 ± 0.2 | 0-0.3 |
 //!
 //! Signature: loops that do not depend on speed, minor loops inside them, the return point wiped out.
 //! Easily confused with a wrong k_λ (one radius only), `creep` and `line_lag` (both depend on
@@ -23,7 +26,10 @@ use nalgebra::Vector3;
 /// Half-widths of the plays, mm of bellow length; two share a weight.
 const RADII_MM: [f64; 6] = [0.15, 0.4, 0.8, 1.4, 2.4, 4.0];
 
-/// Loops of the wall, the same for each bellow.
+/// Length over which the two sides of a loop come to differ, mm.
+const SIDE_MM: f64 = 3.0;
+
+/// Loops of the wall, much the same for each bellow.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Hysteresis;
 
@@ -44,10 +50,14 @@ impl Effect for Hysteresis {
         "nested loops, slow and fast"
     }
     fn params(&self) -> Vec<Param> {
-        Param::new("", "", 0.0, 0.15, (0.0, 1.5)).named(["small", "middle", "large"]).to_vec()
+        let mut out = Param::new("", "", 0.0, 0.15, (0.0, 1.5)).named(["small", "middle", "large"]).to_vec();
+        out.push(Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)));
+        let excess = Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5));
+        out.extend([excess.on(2), excess.on(3)]);
+        out
     }
     fn starts(&self) -> Starts {
-        vec![vec![0.05; 3]]
+        vec![vec![0.05, 0.05, 0.05, 0.0, 0.0, 0.0]]
     }
     /// Memory holds the six plays of each bellow.
     fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
@@ -59,7 +69,8 @@ impl Effect for Hysteresis {
                 *play = play.max(q - r).min(q + r);
                 withheld += p[k / 2] * (q - *play);
             }
-            q_mm[i] = q - withheld / whole;
+            let own = if i == 0 { 1.0 } else { 1.0 + p[3 + i] };
+            q_mm[i] = q - withheld / whole * own * (1.0 + p[3] * q / (q * q + SIDE_MM * SIDE_MM).sqrt());
         }
     }
 }
@@ -76,7 +87,7 @@ mod tests {
 
     #[test]
     fn a_fit_finds_it_again() {
-        proof::found_again(&Hysteresis, &[0.1, 0.3, 0.2]);
+        proof::found_again(&Hysteresis, &[0.1, 0.3, 0.2, 0.1, -0.1, 0.15]);
     }
 
     /// Bellow length at the end of straight moves between piston positions, at a speed in mm/s.
@@ -87,7 +98,7 @@ mod tests {
             let n = ((to - at).abs() / (speed * proof::DT_S)).ceil() as u32;
             for k in 1..=n {
                 q = Vector3::repeat(at + (to - at) * f64::from(k) / f64::from(n));
-                Hysteresis.bellows(&[0.2, 0.2, 0.2], &mut m, &proof::moment(0.0, q), &mut q);
+                Hysteresis.bellows(&[0.2, 0.2, 0.2, 0.0, 0.0, 0.0], &mut m, &proof::moment(0.0, q), &mut q);
             }
             at = to;
         }

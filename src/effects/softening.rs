@@ -4,18 +4,19 @@
 //! so far (Mullins, *Rubber Chem. Technol.* 1969); as a damage law (Simo, *Comput. Methods Appl.
 //! Mech. Eng.* 1987) `d = 1 − e^(−M/m₀)` with M the largest |q| so far.
 //!
-//! Law: `q′_i = q_i [1 − s (1 − D_i)]`, `D_i = (1 − e^(−X_i/m₀)) (1 − κ (q_i/M_i)²)`. M_i is the largest |q_i|
-//! so far and `X_i = M_i + c ∫|dq_i|` what has worn the rubber: mostly the maximum, a little every stroke.
+//! Law: `q′_i = q_i [1 − s_i (1 − D_i)]`, `D_i = (1 − e^(−X_i/m₀)) (1 − κ (q_i/M_i)²)`. M_i is the largest stretch
+//! so far, of which a contraction counts the share σ, and `X_i = M_i + c ∫|dq_i|` what has worn the rubber: mostly the maximum, a little every stroke.
 //! Near the past maximum the virgin curve is met again (pseudo-elastic Mullins law of Ogden and Roxburgh,
 //! *Proc. R. Soc. A* 1999), by the share κ. A fresh bellow moves less by the share s, a worn one as the
 //! gains say, so the re-identified gains are those of the worn bellow.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
-//! | `fresh` s | – | 0 ± 0.15 | 0.05-0.6 |
+//! | `fresh` s, one per channel | – | 0 ± 0.15 | 0.05-0.6 |
 //! | `reach` m₀ | mm | 2 ± 1.5 | 1-5 |
 //! | `rejoin` κ | – | 0 ± 0.4 | 0-1 |
 //! | `tiring` c | mm/mm | 0 ± 0.02 | 0-0.1 |
+//! | `contracted` σ | – | 1 ± 0.4 | 0-1 |
 //!
 //! Signature: the curve changes only beyond the past maximum, and for good. Easily confused with
 //! `stiffening` (does not depend on the past), `thermal_drift` and `creep` (go on inside the past
@@ -45,26 +46,29 @@ impl Effect for Softening {
         "a rising amplitude, then the same again"
     }
     fn params(&self) -> Vec<Param> {
-        vec![
-            Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)),
+        let mut out = Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)).each().to_vec();
+        out.extend([
             Param::new("reach", "mm", 2.0, 1.5, (0.3, 12.0)),
             Param::new("rejoin", "", 0.0, 0.4, (0.0, 1.0)),
             Param::new("tiring", "mm/mm", 0.0, 0.02, (0.0, 0.3)),
-        ]
+            Param::new("contracted", "", 1.0, 0.4, (0.0, 1.5)),
+        ]);
+        out
     }
     fn starts(&self) -> Starts {
-        [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)].map(|(reach, rejoin)| vec![0.15, reach, rejoin, 0.005]).to_vec()
+        [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)].map(|(reach, rejoin)| vec![0.15, 0.15, 0.15, reach, rejoin, 0.005, 0.8]).to_vec()
     }
     /// Memory holds each bellow's largest stretch, from 3 on its path, from 6 on where it was last.
     fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let q = q_mm[i];
-            m.0[i] = m.0[i].max(q.abs());
+            let strain = q.max(-p[6] * q);
+            m.0[i] = m.0[i].max(strain);
             m.0[3 + i] += (q - m.0[6 + i]).abs();
             m.0[6 + i] = q;
-            let worn = -(-(m.0[i] + p[3] * m.0[3 + i]) / p[1]).exp_m1();
-            let near = if m.0[i] > 0.0 { (q / m.0[i]).powi(2) } else { 0.0 };
-            q_mm[i] *= 1.0 - p[0] * (1.0 - worn * (1.0 - p[2] * near));
+            let worn = -(-(m.0[i] + p[5] * m.0[3 + i]) / p[3]).exp_m1();
+            let near = if m.0[i] > 0.0 { (strain / m.0[i]).powi(2) } else { 0.0 };
+            q_mm[i] *= 1.0 - p[i] * (1.0 - worn * (1.0 - p[4] * near));
         }
     }
 }
@@ -81,7 +85,7 @@ mod tests {
 
     #[test]
     fn a_fit_finds_it_again() {
-        proof::explained(&Softening, &[0.4, 2.5, 0.3, 0.01]);
+        proof::explained(&Softening, &[0.4, 0.35, 0.4, 2.5, 0.3, 0.01, 0.9]);
     }
 
     #[test]

@@ -103,6 +103,45 @@ fn scan(log: &Observed, ground: &Ground<'_>, to: &Model<'_>, added: &dyn Effect)
     Some(fresh)
 }
 
+/// The same model with every quick event dated anew, each while all else stays as fitted; `None` if the
+/// model has no events.
+#[must_use]
+pub fn dated_anew(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Option<Vec<f64>> {
+    let (bounds, all) = (bounds(model), vec![1.0; log.bins.len()]);
+    let (mut out, mut found) = (theta.to_vec(), false);
+    for (i, e) in model.effects.iter().enumerate() {
+        let (params, first) = (e.params(), model.at[i]);
+        for which in 1..=2 {
+            let Some((time, offsets)) = event(&params, which) else { continue };
+            let lasting = params.iter().position(|p| p.name == format!("lasting{which}"));
+            if lasting.is_some_and(|l| out[first + l] > QUICK_S) {
+                continue;
+            }
+            let mut early = out.clone();
+            early[first + time] = 0.5;
+            offsets.iter().for_each(|&o| early[first + o] = 0.0);
+            let r0 = Point::new(log, model, &bounds, early.clone(), &all).residual;
+            let columns = offsets.map(|o| {
+                let mut moved = early.clone();
+                moved[first + o] += params[o].scale;
+                let mut c = Point::new(log, model, &bounds, moved, &all).residual;
+                c.iter_mut().zip(&r0).for_each(|(x, y)| *x = (*x - y) / params[o].scale);
+                c
+            });
+            let (_, bin, x) = best_time(log.bins.len(), &columns, &r0);
+            out[first + time] = log.bins[bin].t_s - log.start_s();
+            for (&o, v) in offsets.iter().zip(x.iter()) {
+                out[first + o] = v.clamp(params[o].low, params[o].high);
+            }
+            found = true;
+        }
+    }
+    found.then_some(out)
+}
+
+/// Longest event that a step can stand for, s.
+const QUICK_S: f64 = 5.0;
+
 /// Where a step of three offsets lowers the squares of `r` most: how much, from which bin on, by what.
 fn best_time(bins: usize, columns: &[Vec<f64>; 3], r: &[f64]) -> (f64, usize, Vector3<f64>) {
     let stride = r.len() / bins.max(1);

@@ -45,6 +45,7 @@ impl<'a> Model<'a> {
     }
     /// Parameters of effect `i`.
     #[must_use]
+    #[inline]
     pub fn of<'p>(&self, theta: &'p [f64], i: usize) -> &'p [f64] {
         &theta[self.at[i]..self.at[i + 1]]
     }

@@ -1,10 +1,9 @@
 //! From scores to a verdict: none, a smallest set of effects, or unknown.
 //!
 //! All bars are in held-out residuals. Real units are never perfect, so an effect must lower some
-//! kind's RMSE by at least 0.3° (0.3 °/s for the gyroscope) to be claimed at all; a second effect must
-//! besides take a good part of what the first one leaves, because a truth of another form always
-//! leaves something that a wrong second effect can feed on. The fractions below are reasoned, not
-//! fitted: what a law of another form is expected to leave of the gap it causes.
+//! kind's RMSE by at least 0.3° (0.3 °/s for the gyroscope) to be claimed at all. A law of another form
+//! than the truth's always leaves something, and many a second effect feeds on that a little; a second
+//! *cause* takes most of it, and no other takes as much. What no set explains is unknown.
 
 use crate::gap::observe::Observed;
 use crate::gap::search::{Candidate, Found, HeldOut};
@@ -13,12 +12,19 @@ use crate::gap::search::{Candidate, Found, HeldOut};
 pub const CLAIM_DEG: f64 = 0.3;
 /// A second effect must take at least this share of the energy the first leaves above the floor.
 const SECOND_SHARE: f64 = 0.45;
-/// … and each of a pair must be worth at least this share of the whole gap.
-const MEMBER_SHARE: f64 = 0.06;
-/// Energy left above the floor, as a share of the whole gap, beyond which something is unexplained.
-const LEFT_SHARE: f64 = 0.30;
-/// … and RMSE of some kind beyond which it matters, degrees.
-const LEFT_DEG: f64 = 0.8;
+/// … and leave at most this part of what the next best second effect leaves.
+const SECOND_AHEAD: f64 = 0.75;
+/// How much more a set must explain per parameter, as a share of what it leaves: of two sets that
+/// leave the same, the one with less freedom is meant.
+const PER_PARAMETER: f64 = 0.04;
+/// Parameters beyond which freedom counts no more.
+const PARAMETERS_MAX: usize = 6;
+/// What is left cannot be told from the floor below this part of it.
+const FLOOR_SHARE: f64 = 0.1;
+
+/// Doubt: weights of a logistic law in the logarithms of the share of the gap that is left and of the
+/// worst kind's RMSE above the floor in degrees.
+const DOUBT: [f64; 3] = [4.2, 1.6, 1.6];
 
 /// The answer.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +35,8 @@ pub struct Verdict {
     pub names: Vec<&'static str>,
     /// Share of the gap that the set leaves.
     pub left: f64,
+    /// Probability that something outside the catalogue is at work.
+    pub doubt: f64,
 }
 
 /// Energy of pure noise in the same units as [`HeldOut::energy`], deg².
@@ -43,49 +51,61 @@ pub fn gain(from: &HeldOut, to: &HeldOut) -> f64 {
     from.rmse_deg.iter().zip(&to.rmse_deg).map(|(a, b)| a - b).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// Best scored candidate of a list.
-fn best(list: &[Candidate]) -> Option<(&Candidate, &HeldOut)> {
-    list.iter().map(|c| (c, &c.held_out)).min_by(|a, b| a.1.energy().total_cmp(&b.1.energy()))
+/// What a set leaves above the floor, deg², with a surcharge for its freedom.
+#[must_use]
+pub fn merit(c: &Candidate, nominal: &Candidate, floor: f64) -> f64 {
+    let freedom = (c.fitted.theta.len() - nominal.fitted.theta.len()).min(PARAMETERS_MAX * c.names.len().max(1));
+    excess(c.energy(), floor) * (1.0 + PER_PARAMETER * freedom as f64)
+}
+
+fn excess(energy: f64, floor: f64) -> f64 {
+    (energy - floor).max(FLOOR_SHARE * floor)
 }
 
 /// Decides.
 #[must_use]
 pub fn decide(log: &Observed, found: &Found) -> Verdict {
     let floor = floor(log);
-    let nominal = &found.nominal.held_out;
-    let gap = (nominal.energy() - floor).max(1e-9);
-    let Some((single, single_score)) = best(&found.singles).filter(|(_, h)| gain(nominal, h) >= CLAIM_DEG) else {
-        return unexplained(nominal, vec![], floor, gap);
+    let nominal = &found.nominal;
+    let best = |list: &'_ [Candidate]| -> Option<Candidate> {
+        list.iter().min_by(|a, b| merit(a, nominal, floor).total_cmp(&merit(b, nominal, floor))).cloned()
     };
-    let (mut names, mut score) = (single.names.clone(), single_score);
-    if let Some((pair, pair_score)) = best(&found.pairs) {
-        let left = (single_score.energy() - floor).max(1e-9);
-        let takes = (single_score.energy() - pair_score.energy()) / left;
-        let needed = pair.names.iter().all(|n| worth(found, pair_score, pair, n) >= MEMBER_SHARE * gap);
-        if takes >= SECOND_SHARE && gain(single_score, pair_score) >= CLAIM_DEG && needed {
-            (names, score) = (pair.names.clone(), pair_score);
-        }
-    }
-    unexplained(score, names, floor, gap)
+    let single = best(&found.singles).filter(|s| gain(&nominal.held_out, &s.held_out) >= CLAIM_DEG);
+    let Some(single) = single else {
+        return judged(log, nominal, nominal, floor);
+    };
+    let pair = best(&found.pairs).filter(|p| second_counts(found, &single, p, floor));
+    judged(log, nominal, pair.as_ref().unwrap_or(&single), floor)
 }
 
-/// What a member of a pair is worth: the energy that comes back when it is taken out.
-fn worth(found: &Found, pair: &HeldOut, of: &Candidate, name: &str) -> f64 {
-    let other = of.names.iter().find(|n| **n != name);
-    let alone = found.singles.iter().find(|s| Some(&s.names[0]) == other).map(|s| &s.held_out);
-    alone.map_or(f64::INFINITY, |a| a.energy() - pair.energy())
+/// Whether a pair says more than that the first effect's law has another form.
+fn second_counts(found: &Found, single: &Candidate, pair: &Candidate, floor: f64) -> bool {
+    let (one, two) = (excess(single.energy(), floor), excess(pair.energy(), floor));
+    // the stronger member, as the singles are ranked
+    let Some(first) = found.singles.iter().find(|s| pair.names.contains(&s.names[0])).map(|s| s.names[0]) else { return false };
+    let rivals = found.pairs.iter().filter(|p| p.names.contains(&first) && p.names != pair.names);
+    let next = rivals.map(|p| excess(p.energy(), floor)).fold(one, f64::min);
+    one - two >= SECOND_SHARE * one && gain(&single.held_out, &pair.held_out) >= CLAIM_DEG && two <= SECOND_AHEAD * next
 }
 
 /// Whether what a set leaves is worth a doubt.
-fn unexplained(score: &HeldOut, names: Vec<&'static str>, floor: f64, gap: f64) -> Verdict {
-    let left = ((score.energy() - floor) / gap).max(0.0);
-    let large = score.rmse_deg.iter().any(|&e| e > LEFT_DEG);
-    let kind = if large && left > LEFT_SHARE {
-        "unknown"
-    } else if names.is_empty() {
-        "none"
-    } else {
-        "effects"
+fn judged(log: &Observed, nominal: &Candidate, chosen: &Candidate, floor: f64) -> Verdict {
+    let left = excess(chosen.energy(), floor) / excess(nominal.energy(), floor);
+    let doubt = doubt(log, left, &chosen.held_out);
+    let kind = match (doubt > 0.5, chosen.names.is_empty()) {
+        (true, _) => "unknown",
+        (false, true) => "none",
+        (false, false) => "effects",
     };
-    Verdict { kind, names, left }
+    Verdict { kind, names: chosen.names.clone(), left: left.min(1.0), doubt }
+}
+
+/// Probability that what is left has a cause of its own.
+fn doubt(log: &Observed, left: f64, h: &HeldOut) -> f64 {
+    let worst = (0..4)
+        .filter(|&k| log.has[k])
+        .map(|k| (h.rmse_deg[k].powi(2) - 3.0 * log.noise_deg[k].powi(2)).max(0.0).sqrt())
+        .fold(0.05, f64::max);
+    let x = DOUBT[0] + DOUBT[1] * left.max(1e-3).ln() + DOUBT[2] * worst.ln();
+    1.0 / (1.0 + (-x).exp())
 }

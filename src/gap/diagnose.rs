@@ -1,15 +1,16 @@
 //! The diagnosis as a document: gap, where, which, how much.
 
-use crate::effects::{Effect, Stage};
+use crate::effects::Effect;
 use crate::gap::chain::{Model, NOMINAL, run};
+pub use crate::gap::credit::StageShare;
+use crate::gap::credit::{credits, stages};
 use crate::gap::decide::{Verdict, decide, floor};
 use crate::gap::fit::nominal_start;
+use crate::gap::interval::{Compared, closed_ci95};
 use crate::gap::observe::{Kind, Observed};
 use crate::gap::search::{Candidate, Found, HeldOut, model_of, score, search};
 use crate::gap::sense::sense;
 use crate::model::transmission::Line;
-use rand::rngs::StdRng;
-use rand::{RngExt, SeedableRng};
 use serde::Serialize;
 
 /// The gap in figures, degrees RMS over all kinds of observation.
@@ -23,15 +24,6 @@ pub struct Gap {
     pub explained_deg: f64,
     /// What noise alone would leave.
     pub noise_floor_deg: f64,
-}
-
-/// A stage and its share of the gap.
-#[derive(Debug, Clone, Serialize)]
-pub struct StageShare {
-    /// Stage name.
-    pub name: &'static str,
-    /// Share, 0..=1; all shares add up to 1.
-    pub share: f64,
 }
 
 /// A region of bend and direction.
@@ -158,6 +150,21 @@ pub struct Diagnosis {
     pub verdict: VerdictEntry,
     /// What is left.
     pub unknown: UnknownEntry,
+    /// Sets that were compared, best first.
+    pub rivals: Vec<Rival>,
+}
+
+/// A set of effects and what it leaves.
+#[derive(Debug, Clone, Serialize)]
+pub struct Rival {
+    /// Names; empty for the nominal model.
+    pub names: Vec<&'static str>,
+    /// Held-out energy over all kinds, deg².
+    pub energy_deg2: f64,
+    /// Held-out RMSE per kind: reference, accelerometer, magnetometer (degrees) and gyroscope (°/s).
+    pub rmse_deg: [f64; 4],
+    /// Weighted sum of squares in sample.
+    pub cost: f64,
 }
 
 /// A diagnosis and what it was made from.
@@ -216,7 +223,7 @@ fn write(
             noise_floor_deg: rms(floor),
         },
         location: Where {
-            stages: stages(catalogue, &believed),
+            stages: stages(catalogue, &credits(found, chosen, (nominal.energy() - floor).max(1e-9)), &believed),
             merged: merged(catalogue, &equivalent),
             regions: regions(log, &nominal, &after),
             when: when(log, &nominal, &after),
@@ -227,10 +234,22 @@ fn write(
                 .map(|(k, kind)| KindShare { name: kind.name(), rmse_deg: nominal.rmse_deg[k], explained_deg: after.rmse_deg[k] })
                 .collect(),
         },
-        unknown: UnknownEntry { probability: doubt(verdict, &after), rmse_deg: rms((after.energy() - floor).max(0.0)) },
+        unknown: UnknownEntry { probability: verdict.doubt, rmse_deg: rms((after.energy() - floor).max(0.0)) },
         verdict: VerdictEntry { kind: verdict.kind, names: verdict.names.clone(), equivalent },
         effects,
+        rivals: rivals(found),
     }
+}
+
+/// Sets shown of each size.
+const SHOWN: usize = 12;
+
+fn rivals(found: &Found) -> Vec<Rival> {
+    let of = |c: &Candidate| Rival { names: c.names.clone(), energy_deg2: c.energy(), rmse_deg: c.held_out.rmse_deg, cost: c.fitted.cost };
+    let shown = found.singles.iter().take(SHOWN).chain(found.pairs.iter().take(SHOWN)).chain([&found.nominal]);
+    let mut out: Vec<Rival> = shown.map(of).collect();
+    out.sort_by(|a, b| a.energy_deg2.total_cmp(&b.energy_deg2));
+    out
 }
 
 /// The calibration as given, only gravity, field and gyroscope bias solved.
@@ -274,12 +293,6 @@ fn beliefs(log: &Observed, found: &Found, verdict: &Verdict) -> Vec<(&'static st
     out
 }
 
-fn doubt(verdict: &Verdict, after: &HeldOut) -> f64 {
-    let worst = after.rmse_deg.iter().copied().fold(0.0, f64::max);
-    let x = 8.0 * (verdict.left - 0.3) + 2.0 * (worst - 0.8).min(0.5);
-    1.0 / (1.0 + (-x).exp())
-}
-
 #[allow(clippy::too_many_arguments)]
 fn entry(
     log: &Observed,
@@ -312,32 +325,9 @@ fn entry(
         gap_before_deg: (before.energy() / kinds).sqrt(),
         gap_after_deg: (after.energy() / kinds).sqrt(),
         closed: value,
-        closed_ci95: bootstrap(&before, &after, &nominal, floor, value, seed),
+        closed_ci95: closed_ci95(&Compared { before: &before, after: &after, nominal: &nominal, floor }, value, seed),
         params: from.map_or(vec![], |c| params(log, catalogue, e, c)),
     }
-}
-
-/// 95 % interval of the closed part: blocks are drawn with replacement.
-fn bootstrap(before: &HeldOut, after: &HeldOut, nominal: &HeldOut, floor: f64, value: f64, seed: u64) -> [f64; 2] {
-    let n = before.blocks.len().min(after.blocks.len()).min(nominal.blocks.len());
-    if n == 0 {
-        return [value, value];
-    }
-    let mut rng = StdRng::seed_from_u64(seed);
-    let mut draws: Vec<f64> = (0..1000)
-        .map(|_| {
-            let (mut b, mut a, mut whole) = (0.0, 0.0, -floor);
-            for _ in 0..n {
-                let i = rng.random_range(0..n);
-                b += before.blocks[i];
-                a += after.blocks[i];
-                whole += nominal.blocks[i];
-            }
-            ((b - a) / whole.max(1e-9)).clamp(-1.0, 1.0)
-        })
-        .collect();
-    draws.sort_by(f64::total_cmp);
-    [draws[25].min(value), draws[974].max(value)]
 }
 
 /// Residuals are correlated over about this long, s: one independent observation per such stretch.
@@ -366,22 +356,6 @@ fn params(log: &Observed, catalogue: &[Box<dyn Effect>], e: &dyn Effect, c: &Can
             }
         })
         .collect()
-}
-
-/// Shares of the stages by the beliefs in their effects.
-fn stages(catalogue: &[Box<dyn Effect>], believed: &[(&'static str, f64)]) -> Vec<StageShare> {
-    let mut shares: Vec<StageShare> = Stage::ALL.iter().map(|s| StageShare { name: s.name(), share: 1e-3 }).collect();
-    for e in catalogue {
-        if let (Some(s), Some(b)) = (shares.iter_mut().find(|s| s.name == e.stage().name()), believed.iter().find(|b| b.0 == e.name())) {
-            s.share += b.1;
-        }
-    }
-    let total: f64 = shares.iter().map(|s| s.share).sum();
-    for s in &mut shares {
-        s.share /= total;
-    }
-    shares.sort_by(|a, b| b.share.total_cmp(&a.share));
-    shares
 }
 
 fn merged(catalogue: &[Box<dyn Effect>], groups: &[Vec<&'static str>]) -> Vec<Vec<&'static str>> {

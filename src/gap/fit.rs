@@ -62,7 +62,7 @@ const PRIOR: f64 = 6.0;
 /// Finite-difference step as a fraction of a parameter's scale.
 const STEP: f64 = 2e-3;
 /// Relative gain of a step below which a fit is done.
-const DONE: f64 = 3e-4;
+const DONE: f64 = 1e-3;
 
 /// How steeply the prior rises: residual per unit of scale.
 pub(crate) const PRIOR_SLOPE: f64 = PRIOR / 3.0;
@@ -139,9 +139,18 @@ pub fn fit_with_slope(log: &Observed, model: &Model<'_>, start: &[f64], rounds: 
     let (mut lambda, mut last) = (1e-3, None);
     for _ in 0..rounds {
         let slope = Tangent::new(log, model, &point, &bounds, &all);
-        let sums = slope.sums(&point, &bounds, log.bins.len());
+        let mut sums = slope.sums(&point, &bounds, log.bins.len());
+        let Some(mut next) = downhill(log, model, &bounds, &point, &sums, &mut lambda, &all) else {
+            last = Some(slope);
+            break;
+        };
+        // the tangent is dear and serves for a second step
+        if next.total() < (1.0 - 10.0 * DONE) * point.total() {
+            sums.slope = slope.slope(&next, &bounds);
+            let further = step(&next.theta, &bounds, &sums, lambda).map(|theta| Point::new(log, model, &bounds, theta, &all));
+            next = further.filter(|f| f.total() < next.total()).unwrap_or(next);
+        }
         last = Some(slope);
-        let Some(next) = downhill(log, model, &bounds, &point, &sums, &mut lambda, &all) else { break };
         let gained = 1.0 - next.total() / point.total();
         point = next;
         // the tangent belongs to the point before unless the step was tiny

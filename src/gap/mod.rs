@@ -7,11 +7,14 @@
 
 pub mod begin;
 pub mod chain;
+pub mod credit;
 pub mod decide;
 pub mod diagnose;
+pub mod exam;
 pub mod excite;
 pub mod fit;
 pub mod holdout;
+pub mod interval;
 pub mod map;
 pub mod observe;
 pub mod saved;

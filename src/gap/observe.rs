@@ -391,25 +391,48 @@ fn trapezoid(v: &[Vector3<f64>], from: usize, to: usize) -> Vector3<f64> {
     mean((from..to).map(|k| (v[k] + v[k + 1]) / 2.0)).unwrap_or(Vector3::repeat(f64::NAN))
 }
 
-/// White noise of a bin from differences of neighbouring bins in still stretches, degrees (°/s).
+/// Median of a chi-squared variable of three degrees of freedom.
+const CHI2_3_MEDIAN: f64 = 2.366;
+
+/// White noise of a bin from differences of neighbouring bins in still stretches, degrees (°/s); their
+/// median, because a tip that jumps or rings while the pistons rest makes no noise of the sensors.
 fn noise(bins: &[Bin], field_ut: f64) -> [f64; 4] {
-    let mut sum = [(0.0, 0usize); 4];
+    let mut squares: [Vec<f64>; 4] = Default::default();
     let quiet = |b: &Bin| b.idle_s > 0.3 && b.lasting_s < 1.5 * BIN_S;
     for w in bins.windows(2).filter(|w| quiet(&w[0]) && quiet(&w[1])) {
         let turn = vee(&(w[0].reference.transpose() * w[1].reference));
         let d = [turn, (w[1].acc - w[0].acc) / G_M_S2, (w[1].mag - w[0].mag) / field_ut, w[1].gyr - w[0].gyr];
-        for (s, v) in sum.iter_mut().zip(d) {
-            if !v.x.is_nan() {
-                *s = (s.0 + v.norm_squared(), s.1 + 1);
-            }
+        for (s, v) in squares.iter_mut().zip(d).filter(|(_, v)| !v.x.is_nan()) {
+            s.push(v.norm_squared());
         }
     }
-    // a difference of two has twice the variance; three axes in the norm
-    sum.map(|(s, n)| if n == 0 { 0.0 } else { (s / n as f64 / 6.0).sqrt().to_degrees() })
+    squares.map(|mut s| {
+        s.sort_by(f64::total_cmp);
+        // median of a chi-squared of three; a difference of two has twice the variance
+        s.get(s.len() / 2).map_or(0.0, |m| (m / CHI2_3_MEDIAN / 2.0).sqrt().to_degrees())
+    })
 }
 
 /// Rotation vector of a small rotation given as a (mean) matrix: ½ of its antisymmetric part.
 #[must_use]
+#[inline]
 pub fn vee(a: &Matrix3<f64>) -> Vector3<f64> {
     Vector3::new(a[(2, 1)] - a[(1, 2)], a[(0, 2)] - a[(2, 0)], a[(1, 0)] - a[(0, 1)]) / 2.0
+}
+
+/// `vee(aᵀ b)`: the small rotation from `a` to `b`.
+#[must_use]
+#[inline]
+pub fn between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Vector3<f64> {
+    let (a, b) = (a.as_slice(), b.as_slice());
+    let dot = |i: usize, j: usize| a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2];
+    Vector3::new(dot(2, 1) - dot(1, 2), dot(0, 2) - dot(2, 0), dot(1, 0) - dot(0, 1)) / 2.0
+}
+
+/// `aᵀ v`.
+#[must_use]
+#[inline]
+pub fn back(a: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
+    let a = a.as_slice();
+    Vector3::new(a[0] * v.x + a[1] * v.y + a[2] * v.z, a[3] * v.x + a[4] * v.y + a[5] * v.z, a[6] * v.x + a[7] * v.y + a[8] * v.z)
 }

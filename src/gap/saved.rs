@@ -146,7 +146,7 @@ impl SavedModel {
         Checked {
             before_deg: (before / kinds).sqrt(),
             after_deg: (after / kinds).sqrt(),
-            closed: (before - after) / (before - floor(log)).max(1e-9),
+            closed: ((before - after) / (before - floor(log)).max(1e-9)).min(1.0),
         }
     }
 

@@ -5,7 +5,7 @@
 //! fit. A grown set counts only if each member is needed (backward, in [`crate::gap::decide`]).
 
 use crate::effects::Effect;
-use crate::gap::begin::{Ground, begin};
+use crate::gap::begin::{Ground, begin, dated_anew};
 use crate::gap::chain::Model;
 use crate::gap::decide::CLAIM_DEG;
 use crate::gap::fit::{Fitted, Point, bounds, fit_with_slope, nominal_start};
@@ -21,6 +21,9 @@ const ROUNDS: usize = 8;
 const BEAM: usize = 3;
 /// Pairs that are fitted from each single.
 const GROWN: usize = 5;
+
+/// How often events are dated anew after a fit.
+const DATED: usize = 2;
 
 /// A set of effects with its fit and its scores.
 #[derive(Debug, Clone)]
@@ -87,7 +90,15 @@ pub fn model_of<'a>(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Model<'
 
 /// Fits a model to the end and scores it.
 fn settled<'a>(log: &Observed, model: Model<'a>, start: &[f64]) -> (Candidate, Ground<'a>) {
-    let (fitted, tangent) = fit_with_slope(log, &model, start, ROUNDS, true);
+    let (mut fitted, mut tangent) = fit_with_slope(log, &model, start, ROUNDS, true);
+    for _ in 0..DATED {
+        let Some(anew) = dated_anew(log, &model, &fitted.theta) else { break };
+        let again = fit_with_slope(log, &model, &anew, ROUNDS, true);
+        if again.0.cost > 0.99 * fitted.cost {
+            break;
+        }
+        (fitted, tangent) = again;
+    }
     let (bounds, all) = (bounds(&model), vec![1.0; log.bins.len()]);
     let point = Point::new(log, &model, &bounds, fitted.theta.clone(), &all);
     let tangent = tangent.unwrap_or_else(|| Tangent::new(log, &model, &point, &bounds, &all));

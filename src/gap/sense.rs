@@ -3,9 +3,9 @@
 //! Gravity and field in the base frame and the constant gyroscope bias are linear and solved inside
 //! every evaluation (variable projection, Golub & Pereyra 1973) from the bins that `mask` lets in.
 
-use crate::effects::{Memory, Moment, Reading};
+use crate::effects::{Memory, Moment, Reading, Stage};
 use crate::gap::chain::{Model, Motion};
-use crate::gap::observe::{Bin, G_M_S2, Observed, vee};
+use crate::gap::observe::{Bin, G_M_S2, Observed, back, between};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// What the log says of itself once a model has been run.
@@ -39,13 +39,13 @@ pub fn sense(log: &Observed, model: &Model<'_>, theta: &[f64], motion: &Motion, 
     let mut residual: [Vec<Vector3<f64>>; 4] = std::array::from_fn(|_| vec![Vector3::zeros(); log.bins.len()]);
     for (k, bin) in log.bins.iter().enumerate() {
         if bin.weight[0] > 0.0 {
-            residual[0][k] = vee(&motion[bin.at].tr_mul(&bin.reference));
+            residual[0][k] = between(&motion[bin.at], &bin.reference);
         }
         if bin.weight[1] > 0.0 {
-            residual[1][k] = (bin.acc - changed[k].0 - imu.mean[k].tr_mul(&gravity)) / G_M_S2;
+            residual[1][k] = (bin.acc - changed[k].0 - back(&imu.mean[k], &gravity)) / G_M_S2;
         }
         if bin.weight[2] > 0.0 {
-            residual[2][k] = (bin.mag - changed[k].1 - imu.mean[k].tr_mul(&field)) / size;
+            residual[2][k] = (bin.mag - changed[k].1 - back(&imu.mean[k], &field)) / size;
         }
         if bin.weight[3] > 0.0 {
             residual[3][k] = bin.gyr - changed[k].2 - imu.rate[k] - bias + imu.rate_slope(log, k) * age_s;
@@ -86,17 +86,20 @@ impl Imu {
     fn new(log: &Observed, model: &Model<'_>, theta: &[f64], motion: &Motion) -> Self {
         let latency_s: f64 = model.each(theta).map(|(e, p)| e.latency_s(p)).sum();
         let mount = model.each(theta).filter_map(|(e, p)| e.mount(p)).fold(UnitQuaternion::identity(), |a, b| a * b);
-        let mount: Matrix3<f64> = mount.to_rotation_matrix().into_inner();
+        let mount: Option<Matrix3<f64>> = (mount.angle() > 0.0).then(|| mount.to_rotation_matrix().into_inner());
+        let stands = !model.effects.iter().any(|e| e.stage() == Stage::Base);
         let mut late = Late { log, motion, behind_s: latency_s, at: 0 };
         let mut imu = Self { mean: Vec::with_capacity(log.bins.len()), rate: Vec::with_capacity(log.bins.len()) };
         let mut before: Option<(Matrix3<f64>, f64)> = None;
         for bin in &log.bins {
             let mut here = late.at(bin.at);
-            if let Some(turn) = base_turn(log, model, theta, bin.t_s) {
+            if let Some(turn) = if stands { None } else { base_turn(log, model, theta, bin.t_s) } {
                 here = turn * here;
             }
-            here *= mount;
-            let rate = before.map_or(Vector3::zeros(), |(r, t)| vee(&r.tr_mul(&here)) / (bin.t_s - t));
+            if let Some(mount) = &mount {
+                here *= mount;
+            }
+            let rate = before.map_or(Vector3::zeros(), |(r, t)| between(&r, &here) / (bin.t_s - t));
             imu.rate.push(rate);
             imu.mean.push(here);
             before = Some((here, bin.t_s));
@@ -130,9 +133,9 @@ impl Imu {
             for (k, bin) in log.bins.iter().enumerate() {
                 let r = self.mean[k];
                 let before = Reading {
-                    acc_m_s2: r.tr_mul(&log.up_base) * G_M_S2,
+                    acc_m_s2: back(&r, &log.up_base) * G_M_S2,
                     gyro_rad_s: self.rate[k],
-                    mag_ut: r.tr_mul(&log.field_base_ut),
+                    mag_ut: back(&r, &log.field_base_ut),
                     r_base_sensor: UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(r)),
                 };
                 let rows = rows_of(log, bin, e.follows_motors());

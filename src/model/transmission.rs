@@ -22,11 +22,13 @@ pub struct Line {
 impl Line {
     /// Play operator: where the slack's far end `w` goes when the piston moves to `piston_mm`.
     #[must_use]
+    #[inline]
     pub fn play(&self, w_mm: f64, piston_mm: f64) -> f64 {
         w_mm.max(piston_mm - self.k_lambda_mm).min(piston_mm + self.k_lambda_mm)
     }
     /// Bellow length change of the slack's far end, `q = w / (1 + k_ε)`.
     #[must_use]
+    #[inline]
     pub fn bellow_mm(&self, w_mm: f64) -> f64 {
         w_mm / (1.0 + self.k_epsilon)
     }
