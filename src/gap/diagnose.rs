@@ -346,11 +346,12 @@ fn params(log: &Observed, catalogue: &[Box<dyn Effect>], e: &dyn Effect, c: &Can
         .map(|(k, p)| {
             let at = model.at[i] + k;
             let (value, half) = (c.fitted.theta[at], 1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt());
+            let shown = |x: f64| p.shown(x).0;
             ParamValue {
                 name: p.name,
-                unit: p.unit,
-                value,
-                ci95: [(value - half).max(p.low), (value + half).min(p.high)],
+                unit: p.shown(value).1,
+                value: shown(value),
+                ci95: [shown((value - half).max(p.low)), shown((value + half).min(p.high))],
                 channel: p.channel,
             }
         })
