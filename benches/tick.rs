@@ -12,9 +12,10 @@ use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
+use retroflex::fuse::health::Outcome;
 use retroflex::sim::Sim;
 use retroflex::tick::{Command, Config, Frame, Input, State, tick};
-use retroflex::units::{Mm, Seconds, Steps};
+use retroflex::units::{Mm, Steps};
 use retroflex::world::World;
 
 fn main() {
@@ -40,7 +41,7 @@ fn config() -> Config {
 /// What a loop is told during a minute of the experiment, recorded once.
 fn inputs(config: &Config) -> Vec<Input> {
     let (mut world, mut state) = (sim(), State::new(config));
-    let mut input = Input { t: Seconds(0.0), dt_s: world.nature().period_s, imu: None, command: None, steps: Steps::default() };
+    let mut input = Input { dt_s: world.nature().period_s, ..Input::default() };
     let mut poses = paper().into_iter().cycle();
     let mut all = Vec::new();
     for k in 0..60_000 {
@@ -50,7 +51,7 @@ fn inputs(config: &Config) -> Vec<Input> {
         all.push(input);
         let frame = tick(config, &mut state, &input);
         let reply = world.step(&frame.steps).unwrap();
-        input = Input { t: reply.t, imu: reply.imu, steps: frame.steps, command: None, ..input };
+        input = Input { t: reply.t, imu: Outcome::from_world(reply.imu), steps: frame.steps, command: None, ..input };
     }
     all
 }

@@ -33,6 +33,11 @@ impl Sim {
         self.last.as_ref()
     }
 
+    /// The truth itself, to break something in it.
+    pub fn plant_mut(&mut self) -> &mut Plant {
+        &mut self.plant
+    }
+
     /// The unit.
     #[must_use]
     pub fn unit(&self) -> &PlantConfig {

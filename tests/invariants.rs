@@ -35,7 +35,7 @@ fn frames(world: &mut dyn World) -> Vec<Frame> {
 fn bits(frame: &Frame) -> Vec<u64> {
     let numbers =
         [frame.t.0, frame.error.x, frame.error.y, frame.feedback.x, frame.feedback.y, frame.dynamics.lag_s, frame.dynamics.delay_s];
-    let felt = frame.felt.map_or([0.0; 3], |f| [f.bend.0.x, f.bend.0.y, f.sigma_rad]);
+    let felt = frame.felt.map_or([0.0; 3], |f| [f.bend.0.x, f.bend.0.y, f.sigma_rad.unwrap_or(-1.0)]);
     let steps = frame.steps.0.map(f64::from);
     let vectors = [frame.bellow_mm, frame.piston_target_mm].into_iter().flat_map(|v| [v.x, v.y, v.z]);
     numbers.into_iter().chain(felt).chain(steps).chain(frame.k_epsilon).chain(vectors).map(f64::to_bits).collect()

@@ -7,9 +7,10 @@ mod common;
 use common::{uncalibrated, unit};
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::schedule::paper;
+use retroflex::fuse::health::Outcome;
 use retroflex::model::transmission::Line;
 use retroflex::tick::{Command, Config, Input, State, tick};
-use retroflex::units::{Mm, Seconds, Steps};
+use retroflex::units::Mm;
 use retroflex::world::World;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -55,7 +56,7 @@ static ALLOCATOR: Counting = Counting;
 /// Allocations during ticks alone, over alignment, moves and rests, in closed loop with everything on.
 fn during_ticks(config: &Config, world: &mut dyn World) -> u64 {
     let mut state = State::new(config);
-    let mut input = Input { t: Seconds(0.0), dt_s: world.nature().period_s, imu: None, command: None, steps: Steps::default() };
+    let mut input = Input { dt_s: world.nature().period_s, ..Input::default() };
     let mut poses = paper().into_iter().step_by(7).cycle();
     let mut during = 0;
     for k in 0..40_000 {
@@ -66,7 +67,7 @@ fn during_ticks(config: &Config, world: &mut dyn World) -> u64 {
         let frame = tick(config, &mut state, &input);
         during += taken() - before;
         let reply = world.step(&frame.steps).unwrap();
-        input = Input { t: reply.t, imu: reply.imu, steps: frame.steps, command: None, ..input };
+        input = Input { t: reply.t, imu: Outcome::from_world(reply.imu), steps: frame.steps, command: None, ..input };
     }
     assert!(state.fusion.felt().is_some_and(|f| f.bend.beta() > 0.1), "it was to move");
     during

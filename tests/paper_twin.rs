@@ -26,7 +26,6 @@ fn keeps_its_promise(closed: &ArmResult) -> Result<(), String> {
     let bounds = [
         ("bend RMSE / °", closed.bend_rmse_deg, 1.0),
         ("orientation RMSE / °", closed.orientation_rmse_deg, 1.5),
-        ("largest movement of a held state / °", closed.peak_to_peak_max_deg, 0.3),
         ("median settling / s", closed.settle_s_median, 1.0),
     ];
     match bounds.iter().find(|(_, value, bound)| value.is_nan() || value > bound) {
@@ -39,11 +38,22 @@ type Figure = fn(&ArmResult) -> f64;
 
 #[test]
 fn the_twin_keeps_the_closed_loops_promise() {
-    keeps_its_promise(evaluate(0, &[Arm::Closed]).arm(Arm::Closed).unwrap()).unwrap();
+    let e = evaluate(0, &[Arm::Closed]);
+    let closed = e.arm(Arm::Closed).unwrap();
+    keeps_its_promise(closed).unwrap();
+    assert!(closed.peak_to_peak_max_deg <= 0.3, "{}", closed.peak_to_peak_max_deg);
 }
 
 #[test]
-#[ignore = "falls short: of 20 units the worst has 1.66° of orientation and a held state that moves by 1.7°"]
+#[ignore = "falls short: of 2,400 held states in 20 units ten move by 0.3 to 0.6° while they are scored, once, by a late reversal"]
+fn held_states_of_twenty_units_stand_still() {
+    for seed in 1..=20 {
+        let moved = evaluate(seed, &[Arm::Closed]).arm(Arm::Closed).unwrap().peak_to_peak_max_deg;
+        assert!(moved <= 0.3, "seed {seed}: {moved:.2}°");
+    }
+}
+
+#[test]
 fn twenty_units_keep_the_closed_loops_promise() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
     let all: Vec<_> = pool.install(|| (1..=20u64).into_par_iter().map(|seed| (seed, evaluate(seed, &[Arm::Closed]))).collect());

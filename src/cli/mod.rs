@@ -3,11 +3,23 @@
 //! 0 done · 1 the run finished and the answer is "not good enough" · 2 bad input or usage · 3 hardware
 //! or service not reachable.
 
+pub mod bench;
+pub mod calibrate;
+pub mod client;
+pub mod commission;
+pub mod doctor;
+pub mod drill;
 pub mod evaluate;
 pub mod exam;
 pub mod gap;
+pub mod hands;
+pub mod home;
 pub mod imu;
+pub mod jog;
+pub mod logging;
 pub mod output;
+pub mod replay;
+pub mod run;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -26,12 +38,34 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: three open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
+    /// Prove with small guarded moves that a machine is wired as its board file says, and tight.
+    Commission(commission::Args),
+    /// Find zero.
+    Home(home::Args),
+    /// Move one piston slowly, for bring-up.
+    Jog(jog::Args),
+    /// Measure this machine.
+    #[command(subcommand)]
+    Bench(bench::Bench),
     /// Diagnose the gap between model and machine.
     #[command(subcommand)]
     Gap(gap::Gap),
+    /// Find the errors of a sensor and write them into a calibration file.
+    #[command(subcommand)]
+    Calibrate(calibrate::Calibrate),
     /// Orientation filters on recordings.
     #[command(subcommand)]
     Imu(imu::Imu),
+    /// Run the service.
+    Run(run::Args),
+    #[command(flatten)]
+    Client(client::Client),
+    /// Hold the board file against this machine.
+    Doctor(doctor::Args),
+    /// Inject every fault that is claimed to be survived.
+    Drill(drill::Args),
+    /// Run a recording through the loop of today.
+    Replay(replay::Args),
 }
 
 /// How a command ended, other than by an error.
@@ -60,8 +94,18 @@ pub struct Unreachable {
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Commission(args) => commission::run(&args),
+        Command::Home(args) => home::run(&args),
+        Command::Jog(args) => jog::run(&args),
+        Command::Bench(command) => bench::run(&command),
         Command::Gap(command) => gap::run(&command),
+        Command::Calibrate(command) => calibrate::run(&command),
         Command::Imu(command) => imu::run(&command),
+        Command::Run(args) => run::run(&args),
+        Command::Client(command) => client::run(&command),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Drill(args) => drill::run(&args),
+        Command::Replay(args) => replay::run(&args),
     };
     if let Err(report) = &end {
         eprintln!("{report:?}");

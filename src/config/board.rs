@@ -1,10 +1,15 @@
 //! Board files: what the machine is.
 
 use crate::check::{Check, Checker};
+use crate::config::hardware::{HomingSection, ImuSection, MachineSection, check_hardware};
+use crate::config::power::PowerSection;
+use crate::config::service::{SafetySection, ServiceSection};
 use crate::control::follow::Pace;
 use crate::control::limit::Limits;
+use crate::io::pins::PinsConfig;
 use crate::model::arc::Geometry;
 use crate::model::drive::Drive;
+use crate::motion::{MotionConfig, StepperConfig};
 use crate::plant::config::{BaseConfig, DriveConfig, FieldConfig, LineConfig, ShapeConfig};
 use crate::plant::effects::Effects;
 use crate::plant::imu::chip::ImuConfig;
@@ -16,6 +21,8 @@ use serde::Deserialize;
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Board {
+    /// The computer and the loop that runs on it.
+    pub machine: MachineSection,
     /// The bending section.
     pub geometry: GeometrySection,
     /// Motor, rack and pinion.
@@ -24,6 +31,22 @@ pub struct Board {
     pub motion: MotionSection,
     /// How far it may go.
     pub limits: LimitsSection,
+    /// What pressure does to a motor without current.
+    pub power: PowerSection,
+    /// How zero is found.
+    pub homing: HomingSection,
+    /// Pulses and the thread that makes them.
+    pub stepper: StepperConfig,
+    /// The wiring, on boards that have any.
+    pub pins: Option<PinsConfig>,
+    /// The tip's IMU, on boards that have one.
+    pub imu: Option<ImuSection>,
+    /// An IMU on the base, where there is one.
+    pub base_imu: Option<ImuSection>,
+    /// The gate between controller and step generator.
+    pub safety: SafetySection,
+    /// The daemon.
+    pub service: ServiceSection,
     /// The built-in plant, on boards that have one.
     pub plant: Option<PlantSection>,
 }
@@ -93,11 +116,17 @@ pub struct MotionSection {
     /// Largest piston acceleration, mm/s². Default 600. Larger crosses the backlash sooner until the
     /// motor loses steps.
     pub acceleration_max_mm_s2: f64,
+    /// Largest change of the acceleration, mm/s³. Default 30,000: full acceleration after 20 ms. Larger
+    /// answers quicker; smaller shakes rack, tube and tip less.
+    pub jerk_max_mm_s3: f64,
+    /// A target nearer than this to the one being driven to counts as the same, mm. Default 0: every
+    /// change is followed. Larger plans less often and rests that much beside what was asked for.
+    pub retarget_min_mm: f64,
 }
 
 impl Default for MotionSection {
     fn default() -> Self {
-        Self { speed_max_mm_s: 30.0, acceleration_max_mm_s2: 600.0 }
+        Self { speed_max_mm_s: 30.0, acceleration_max_mm_s2: 600.0, jerk_max_mm_s3: 30_000.0, retarget_min_mm: 0.0 }
     }
 }
 
@@ -172,6 +201,18 @@ impl PlantSection {
 }
 
 impl Board {
+    /// Motion of one piston within this board's limits.
+    #[must_use]
+    pub fn motion_config(&self) -> MotionConfig {
+        MotionConfig {
+            speed_max_mm_s: self.motion.speed_max_mm_s,
+            acceleration_max_mm_s2: self.motion.acceleration_max_mm_s2,
+            jerk_max_mm_s3: self.motion.jerk_max_mm_s3,
+            travel_max_mm: self.limits.travel_mm,
+            retarget_min_mm: self.motion.retarget_min_mm,
+        }
+    }
+
     /// The static limits of this board.
     #[must_use]
     pub fn limits(&self) -> Limits {
@@ -223,6 +264,8 @@ impl Check for Board {
             "30 is the paper's motor at about 1,000 microsteps a second",
         );
         to.range("motion.acceleration_max_mm_s2", m.acceleration_max_mm_s2, 1.0..=20_000.0, "mm/s²", "600 is gentle on a small stepper");
+        to.range("motion.jerk_max_mm_s3", m.jerk_max_mm_s3, 100.0..=1e7, "mm/s³", "fifty times the acceleration reaches it within 20 ms");
+        to.range("motion.retarget_min_mm", m.retarget_min_mm, 0.0..=1.0, "mm", "leave it out to follow every change");
         let l = &self.limits;
         to.range("limits.travel_mm", l.travel_mm, 1.0..=100.0, "mm", "half the rack's length");
         to.range(
@@ -234,6 +277,9 @@ impl Check for Board {
         );
         to.range("limits.pressure_max_kpa", l.pressure_max_kpa, 1.0..=200.0, "kPa", "the paper stays under 6 PSI = 41.4 kPa");
 
+        check_hardware(self, to);
+        self.safety.check(to);
+        self.service.check(to);
         if let Some(plant) = &self.plant {
             to.range("plant.period_s", plant.period_s, 1e-4..=0.01, "s", "0.001 is a loop at 1 kHz");
             check_plant(to, plant.make().validate());

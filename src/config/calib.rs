@@ -1,5 +1,6 @@
 //! Calibration files: what this tip is.
 
+use crate::calib_imu::ImuCalibration;
 use crate::check::{Check, Checker};
 use crate::control::pi::Dynamics;
 use crate::model::transmission::Line;
@@ -15,6 +16,9 @@ pub struct Calibration {
     /// Lag and dead time.
     #[serde(default)]
     pub dynamics: DynamicsSection,
+    /// The tip IMU's own errors, as `retroflex calibrate imu` writes them.
+    #[serde(default)]
+    pub imu: ImuCalibration,
 }
 
 /// Extension and backlash of the three lines.

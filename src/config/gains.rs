@@ -1,6 +1,7 @@
 //! Gains files: how the loop behaves.
 
 use crate::check::{Check, Checker};
+use crate::config::fuse;
 use crate::control::follow::Pace;
 use crate::control::rest::RestConfig;
 use crate::control::wall::WallConfig;
@@ -206,7 +207,7 @@ impl Check for Gains {
         to.range("wall.follow_min", w.follow_min, 0.0..=0.9, "", "0.08");
         to.range("wall.error_deg", w.error_deg, 0.05..=45.0, "deg", "1");
         self.check_refine(to);
-        self.check_fuse(to);
+        fuse::check(&self.fuse, to);
     }
 }
 
@@ -220,27 +221,5 @@ impl Gains {
         to.range("refine.range", f.range, 0.01..=2.0, "", "0.5 allows half again of 1 + k_ε");
         to.range("refine.step_max", f.step_max, 0.001..=1.0, "", "0.04");
         to.range("refine.outlier", f.outlier, 1.0..=100.0, "", "4");
-    }
-
-    fn check_fuse(&self, to: &mut Checker) {
-        let a = &self.fuse.align;
-        to.range("fuse.align.window_s", a.window_s, 0.2..=60.0, "s", "the tip rests for at least 2 s at start");
-        to.range("fuse.align.gyro_band_rad_s", a.gyro_band_rad_s, 1e-3..=2.0, "rad/s", "0.15");
-        to.range("fuse.align.acc_band_m_s2", a.acc_band_m_s2, 0.01..=10.0, "m/s²", "1.5");
-        to.range("fuse.align.gyro_bias_max_rad_s", a.gyro_bias_max_rad_s, 1e-3..=1.0, "rad/s", "0.15");
-        let b = &self.fuse.bend;
-        to.range("fuse.bend.correction_period_s", b.correction_period_s, 0.0005..=0.5, "s", "0.01");
-        to.range("fuse.bend.acc_bias_sigma_m_s2", b.acc_bias_sigma_m_s2, 1e-4..=3.0, "m/s²", "0.25");
-        to.range("fuse.bend.mag_bias_sigma_ut", b.mag_bias_sigma_ut, 1e-3..=100.0, "µT", "6");
-        to.range("fuse.bend.twist_sigma", b.twist_sigma, 1e-6..=1.0, "rad/rad", "0.05");
-        to.range("fuse.bend.mount_sigma_rad", b.mount_sigma_rad, 1e-6..=1.0, "rad", "0.03");
-        to.range("fuse.bend.gyro_walk_rad_s_rts", b.gyro_walk_rad_s_rts, 0.0..=0.1, "rad/s/√s", "1e-4");
-        to.range("fuse.bend.acc_walk_m_s2_rts", b.acc_walk_m_s2_rts, 0.0..=1.0, "m/s²/√s", "0.002");
-        to.range("fuse.bend.mag_walk_ut_rts", b.mag_walk_ut_rts, 0.0..=50.0, "µT/√s", "0.05");
-        to.range("fuse.bend.acc_motion_m_s2_per_rad_s", b.acc_motion_m_s2_per_rad_s, 0.0..=20.0, "m/s² per rad/s", "0.15");
-        to.range("fuse.bend.direction_error", b.direction_error, 1e-5..=1.0, "", "0.004");
-        to.range("fuse.bend.direction_time_s", b.direction_time_s, 0.0..=100.0, "s", "1");
-        to.range("fuse.bend.twist_walk", b.twist_walk, 0.0..=1.0, "rad/rad/√rad", "0.02");
-        to.range("fuse.bend.still_rate_sigma_rad_s", b.still_rate_sigma_rad_s, 1e-5..=1.0, "rad/s", "0.005");
     }
 }

@@ -6,7 +6,13 @@
 
 pub mod board;
 pub mod calib;
+mod fuse;
 pub mod gains;
+pub mod hardware;
+pub mod pilot;
+pub mod pins;
+pub mod power;
+pub mod service;
 pub mod source;
 
 use crate::config::board::Board;
@@ -30,5 +36,6 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Conf
         feedback: Some(gains.feedback()),
         refine: gains.refine,
         fuse: gains.fuse,
+        imu: calibration.imu.correction(),
     }
 }

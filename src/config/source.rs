@@ -83,6 +83,21 @@ fn wrong(name: &str, text: &str, span: Range<usize>, problem: String, mend: &str
     }
 }
 
+/// The text with the value of a dotted key replaced, everything else left as it is; `None` when the key is
+/// not written in it.
+#[must_use]
+pub fn replace(text: &str, key: &str, value: &str) -> Option<String> {
+    let (table, last) = key.rsplit_once('.')?;
+    // a key that is not written is answered with its table: then the text there is no value of its own
+    let span = span_of(text, key)?;
+    if span_of(text, table) == Some(span.clone()) {
+        return None;
+    }
+    let line = text[..span.start].rsplit('\n').next().unwrap_or("");
+    let named = last.parse::<usize>().is_ok() || line.contains(last);
+    named.then(|| format!("{}{value}{}", &text[..span.start], &text[span.end..]))
+}
+
 /// Where a dotted key's value stands in the text. A key that is not written (a default that clashes
 /// with something written) points at the nearest table that is.
 fn span_of(text: &str, key: &str) -> Option<Range<usize>> {
@@ -143,6 +158,15 @@ mod tests {
         assert!(why("[a]\nx_mm = 1\nmany = []\ny = 2\n").contains("line 4: unknown field `y`"));
         assert!(why("[a]\nx_mm = \"1 mm\"\nmany = []\n").contains("line 2: invalid type: string"));
         assert!(why("[a\n").contains("line 1"));
+    }
+
+    #[test]
+    fn a_value_is_replaced_in_place_and_only_if_it_is_there() {
+        let text = "[a]\n# why\nx_mm = 0.5 # so\n[[c]]\nn = 1\n[[c]]\nn = 2\n";
+        assert_eq!(replace(text, "a.x_mm", "0.25").unwrap(), text.replace("0.5", "0.25"));
+        assert_eq!(replace(text, "c.1.n", "7").unwrap(), text.replace("n = 2", "n = 7"));
+        assert_eq!(replace(text, "a.y_mm", "1"), None);
+        assert_eq!(replace(text, "c.1.m", "1"), None);
     }
 
     #[test]

@@ -66,6 +66,12 @@ impl Default for ReferenceModel {
 }
 
 impl ReferenceModel {
+    /// A line that has rested at `at` for longer than it remembers.
+    #[must_use]
+    pub fn resting(at: Vector2<f64>) -> Self {
+        Self { line: [at; LINE], head: 0, lagged: at }
+    }
+
     /// Pushes what is commanded now; returns what should be felt now.
     pub fn step(&mut self, commanded: Vector2<f64>, dynamics: &Dynamics, dt_s: f64) -> Vector2<f64> {
         self.head = (self.head + 1) % LINE;

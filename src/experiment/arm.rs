@@ -31,6 +31,10 @@ pub struct Held {
     pub peak_to_peak_deg: f64,
     /// The loop said that the tip is held by something.
     pub blocked: bool,
+    /// The loop said that the base has moved.
+    pub base_moved: bool,
+    /// The loop stopped the pistons for want of a sensor.
+    pub stopped: bool,
     /// Lag in use at the end, s.
     pub lag_s: f64,
     /// Dead time in use at the end, s.
@@ -58,6 +62,10 @@ pub struct ArmResult {
     pub states: usize,
     /// States in which the loop reported a tip that is held.
     pub blocked: usize,
+    /// States in which the loop reported a base that has moved.
+    pub base_moved: usize,
+    /// States in which the loop stopped the pistons for want of a sensor.
+    pub stopped: usize,
     /// k_ε in use at the end.
     pub k_eps_end: [f64; 3],
     /// State by state.
@@ -88,13 +96,16 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
     let want = pose.bend().rotation();
     let mut command = Some(Command { bend: pose.bend(), length: Mm(rig.config.geometry.rest_length_mm) });
     let (mut sum, mut sum_sq, mut turn_sq, mut felt_sq, mut low, mut high) = (0.0, 0.0, 0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
-    let (mut settled_since, mut blocked, mut last) = (0, false, None);
+    let (mut settled_since, mut last) = (0, None);
+    let (mut blocked, mut base_moved, mut stopped) = (false, false, false);
     for k in 0..ticks {
         let (frame, reply) = rig.advance(command.take())?;
         let truth = reply.truth.ok_or(RigError::NoReference)?;
         let true_bend = Bend::from_rotation(&truth);
         let error_deg = pose.bend_deg - true_bend.beta().to_degrees();
         blocked |= frame.blocked;
+        base_moved |= frame.base_moved;
+        stopped |= frame.senses.held;
         last = Some((frame.dynamics, frame.feedback));
         if error_deg.abs() > SETTLED_DEG {
             settled_since = k + 1;
@@ -120,6 +131,8 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
         settle_s: settled_since as f64 * dt_s,
         peak_to_peak_deg: high - low,
         blocked,
+        base_moved,
+        stopped,
         lag_s: dynamics.lag_s,
         delay_s: dynamics.delay_s,
         feedback_deg: feedback.norm().to_degrees(),
@@ -139,6 +152,8 @@ fn summary(name: &str, held: Vec<Held>, k_eps_end: [f64; 3]) -> ArmResult {
         peak_to_peak_max_deg: held.iter().map(|h| h.peak_to_peak_deg).fold(0.0, f64::max),
         states: held.len(),
         blocked: held.iter().filter(|h| h.blocked).count(),
+        base_moved: held.iter().filter(|h| h.base_moved).count(),
+        stopped: held.iter().filter(|h| h.stopped).count(),
         k_eps_end,
         held,
     }

@@ -1,7 +1,7 @@
 //! A loop and a world in lockstep.
 
+use crate::fuse::health::Outcome;
 use crate::tick::{Command, Config, Frame, Input, State, tick};
-use crate::units::{Seconds, Steps};
 use crate::world::{Reply, World, WorldError};
 use thiserror::Error;
 
@@ -39,7 +39,7 @@ impl<'w> Rig<'w> {
     pub fn new(config: Config, world: &'w mut dyn World) -> Self {
         let state = State::new(&config);
         let dt_s = world.nature().period_s;
-        let input = Input { t: Seconds(0.0), dt_s, imu: None, command: None, steps: Steps::default() };
+        let input = Input { dt_s, ..Input::default() };
         Self { config, state, world, input }
     }
 
@@ -51,7 +51,8 @@ impl<'w> Rig<'w> {
         self.input.command = command;
         let frame = tick(&self.config, &mut self.state, &self.input);
         let reply = self.world.step(&frame.steps)?;
-        self.input = Input { t: reply.t, imu: reply.imu, steps: frame.steps, command: None, ..self.input };
+        let imu = Outcome::from_world(reply.imu);
+        self.input = Input { t: reply.t, imu, steps: frame.steps, command: None, ..self.input };
         Ok((frame, reply))
     }
 

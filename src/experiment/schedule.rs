@@ -47,18 +47,17 @@ pub fn paper() -> Vec<Pose> {
         .collect()
 }
 
-/// Twenty-four poses for a calibration with a prior: each direction at a large and at a moderate
-/// angle, ordered so that every bellow is met strained and slack, from both sides. Opposite
-/// directions follow each other: the long way between them crosses the backlash for sure, so that no
-/// row is lost.
+/// Twenty-four poses for a calibration with a prior: in every direction out to 70° and back to 40°, so that
+/// each bellow is met strained on both sides of its backlash (poses met from one side alone would let
+/// the extension pass for backlash). Opposite directions follow each other: what grows with time does
+/// not pass for a gain.
 #[must_use]
 pub fn short() -> Vec<Pose> {
     (0..24)
         .map(|n| {
-            let step = (n / 2) * 30 + (n % 2) * 180;
-            // the second half goes round again with the angles exchanged
-            let bend_deg = if (n / 2 + n / 12) % 2 == 0 { 70.0 } else { 40.0 };
-            Pose { bend_deg, dir_deg: f64::from(step % 360), outward: true }
+            let (turn, outward) = (n / 2, n % 2 == 0);
+            let dir_deg = f64::from((turn / 2) * 30 + (turn % 2) * 180);
+            Pose { bend_deg: if outward { 70.0 } else { 40.0 }, dir_deg, outward }
         })
         .collect()
 }

@@ -52,6 +52,24 @@ pub struct Alignment {
     pub duration_s: f64,
     /// Rate samples averaged.
     pub samples: u32,
+    /// Field samples averaged.
+    pub mag_samples: u32,
+    /// Rate samples that repeated the one before: many where the source has no noise.
+    pub repeated: u32,
+}
+
+impl Alignment {
+    /// Mean time between samples, and between field samples, s.
+    #[must_use]
+    pub fn periods_s(&self) -> (f64, f64) {
+        let mean = |n: u32| self.duration_s / f64::from(n.max(2) - 1);
+        (mean(self.samples), mean(self.mag_samples))
+    }
+    /// True when the source is noisy enough that a repeated reading is suspicious.
+    #[must_use]
+    pub fn noisy(&self) -> bool {
+        self.repeated * 50 < self.samples
+    }
 }
 
 /// Why the window began again.
@@ -102,6 +120,8 @@ pub struct AlignState {
     gyro: Spread,
     acc: Spread,
     mag: Spread,
+    last_gyro: Vector3<f64>,
+    repeated: u32,
     /// Why the last window was thrown away, if one was.
     pub refused: Option<NotStill>,
 }
@@ -116,6 +136,8 @@ impl AlignState {
             *self = Self { refused: Some(why), ..Self::default() };
         }
         let begun_s = *self.begun_s.get_or_insert(sample.t.0);
+        self.repeated += u32::from(self.gyro.n > 0 && sample.gyro_rad_s == self.last_gyro);
+        self.last_gyro = sample.gyro_rad_s;
         self.gyro.add(&sample.gyro_rad_s);
         self.acc.add(&sample.acc_m_s2);
         if let Some(m) = &sample.mag_ut {
@@ -151,6 +173,8 @@ impl AlignState {
             mag_sigma_ut: self.mag.sigma(),
             duration_s,
             samples: self.gyro.n,
+            mag_samples: self.mag.n,
+            repeated: self.repeated,
         }
     }
 }

@@ -50,6 +50,7 @@ struct Track {
 pub struct State {
     tracks: [Track; Cause::ALL.len()],
     reference: Option<FieldReference>,
+    gravity_m_s2: Option<f64>,
     seen: Option<ImuSample>,
     good: Option<ImuSample>,
     last_outcome_was_sample: bool,
@@ -59,12 +60,36 @@ pub struct State {
     used_s: Option<f64>,
     mag_s: Option<f64>,
     up: Option<Vector3<f64>>,
+    known: Known,
+}
+
+/// What is known of the sensor's own errors, so that they are not taken for disturbances.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Known {
+    /// Estimated accelerometer bias, m/s²: taken off before the norm is judged.
+    pub acc_bias_m_s2: Vector3<f64>,
+    /// What the norm may be off by because that estimate is uncertain, m/s².
+    pub acc_slack_m_s2: f64,
+    /// Estimated field of the tip's own iron, µT: taken off before strength and dip are judged.
+    pub iron_ut: Vector3<f64>,
+    /// What the field may be off by because that estimate is uncertain, µT.
+    pub iron_slack_ut: f64,
 }
 
 impl State {
+    /// Tells what the estimator has learnt of the sensor; `acc_rest` and `mag_rest` are the raw means
+    /// of the rest, from which the references are taken anew.
+    pub fn set_known(&mut self, known: Known, acc_rest: &Vector3<f64>, mag_rest: Option<&Vector3<f64>>) {
+        let acc = acc_rest - known.acc_bias_m_s2;
+        self.reference = mag_rest.and_then(|mag| FieldReference::from_rest(&acc, &(mag - known.iron_ut)));
+        self.gravity_m_s2 = Some(acc.norm());
+        self.known = known;
+    }
+
     /// Sets what the field looks like when undisturbed; without it the field is not judged.
     pub fn set_reference(&mut self, reference: Option<FieldReference>) {
         self.reference = reference;
+        self.gravity_m_s2 = reference.map(|r| r.gravity_m_s2);
     }
     /// The reference in use.
     #[must_use]
@@ -172,8 +197,9 @@ fn inspect(config: &Config, state: &mut State, now: f64, sample: &ImuSample, qua
     repetition(config, state, sample, quality, &mut found);
     found.test(Cause::Saturated, quality.gyro_load >= config.saturated_at);
     spike(config, state, sample, &mut found);
-    let gravity = state.reference.map_or(9.81, |r| r.gravity_m_s2);
-    let shaken = (sample.acc_m_s2.norm() - gravity).abs() > config.acc_norm_tolerance_m_s2;
+    let gravity = state.gravity_m_s2.unwrap_or(9.81);
+    let force = (sample.acc_m_s2 - state.known.acc_bias_m_s2).norm();
+    let shaken = (force - gravity).abs() > config.acc_norm_tolerance_m_s2 + state.known.acc_slack_m_s2;
     found.test(Cause::AccelDisturbed, shaken || quality.acc_load >= config.saturated_at);
     let calm = !shaken && state.since(Cause::AccelDisturbed).is_none();
     vertical(config, state, sample, calm);
@@ -228,7 +254,8 @@ fn magnet(config: &Config, state: &mut State, now: f64, sample: &ImuSample, qual
         found.test(Cause::MagSilent, true);
     }
     if let (Some(mag), Some(reference)) = (&sample.mag_ut, &state.reference) {
-        found.test(Cause::FieldDisturbed, bent(config, reference, state.up.as_ref(), mag));
+        let field = mag - state.known.iron_ut;
+        found.test(Cause::FieldDisturbed, bent(config, reference, state.up.as_ref(), &field, state.known.iron_slack_ut));
     }
 }
 
@@ -248,10 +275,11 @@ fn vertical(config: &Config, state: &mut State, sample: &ImuSample, calm: bool) 
 }
 
 /// True when the field is not the one at rest: its strength, or its dip where the vertical is known.
-fn bent(config: &Config, reference: &FieldReference, up: Option<&Vector3<f64>>, mag: &Vector3<f64>) -> bool {
-    let norm_off = (mag.norm() / reference.norm_ut - 1.0).abs() > config.field_norm_tolerance;
-    let dip_max = config.field_dip_tolerance_deg.to_radians();
-    let off = |up| dip(up, mag).is_none_or(|d| (d - reference.dip_rad).abs() > dip_max);
+fn bent(config: &Config, reference: &FieldReference, up: Option<&Vector3<f64>>, field: &Vector3<f64>, slack_ut: f64) -> bool {
+    let share = slack_ut / reference.norm_ut;
+    let norm_off = (field.norm() / reference.norm_ut - 1.0).abs() > config.field_norm_tolerance + share;
+    let dip_max = config.field_dip_tolerance_deg.to_radians() + share.min(1.0).asin();
+    let off = |up| dip(up, field).is_none_or(|d| (d - reference.dip_rad).abs() > dip_max);
     norm_off || up.is_some_and(off)
 }
 

@@ -12,16 +12,22 @@
 //! ([`intake::usable`]), never passed on.
 
 pub mod align;
+pub mod base;
 pub mod bend;
+pub mod ease;
+pub mod estimator;
 pub mod gate;
+pub mod generic;
 pub mod health;
 pub mod intake;
 pub mod limits;
 pub mod madgwick;
 pub mod mekf;
 pub mod rest;
+pub mod second;
 pub mod tip;
 pub mod vqf;
+pub mod watch;
 
 use crate::frames::{Rotation, Sensor, World};
 use crate::sample::ImuSample;

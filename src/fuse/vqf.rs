@@ -68,6 +68,8 @@ impl VqfConfig {
 /// The filter.
 pub struct Vqf {
     inner: vqf_rs::VQF,
+    periods: Periods,
+    config: VqfConfig,
     last_gyro: Vector3<f64>,
     levelled: bool,
     north_found: bool,
@@ -83,10 +85,18 @@ impl Vqf {
         let mag_s = period_or(periods.mag_s, imu_s);
         Self {
             inner: vqf_rs::VQF::new(imu_s, None, Some(mag_s), Some(params)),
+            periods,
+            config,
             last_gyro: Vector3::zeros(),
             levelled: false,
             north_found: false,
         }
+    }
+
+    /// Tells what the undisturbed field looks like (µT, dip in rad, + when it points down), which VQF
+    /// would else take five seconds of turning to find.
+    pub fn know_field(&mut self, strength_ut: f64, dip_rad: f64) {
+        self.inner.set_mag_ref(strength_ut, dip_rad);
     }
 
     /// Forgets the attitude, keeps the bias and how well it is known.
@@ -113,6 +123,22 @@ impl Vqf {
 
     fn orientation_6d(&self) -> UnitQuaternion<f64> {
         unit(self.inner.quat_6d())
+    }
+}
+
+impl Clone for Vqf {
+    /// The crate's filter cannot be cloned, its state can.
+    fn clone(&self) -> Self {
+        let mut copy = Self::new(self.periods, self.config);
+        *copy.inner.state_mut() = *self.inner.state();
+        (copy.last_gyro, copy.levelled, copy.north_found) = (self.last_gyro, self.levelled, self.north_found);
+        copy
+    }
+}
+
+impl std::fmt::Debug for Vqf {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Vqf").field("config", &self.config).field("orientation", &self.orientation()).finish_non_exhaustive()
     }
 }
 

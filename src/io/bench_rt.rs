@@ -5,14 +5,15 @@
 //! the lateness of waking up, the lateness of every step (deadline to end of the write) and the error
 //! of every interval between steps. The loop's part, planning and queueing a tick, is timed as well.
 
-use crate::io::pins::Pins;
+use crate::io::pins::{PinError, Pins};
 use crate::io::rt::{self, RtStatus, RtWish};
 use crate::io::stepper::{StartError, Stepper, Sync};
 use crate::motion::Motion;
 use crate::motion::config::{MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::Limits;
-use crate::motion::report::{Fault, Mode};
+use crate::motion::lines::Levels;
+use crate::motion::report::{Fault, Inputs, Mode};
 use comfy_table::{CellAlignment, Table};
 use std::fmt::Write;
 use std::sync::Arc;
@@ -68,6 +69,19 @@ pub struct RtBench {
     pub fault: Option<Fault>,
     /// How often the queue ran dry.
     pub dry: u32,
+}
+
+/// Pins whose drivers stay without current, so that a bench pulses real lines and no motor turns.
+#[derive(Debug)]
+pub struct NoCurrent<P>(pub P);
+
+impl<P: Pins> Pins for NoCurrent<P> {
+    fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
+        self.0.write(&Levels { enable: false, ..*levels })
+    }
+    fn read(&mut self) -> Result<Inputs, PinError> {
+        self.0.read()
+    }
 }
 
 /// Percentiles shown.
@@ -159,13 +173,13 @@ fn drive<P: Pins + 'static>(
 }
 
 /// Threads that keep processors busy until dropped.
-struct Load {
+pub(crate) struct Load {
     stop: Arc<AtomicBool>,
     threads: Vec<std::thread::JoinHandle<()>>,
 }
 
 impl Load {
-    fn start(threads: usize) -> Self {
+    pub(crate) fn start(threads: usize) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let work = |stop: Arc<AtomicBool>| {
             let mut block = vec![1.0_f64; 1 << 16];

@@ -16,11 +16,12 @@ use crate::io::rt::{self, Clock, Monotonic, RtStatus, RtWish};
 use crate::motion::config::{ConfigError, MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::Limits;
-use crate::motion::lines::PulseTiming;
+use crate::motion::lines::{Levels, PulseTiming};
 use crate::motion::pulse::{Action, StepCore};
 use crate::motion::queue::{self, FeedError, Feeder, TimedSegment};
 use crate::motion::report::{Fault, Mode, Order, Report};
 use crate::motion::segment::Segment;
+use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 
 /// Segments the ring holds: at 1 kHz a quarter of a second.
@@ -33,6 +34,8 @@ const REPORTS: usize = 64;
 const REPORT_NS: u64 = 1_000_000;
 /// … and this often anyhow.
 const HEARTBEAT_NS: u64 = 100_000_000;
+/// EN may take this long to reach its level, ns.
+const ENABLE_SETTLES_NS: u64 = 500_000;
 
 /// Why the step thread could not be started.
 #[derive(Debug, thiserror::Error)]
@@ -75,6 +78,8 @@ pub struct Shell<P, C> {
     last_report: Option<(u64, Key)>,
     wake: Histogram,
     pin_error: Option<PinError>,
+    words: Arc<OnceLock<String>>,
+    enabled: bool,
 }
 
 /// What makes a report worth sending before the heartbeat.
@@ -106,7 +111,7 @@ impl<P: Pins, C: Clock> Shell<P, C> {
             }
         }
         match self.core.poll(now_ns, &mut self.segments) {
-            Action::Write(levels) => match self.pins.write(&levels) {
+            Action::Write(levels) => match self.write(&levels) {
                 Ok(()) => self.core.wrote(self.clock.now_ns()),
                 Err(error) => self.pins_failed(error),
             },
@@ -130,8 +135,26 @@ impl<P: Pins, C: Clock> Shell<P, C> {
         (Summary { report, wake: self.wake, interval_error, pin_error: self.pin_error }, self.pins)
     }
 
+    /// Writes, and after EN was switched makes sure that it followed.
+    fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
+        self.pins.write(levels)?;
+        if levels.enable == self.enabled {
+            return Ok(());
+        }
+        self.enabled = levels.enable;
+        let give_up_ns = self.clock.now_ns() + ENABLE_SETTLES_NS;
+        loop {
+            match self.pins.check_enable() {
+                Err(PinError::EnableStuck { .. }) if self.clock.now_ns() < give_up_ns => std::hint::spin_loop(),
+                verdict => return verdict,
+            }
+        }
+    }
+
     fn pins_failed(&mut self, error: PinError) {
         self.core.pins_failed();
+        // only the first failure is told; later ones follow from it
+        let _ = self.words.set(error.to_string());
         self.pin_error.get_or_insert(error);
     }
 
@@ -182,6 +205,7 @@ pub struct Stepper<P> {
     reports: rtrb::Consumer<Report>,
     latest: Option<Report>,
     status: RtStatus,
+    words: Arc<OnceLock<String>>,
     thread: Option<JoinHandle<(Summary, P)>>,
 }
 
@@ -197,6 +221,7 @@ impl<P: Pins + 'static> Stepper<P> {
         let (feeder, segments) = queue::ring(SEGMENTS, (config.lead_ms * 1e6) as u64);
         let (orders, orders_out) = rtrb::RingBuffer::new(ORDERS);
         let (reports_in, reports) = rtrb::RingBuffer::new(REPORTS);
+        let words = Arc::new(OnceLock::new());
         let shell = Shell {
             core: StepCore::new(timing, &limits, step_mm),
             pins,
@@ -209,6 +234,8 @@ impl<P: Pins + 'static> Stepper<P> {
             last_report: None,
             wake: Histogram::default(),
             pin_error: None,
+            words: words.clone(),
+            enabled: false,
         };
         let wish = RtWish { priority: config.priority, cpu: config.cpu };
         let (tell, told) = std::sync::mpsc::channel();
@@ -219,7 +246,7 @@ impl<P: Pins + 'static> Stepper<P> {
             shell.run()
         })?;
         let status = told.recv().map_err(|_| StartError::Died)?;
-        Ok(Self { feeder, orders, reports, latest: None, status, thread: Some(thread) })
+        Ok(Self { feeder, orders, reports, latest: None, status, words, thread: Some(thread) })
     }
 
     /// Ends the thread: brakes within the limits, releases the drivers. Gives back the pins.
@@ -276,6 +303,12 @@ impl<P> Stepper<P> {
     #[must_use]
     pub fn latest(&self) -> Option<&Report> {
         self.latest.as_ref()
+    }
+
+    /// What the pins said when they first failed.
+    #[must_use]
+    pub fn pin_words(&self) -> Option<&str> {
+        self.words.get().map(String::as_str)
     }
 
     /// What the kernel granted the thread.

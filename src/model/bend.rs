@@ -58,6 +58,18 @@ impl Bend {
     pub fn from_rotation(r: &Rotation<Base, Tip>) -> Self {
         Self::from_axis(&r.apply(&Vector3::z()))
     }
+    /// The bend with the β of the tip axis whose direction leaves the smallest angle to `r`: where the tip
+    /// has twisted as well, half of the twist goes into the direction. Of a quaternion (w, x, y, z) that
+    /// direction is (y, x).
+    #[must_use]
+    pub fn nearest(r: &Rotation<Base, Tip>) -> Self {
+        let q = r.quat();
+        let q = if q.w < 0.0 { -q.into_inner() } else { q.into_inner() };
+        let across = q.i.hypot(q.j);
+        let beta = 2.0 * across.atan2(q.w.hypot(q.k));
+        let scale = if across > 1e-9 { beta / across } else { 2.0 };
+        Self(Vector2::new(q.j * scale, q.i * scale))
+    }
     /// The bend whose tip axis points along `axis` (unit, base frame):
     /// `axis = (sin β cos δ, −sin β sin δ, cos β)`.
     #[must_use]
@@ -75,6 +87,21 @@ mod tests {
     use super::*;
     use nalgebra::{Rotation3, Vector3};
     use proptest::prelude::*;
+
+    #[test]
+    fn the_nearest_bend_has_the_beta_of_the_axis_and_the_least_angle() {
+        for (beta, dir, psi) in [(75.0, 130.0, 0.2), (15.0, -40.0, -0.1), (0.0, 0.0, 0.1), (100.0, 10.0, 0.0)] {
+            let twist = UnitQuaternion::from_scaled_axis(Vector3::z() * psi);
+            let r = Rotation::assert_frames(Bend::from_deg(beta, dir).rotation().quat() * twist);
+            let near = Bend::nearest(&r);
+            assert!((near.beta().to_degrees() - beta).abs() < 1e-9);
+            let left = near.rotation().angle_to(&r);
+            for off in [-0.02, 0.02] {
+                let turned = Bend::from_polar(Rad(near.beta()), Rad(near.delta() + off));
+                assert!(beta == 0.0 || turned.rotation().angle_to(&r) > left);
+            }
+        }
+    }
 
     proptest! {
         #[test]

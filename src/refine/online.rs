@@ -2,13 +2,15 @@
 //!
 //! In a held pose the slack of channel i stands at `w_i` and its bellow at `q_i`; Eq. 16 without the
 //! backlash (which the play model has taken off) reads `w_i − q_i = k_ε,i q_i`: one scalar recursion
-//! per channel with exponential forgetting. The guards, in order:
+//! per channel with exponential forgetting. A real tip's gain depends on where it bends to, so what is
+//! forgotten is counted by direction: each of twelve sectors forgets only when it is visited again, and
+//! work on one side cannot pull the gain over to that side. The guards, in order:
 //!
-//! 1. **Coverage.** A pose counts once: it is taken only if the tip has moved by `pose_step_rad`
+//! 1. **Coverage.** A pose counts once: it is taken only if the tip has moved by `pose_step_deg`
 //!    since the last one, and a channel only if its bellow is strained by `strain_min_mm`. Holding
 //!    for an hour adds nothing, so it can neither drift nor blow the covariance up.
-//! 2. **Belief.** The prior's own information is never forgotten: the information sum decays towards
-//!    the prior, not towards zero.
+//! 2. **Belief.** The prior's own information is never forgotten: what is gathered decays, the prior
+//!    stays.
 //! 3. **Bounds.** The gain stays within `±range` of the calibrated prior.
 //! 4. **Slow blend.** The gain in use follows the estimate by a bounded step a pose; the caller hands
 //!    the difference over from its integrator.
@@ -17,6 +19,7 @@
 use crate::model::transmission::Line;
 use nalgebra::{Vector2, Vector3};
 use serde::Deserialize;
+use std::f64::consts::TAU;
 
 /// Guards and pace of the learner.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
@@ -24,10 +27,10 @@ use serde::Deserialize;
 pub struct RefineConfig {
     /// Learn at all. Default true.
     pub enabled: bool,
-    /// Share of the gathered information kept per accepted pose. Default 0.99 (a memory of about 100
-    /// poses). Larger remembers longer and follows a changing tip later.
+    /// Share of a sector's information kept per accepted pose there. Default 0.95 (a memory of about
+    /// twenty poses a sector, 240 in all). Larger remembers longer and follows a changing tip later.
     pub forgetting: f64,
-    /// Worth of the calibrated prior in poses of full strain. Default 2. Larger holds the gains
+    /// Worth of the calibrated prior in poses of full strain. Default 1. Larger holds the gains
     /// closer to the calibration.
     pub prior_poses: f64,
     /// Change of bend between two poses that count, degrees. Default 5. Larger learns from fewer,
@@ -49,8 +52,8 @@ impl Default for RefineConfig {
     fn default() -> Self {
         Self {
             enabled: true,
-            forgetting: 0.99,
-            prior_poses: 2.0,
+            forgetting: 0.95,
+            prior_poses: 1.0,
             pose_step_deg: 5.0,
             strain_min_mm: 1.0,
             range: 0.5,
@@ -60,14 +63,23 @@ impl Default for RefineConfig {
     }
 }
 
+/// Sectors of bend direction that are remembered apart: the directions of the paper's experiment.
+const SECTORS: usize = 12;
+
+/// What a channel has gathered in one sector.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Gathered {
+    /// Σ λ^n q², mm².
+    information: f64,
+    /// Σ λ^n q (w − q), mm².
+    moment: f64,
+}
+
 /// One channel's recursion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Channel {
     prior: f64,
-    /// Σ λ^n q² with the prior's share, mm².
-    information: f64,
-    /// Σ λ^n q (w − q) with the prior's share, mm².
-    moment: f64,
+    sectors: [Gathered; SECTORS],
     /// Running mean square of the row error, mm².
     spread: f64,
 }
@@ -89,11 +101,9 @@ const FULL_STRAIN_MM: f64 = 4.0;
 impl RefineState {
     /// Starts at the calibrated gains.
     #[must_use]
-    pub fn new(config: &RefineConfig, prior: &[Line; 3]) -> Self {
-        let worth = config.prior_poses * FULL_STRAIN_MM * FULL_STRAIN_MM;
-        let channel = |k: f64| Channel { prior: k, information: worth, moment: worth * k, spread: 1.0 };
+    pub fn new(prior: &[Line; 3]) -> Self {
         Self {
-            channels: [channel(prior[0].k_epsilon), channel(prior[1].k_epsilon), channel(prior[2].k_epsilon)],
+            channels: prior.map(|p| Channel { prior: p.k_epsilon, sectors: [Gathered::default(); SECTORS], spread: 1.0 }),
             last_pose: None,
             poses: 0,
             raw: prior.map(|l| l.k_epsilon),
@@ -115,9 +125,9 @@ impl RefineState {
             return None;
         }
         self.last_pose = Some(*bend);
-        let mut next = *lines;
+        let (sector, mut next) = (sector_of(bend), *lines);
         for i in 0..3 {
-            if bellow_mm[i].abs() >= config.strain_min_mm && self.channels[i].add(config, slack_mm[i], bellow_mm[i]) {
+            if bellow_mm[i].abs() >= config.strain_min_mm && self.channels[i].add(config, sector, slack_mm[i], bellow_mm[i]) {
                 self.raw[i] = self.channels[i].gain(config);
                 let step = config.step_max * (1.0 + lines[i].k_epsilon);
                 next[i].k_epsilon += (self.raw[i] - lines[i].k_epsilon).clamp(-step, step);
@@ -129,32 +139,46 @@ impl RefineState {
 
     /// Standard deviation of each estimate.
     #[must_use]
-    pub fn sigma(&self) -> [f64; 3] {
-        self.channels.map(|c| (c.spread / c.information).sqrt())
+    pub fn sigma(&self, config: &RefineConfig) -> [f64; 3] {
+        self.channels.map(|c| (c.spread / c.total(config).information).sqrt())
     }
 }
 
+/// Which sector a bend lies in.
+fn sector_of(bend: &Vector2<f64>) -> usize {
+    let turn = bend.y.atan2(bend.x).rem_euclid(TAU) / TAU;
+    // directions of the experiment lie in the middle of a sector; f64 to usize saturates
+    (turn * SECTORS as f64).round() as usize % SECTORS
+}
+
 impl Channel {
-    fn add(&mut self, config: &RefineConfig, w_mm: f64, q_mm: f64) -> bool {
+    fn add(&mut self, config: &RefineConfig, sector: usize, w_mm: f64, q_mm: f64) -> bool {
         let error = (w_mm - q_mm) - self.gain(config) * q_mm;
         // how uncertain the prediction itself still is belongs to the bar
-        let doubt = self.spread * (1.0 + q_mm * q_mm / self.information);
+        let doubt = self.spread * (1.0 + q_mm * q_mm / self.total(config).information);
         let learn = error * error <= config.outlier * config.outlier * doubt;
         // the spread follows even what is not learned, so that a real change is believed in the end
         self.spread += 0.1 * (error * error - self.spread).min(10.0 * self.spread);
         self.spread = self.spread.max(1e-4);
         if learn {
-            let worth = config.prior_poses * FULL_STRAIN_MM * FULL_STRAIN_MM;
-            let keep = |now: f64, prior: f64| prior + (now - prior) * config.forgetting;
-            self.information = keep(self.information, worth) + q_mm * q_mm;
-            self.moment = keep(self.moment, worth * self.prior) + q_mm * (w_mm - q_mm);
+            let here = &mut self.sectors[sector];
+            here.information = config.forgetting * here.information + q_mm * q_mm;
+            here.moment = config.forgetting * here.moment + q_mm * (w_mm - q_mm);
         }
         learn
     }
 
+    /// All sectors and the prior.
+    fn total(&self, config: &RefineConfig) -> Gathered {
+        let worth = config.prior_poses * FULL_STRAIN_MM * FULL_STRAIN_MM;
+        let prior = Gathered { information: worth, moment: worth * self.prior };
+        self.sectors.iter().fold(prior, |sum, s| Gathered { information: sum.information + s.information, moment: sum.moment + s.moment })
+    }
+
     fn gain(&self, config: &RefineConfig) -> f64 {
         let range = config.range * (1.0 + self.prior);
-        (self.moment / self.information).clamp((self.prior - range).max(0.0), self.prior + range)
+        let Gathered { information, moment } = self.total(config);
+        (moment / information).clamp((self.prior - range).max(0.0), self.prior + range)
     }
 }
 
@@ -182,7 +206,7 @@ mod tests {
         for scale in [0.7, 1.3] {
             let config = RefineConfig::default();
             let mut now = lines(scale);
-            let mut state = RefineState::new(&config, &now);
+            let mut state = RefineState::new(&now);
             for (bend, w, q) in poses(60) {
                 if let Some(next) = state.learn(&config, &now, &bend, &w, &q) {
                     now = next;
@@ -198,7 +222,7 @@ mod tests {
     fn holding_teaches_once() {
         let config = RefineConfig::default();
         let now = lines(1.0);
-        let mut state = RefineState::new(&config, &now);
+        let mut state = RefineState::new(&now);
         let Some((bend, w, q)) = poses(3).last() else { panic!("three poses") };
         assert!(state.learn(&config, &now, &bend, &w, &q).is_some());
         let before = state;
@@ -212,7 +236,7 @@ mod tests {
     fn stays_within_its_range_and_finite_for_ever() {
         let config = RefineConfig::default();
         let mut now = lines(1.0);
-        let mut state = RefineState::new(&config, &now);
+        let mut state = RefineState::new(&now);
         for round in 0..200 {
             for (bend, w, q) in poses(60) {
                 if let Some(next) = state.learn(&config, &now, &bend, &(w * 4.0), &q) {
@@ -222,7 +246,7 @@ mod tests {
             for (i, line) in now.iter().enumerate() {
                 assert!(line.k_epsilon <= TRUTH[i] + 0.5 * (1.0 + TRUTH[i]) + 1e-9, "round {round}");
             }
-            assert!(state.sigma().iter().all(|s| s.is_finite()));
+            assert!(state.sigma(&config).iter().all(|s| s.is_finite()));
         }
     }
 
@@ -230,7 +254,7 @@ mod tests {
     fn one_wild_pose_is_not_learned_from() {
         let config = RefineConfig::default();
         let mut now = lines(1.0);
-        let mut state = RefineState::new(&config, &now);
+        let mut state = RefineState::new(&now);
         for (bend, w, q) in poses(60) {
             now = state.learn(&config, &now, &bend, &w, &q).unwrap_or(now);
         }

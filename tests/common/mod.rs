@@ -38,6 +38,13 @@ pub fn unit(seed: u64, noise: u64) -> Sim {
     Sim::new(&plant.make(), seed, noise, plant.period_s).unwrap()
 }
 
+/// Unit `seed` of a tip that follows Eq. 16 and has none of the twin's effects.
+pub fn plain(seed: u64, noise: u64) -> Sim {
+    let plant = plant();
+    let make = retroflex::plant::config::PlantConfig { effects: retroflex::plant::effects::Effects::default(), ..plant.make() };
+    Sim::new(&make, seed, noise, plant.period_s).unwrap()
+}
+
 /// Identification and arms on unit `seed`, as the command does it.
 pub fn evaluate(seed: u64, arms: &[Arm]) -> Evaluation {
     let plan = Plan { config: uncalibrated(), identify: true, arms: arms.to_vec(), seed };

@@ -24,7 +24,7 @@ pub enum Policy {
 ///
 /// `do` is `skip`, `coast_on_gyro` (with `for_s`), `gravity_only` or `hold`. A milder policy keeps
 /// the tip moving through a fault at the price of a larger attitude error; `hold` is always safe.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Policies {
     /// A transfer that was refused. Default `skip`: one lost sample costs one period of attitude.
@@ -108,7 +108,7 @@ impl Policies {
 
 /// When a reading is believed. The limits are on SI values in the sensor frame, after calibration:
 /// an uncorrected hard iron of up to 300 µT would drown every test of the field.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// Failed transfers in a row that make a stuck bus. Default 20 (40 ms at 500 Hz). A bigger value
@@ -232,7 +232,25 @@ pub struct ConfigError {
     pub allowed: &'static str,
 }
 
+/// A silence of fewer periods than this is no silence.
+const PERIODS: f64 = 6.0;
+
 impl Config {
+    /// The limits for a source that samples every `imu_s`, its magnetometer every `mag_s` (s): times
+    /// that are short against its periods are stretched.
+    #[must_use]
+    pub fn for_periods(&self, imu_s: f64, mag_s: Option<f64>) -> Self {
+        let at_least = |value: f64, period: f64| value.max(PERIODS * period);
+        Self {
+            stale_after_s: at_least(self.stale_after_s, imu_s),
+            jump_max_s: at_least(self.jump_max_s, imu_s),
+            blind_max_s: at_least(self.blind_max_s, imu_s),
+            mag_silent_after_s: at_least(self.mag_silent_after_s, mag_s.unwrap_or(0.0)),
+            expect_mag: self.expect_mag && mag_s.is_some(),
+            ..*self
+        }
+    }
+
     /// Checks every limit.
     ///
     /// # Errors

@@ -50,6 +50,15 @@ pub enum Outcome {
     Nothing,
 }
 
+impl Outcome {
+    /// What a world or a log gave, of whose noise nothing is promised.
+    #[must_use]
+    pub fn from_world(sample: Option<ImuSample>) -> Self {
+        let quality = Quality { expect_noise: false, ..Quality::default() };
+        sample.map_or(Self::Nothing, |s| Self::Sample(s, quality))
+    }
+}
+
 /// One question to the judge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reading {

@@ -292,11 +292,11 @@ fn field_norm_and_dip_are_judged_apart() {
         let a = (reference.dip_rad.to_degrees() + deg).to_radians();
         Vector3::new(a.cos(), 0.0, -a.sin()) * reference.norm_ut
     };
-    assert!(!bent(&c, &reference, Some(&up), &turned(9.0)));
-    assert!(bent(&c, &reference, Some(&up), &turned(11.0)));
-    assert!(!bent(&c, &reference, None, &turned(11.0)), "no dip without a vertical");
-    assert!(bent(&c, &reference, None, &(turned(0.0) * 1.16)));
-    assert!(!bent(&c, &reference, Some(&up), &(turned(0.0) * 0.86)));
+    assert!(!bent(&c, &reference, Some(&up), &turned(9.0), 0.0));
+    assert!(bent(&c, &reference, Some(&up), &turned(11.0), 0.0));
+    assert!(!bent(&c, &reference, None, &turned(11.0), 0.0), "no dip without a vertical");
+    assert!(bent(&c, &reference, None, &(turned(0.0) * 1.16), 0.0));
+    assert!(!bent(&c, &reference, Some(&up), &(turned(0.0) * 0.86), 0.0));
 }
 
 #[test]

@@ -130,6 +130,15 @@ impl<K: Kernel> Pins for CdevPins<K> {
         Ok(())
     }
 
+    fn check_enable(&mut self) -> Result<(), PinError> {
+        let mask = self.map.enable();
+        if mask == 0 {
+            return Ok(());
+        }
+        let found = self.kernel.get(&self.outputs, mask).map_err(|source| PinError::Io { what: "read", source })?;
+        self.map.compare_enable(self.bits, found)
+    }
+
     fn read(&mut self) -> Result<Inputs, PinError> {
         let Some(lines) = &self.inputs else { return Ok(Inputs::default()) };
         let mask = (1_u64 << self.map.inputs().len()) - 1;
@@ -170,6 +179,15 @@ mod tests {
     use super::*;
     use crate::io::pins::config::{InputPin, PinsConfig};
     use std::sync::{Arc, Mutex};
+
+    #[test]
+    fn an_enable_line_that_does_not_follow_is_named() {
+        let mut pins = CdevPins::open_with(Fake { inputs: 0, ..Fake::default() }, "chip", map()).unwrap();
+        let words = pins.check_enable().unwrap_err().to_string();
+        assert!(words.contains("EN on GPIO 5 stays low when driven high"), "{words}");
+        pins.write(&Levels { enable: true, ..Levels::default() }).unwrap();
+        pins.check_enable().unwrap();
+    }
 
     /// A kernel made of a log: what was asked, and what to answer.
     #[derive(Debug, Default, Clone)]

@@ -104,47 +104,62 @@ impl Default for PinsConfig {
 }
 
 impl PinsConfig {
+    /// Every line with what it is for, in the order of the file.
+    #[must_use]
+    pub fn uses(&self) -> Vec<Use> {
+        let mut uses = Vec::new();
+        for (i, c) in self.channels.iter().enumerate() {
+            let mut add = |key: &str, name, pin, shared| uses.push(Use { key: format!("channels.{i}.{key}"), name, pin, shared });
+            add("step", "step", c.step, false);
+            add("dir", "dir", c.dir, false);
+            if let Some(pin) = c.enable {
+                add("enable", "enable", pin, true);
+            }
+            for (n, (pin, name)) in c.ms.iter().flatten().zip(["ms1", "ms2", "ms3"]).enumerate() {
+                add(&format!("ms.{n}"), name, *pin, true);
+            }
+            if let Some(home) = c.home {
+                add("home.pin", "home", home.pin, false);
+            }
+        }
+        if let Some(stop) = self.emergency_stop {
+            uses.push(Use { key: "emergency_stop.pin".to_owned(), name: "emergency_stop", pin: stop.pin, shared: false });
+        }
+        uses
+    }
+
     /// Accepts the section or names what is wrong.
     ///
     /// # Errors
     /// [`ConfigError`] for a line that two things want.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let mut uses: Vec<(u32, &'static str)> = Vec::new();
-        for c in &self.channels {
-            uses.extend([(c.step, "step"), (c.dir, "dir")]);
-            uses.extend(c.home.map(|h| (h.pin, "home")));
-        }
-        uses.extend(self.emergency_stop.map(|e| (e.pin, "emergency_stop")));
-        // Shared among channels, but with nothing else: one use a line.
-        for (name, pin) in self.shared() {
-            if !uses.contains(&(pin, name)) {
-                uses.push((pin, name));
-            }
-        }
-        for (i, (pin, name)) in uses.iter().enumerate() {
-            if let Some((_, other)) = uses[..i].iter().find(|(p, _)| p == pin) {
+        let uses = self.uses();
+        for (i, u) in uses.iter().enumerate() {
+            let clash = uses[..i].iter().find(|o| o.pin == u.pin && !(u.shared && o.shared && o.name == u.name));
+            if let Some(other) = clash {
                 return Err(ConfigError {
                     key: "pins.channels",
-                    value: format!("{name} on line {pin}"),
-                    allowed: format!("a line of its own, and line {pin} is {other} already"),
+                    value: format!("{} on line {}", u.name, u.pin),
+                    allowed: format!("a line of its own, and line {} is {} already", u.pin, other.name),
                     mend: "Give every signal its own line; only EN and MS may be shared among channels.",
                 });
             }
         }
         Ok(())
     }
+}
 
-    /// EN and MS lines of all channels.
-    fn shared(&self) -> Vec<(&'static str, u32)> {
-        let mut lines = Vec::new();
-        for c in &self.channels {
-            lines.extend(c.enable.map(|p| ("enable", p)));
-            if let Some(ms) = c.ms {
-                lines.extend(["ms1", "ms2", "ms3"].into_iter().zip(ms));
-            }
-        }
-        lines
-    }
+/// One use of a line.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Use {
+    /// The key below `pins`, as in the file.
+    pub key: String,
+    /// Signal.
+    pub name: &'static str,
+    /// Line number.
+    pub pin: u32,
+    /// May be shared with the same signal of another channel.
+    pub shared: bool,
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ pub struct HalPins<O, I> {
     outputs: Vec<O>,
     inputs: Vec<I>,
     bits: u64,
+    level: Option<fn(&O) -> bool>,
 }
 
 impl<O: OutputPin, I: InputPin> HalPins<O, I> {
@@ -23,9 +24,16 @@ impl<O: OutputPin, I: InputPin> HalPins<O, I> {
     /// [`PinError::Pin`] when that write fails.
     pub fn new(map: LineMap, outputs: Vec<O>, inputs: Vec<I>) -> Result<Self, PinError> {
         let bits = map.bits(&Levels::default());
-        let mut pins = Self { map, outputs, inputs, bits };
+        let mut pins = Self { map, outputs, inputs, bits, level: None };
         pins.apply(bits, u64::MAX)?;
         Ok(pins)
+    }
+
+    /// Lets EN be read back through `level`, the voltage that is really on an output.
+    #[must_use]
+    pub fn reading_back(mut self, level: fn(&O) -> bool) -> Self {
+        self.level = Some(level);
+        self
     }
 
     fn apply(&mut self, bits: u64, changed: u64) -> Result<(), PinError> {
@@ -42,6 +50,12 @@ impl<O: OutputPin + Send, I: InputPin + Send> Pins for HalPins<O, I> {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
         let bits = self.map.bits(levels);
         self.apply(bits, bits ^ self.bits)
+    }
+
+    fn check_enable(&mut self) -> Result<(), PinError> {
+        let Some(level) = self.level else { return Ok(()) };
+        let found = self.outputs.iter().enumerate().fold(0, |bits, (i, pin)| bits | u64::from(level(pin)) << i);
+        self.map.compare_enable(self.bits, found)
     }
 
     fn read(&mut self) -> Result<Inputs, PinError> {

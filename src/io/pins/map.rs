@@ -4,6 +4,7 @@
 //! MS levels are constants of the A4988 (data sheet, Table 1): full 000, half 100, quarter 010,
 //! eighth 110, sixteenth 111 on MS1 MS2 MS3.
 
+use crate::io::pins::PinError;
 use crate::io::pins::config::{InputPin, PinsConfig, Pull};
 use crate::motion::ConfigError;
 use crate::motion::lines::Levels;
@@ -100,6 +101,25 @@ impl LineMap {
             meant |= if levels.dir[channel] { self.dir[channel] } else { 0 };
         }
         (meant ^ self.inverted) | self.fixed
+    }
+
+    /// Bits of the EN lines.
+    #[must_use]
+    pub fn enable(&self) -> u64 {
+        self.enable
+    }
+
+    /// The first EN line whose voltage is not the one written.
+    ///
+    /// # Errors
+    /// [`PinError::EnableStuck`].
+    pub fn compare_enable(&self, written: u64, found: u64) -> Result<(), PinError> {
+        let wrong = (written ^ found) & self.enable;
+        if wrong == 0 {
+            return Ok(());
+        }
+        let bit = wrong.trailing_zeros() as usize;
+        Err(PinError::EnableStuck { pin: self.outputs[bit], wanted_high: written >> bit & 1 == 1 })
     }
 
     /// Meaning of the voltages of all inputs.

@@ -73,6 +73,18 @@ pub enum PinError {
     /// The program was built without the feature `hw`.
     #[error("this program was built without hardware support: build with `--features hw`")]
     NotBuilt,
+    /// EN does not follow what is written to it.
+    #[error(
+        "EN on GPIO {pin} stays {} when driven {}: look for a short, a missing driver supply or a second program on the line, and do not rely on the emergency stop until it is mended",
+        if *.wanted_high { "low" } else { "high" },
+        if *.wanted_high { "high" } else { "low" }
+    )]
+    EnableStuck {
+        /// The line.
+        pin: u32,
+        /// The level that was written.
+        wanted_high: bool,
+    },
     /// A read or write failed.
     #[error("GPIO {what} failed: {source}; check the wiring and the kernel log (`dmesg | tail`)")]
     Io {
@@ -100,6 +112,15 @@ pub trait Pins: Send {
     /// [`PinError::Io`] or [`PinError::Pin`]; which lines have moved is then unknown.
     fn write(&mut self, levels: &Levels) -> Result<(), PinError>;
 
+    /// Reads the EN lines back and compares them with what was written last. Pins that cannot be read
+    /// back say nothing.
+    ///
+    /// # Errors
+    /// [`PinError::EnableStuck`], or a failed read.
+    fn check_enable(&mut self) -> Result<(), PinError> {
+        Ok(())
+    }
+
     /// Reads the input lines; those that are not wired read as not pressed.
     ///
     /// # Errors
@@ -110,6 +131,9 @@ pub trait Pins: Send {
 impl Pins for Box<dyn Pins> {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
         (**self).write(levels)
+    }
+    fn check_enable(&mut self) -> Result<(), PinError> {
+        (**self).check_enable()
     }
     fn read(&mut self) -> Result<Inputs, PinError> {
         (**self).read()

@@ -36,7 +36,7 @@ pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
             Pull::Off => line.into_input(),
         });
     }
-    HalPins::new(map, outputs, inputs)
+    Ok(HalPins::new(map, outputs, inputs)?.reading_back(OutputPin::is_set_high))
 }
 
 /// One line of the header.

@@ -1,0 +1,125 @@
+//! `retroflex bench rt`: how late this machine is, beside `cyclictest` where it is installed.
+
+use crate::cli::{Outcome, Unreachable, output};
+use crate::config::board::Board;
+use crate::config::source;
+use crate::io::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
+use crate::io::cyclictest;
+use crate::io::pins::map::LineMap;
+use crate::io::pins::{self, MockPins, OpenError, Pins, PinsConfig};
+use crate::io::stepper::StartError;
+use crate::motion::StepperConfig;
+use clap::{Args, Subcommand};
+use miette::{IntoDiagnostic, Result, miette};
+use std::io::Write;
+use std::path::PathBuf;
+
+/// Measurements of this machine.
+#[derive(Debug, Subcommand)]
+pub enum Bench {
+    /// Lateness of the step thread: wake-up, step and interval, as a table and a histogram.
+    Rt(Rt),
+}
+
+/// Arguments of `bench rt`.
+#[derive(Debug, Args)]
+pub struct Rt {
+    /// Pulse through the pins of this board, drivers without current; without it through the mock.
+    #[arg(long)]
+    board: Option<PathBuf>,
+    /// Steps a second on each of the three channels.
+    #[arg(long, default_value_t = 4000.0)]
+    rate: f64,
+    /// How long, s.
+    #[arg(long, default_value_t = 10.0)]
+    seconds: f64,
+    /// Threads that keep processors busy meanwhile.
+    #[arg(long, default_value_t = 0)]
+    load: usize,
+    /// Write the histograms as one SVG drawing.
+    #[arg(long)]
+    svg: Option<PathBuf>,
+    /// Do not run `cyclictest` afterwards.
+    #[arg(long)]
+    alone: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A report that says what was wrong with the input, or that the pins cannot be had.
+pub fn run(command: &Bench) -> Result<Outcome> {
+    let Bench::Rt(args) = command;
+    if !(10.0..=20_000.0).contains(&args.rate) || !(0.2..=3600.0).contains(&args.seconds) {
+        return Err(miette!("--rate {} --seconds {}: give 10 to 20000 steps a second and 0.2 to 3600 s", args.rate, args.seconds));
+    }
+    if let Some(path) = &args.svg {
+        output::check(path)?;
+    }
+    let base = RtBenchConfig { rate_hz: args.rate, duration_s: args.seconds, load_threads: args.load, ..RtBenchConfig::default() };
+    let (bench, through) = match &args.board {
+        Some(path) => on_board(path, base)?,
+        None => {
+            let map = LineMap::new(&PinsConfig::default(), 16).into_diagnostic()?;
+            (measure(&base, MockPins::new(map, 0))?, "the mock".to_owned())
+        }
+    };
+    let text = format!("through {through}\n{}\n", bench.table());
+    // a reader that has gone away is no failure of the bench
+    let _ = std::io::stdout().write_all(text.as_bytes());
+    if let Some(path) = &args.svg {
+        output::write(path, &bench.svg())?;
+    }
+    if !args.alone {
+        compare(&bench);
+    }
+    Ok(if bench.is_good() { Outcome::Good } else { Outcome::NotGoodEnough })
+}
+
+fn on_board(path: &std::path::Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
+    let board: Board = source::read(path)?;
+    let Some(wiring) = &board.pins else {
+        return Err(miette!("{}: has no [pins] table, so there is nothing to pulse; leave --board out to use the mock", path.display()));
+    };
+    if wiring.channels.iter().any(|c| c.enable.is_none()) {
+        return Err(miette!(
+            "{}: a channel's EN is hard-wired, so its motor would run; wire EN to a line and name it in pins.channels",
+            path.display()
+        ));
+    }
+    let pins = pins::open(wiring, board.drive.microsteps).map_err(|e| match e {
+        OpenError::Config(e) => miette!("{}: {e}", path.display()),
+        OpenError::Pin(e) => Unreachable { what: "the GPIO".to_owned(), why: e.to_string() }.into(),
+    })?;
+    // no motor turns, so steps may come as close as the clock wants them, with room to catch up
+    let least_us = board.stepper.pulse_high_us + board.stepper.pulse_low_us;
+    let close_us = (0.2e6 / base.rate_hz).clamp(least_us, board.stepper.step_interval_min_us.max(least_us));
+    let config = RtBenchConfig { stepper: StepperConfig { step_interval_min_us: close_us, ..board.stepper }, ..base };
+    let through = format!("{:?} on {}", wiring.backend, board.machine.name).to_lowercase();
+    Ok((measure(&config, NoCurrent(pins))?, through))
+}
+
+fn measure<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<RtBench> {
+    match bench_rt::run(config, pins) {
+        Ok((bench, _)) => Ok(bench),
+        Err(StartError::Config(e)) => Err(miette!("{e}")),
+        Err(e) => Err(e).into_diagnostic(),
+    }
+}
+
+/// The kernel's own latency at the same priority, and the ratio.
+fn compare(bench: &RtBench) {
+    let text = match cyclictest::run(bench.config.stepper.priority, bench.config.rate_hz, 10.0, bench.config.load_threads) {
+        Ok(theirs) => {
+            let ours = bench.wake.quantile_ns(0.999) as f64 * 1e-3;
+            format!(
+                "cyclictest, same priority, right after: p99.9 {:.0} µs, longest {:.0} µs; wake-up lateness p99.9 here {ours:.1} µs: ratio {:.2}\n",
+                theirs.p999_us,
+                theirs.max_us,
+                ours / theirs.p999_us.max(1.0)
+            )
+        }
+        Err(why) => format!("cyclictest: {why}\n"),
+    };
+    let _ = std::io::stdout().write_all(text.as_bytes());
+}

@@ -1,0 +1,127 @@
+//! `retroflex commission`: is the machine wired as its board file says, and is it tight?
+
+use crate::cli::{Outcome, hands, output};
+use crate::commission::trial::{self, Findings, TrialConfig, TrialError};
+use crate::commission::wiring::Wiring;
+use crate::config::board::Board;
+use crate::config::source;
+use miette::{IntoDiagnostic, Result, miette};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `commission`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Board file.
+    #[arg(long)]
+    board: PathBuf,
+    /// Write what was found wrong into the board file.
+    #[arg(long)]
+    write: bool,
+    /// Stroke of the wiring test, mm, 1 to 6.
+    #[arg(long, default_value_t = 3.0)]
+    stroke: f64,
+    /// Duration of the leak test of each line, s; 0 leaves it out.
+    #[arg(long, default_value_t = 10.0)]
+    hold: f64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A report: bad input, hardware that does not answer, or what ended the procedure.
+pub fn run(args: &Args) -> Result<Outcome> {
+    if !((1.0..=6.0).contains(&args.stroke) && (0.0..=120.0).contains(&args.hold)) {
+        return Err(miette!("--stroke {} --hold {}: give 1 to 6 mm and 0 to 120 s", args.stroke, args.hold));
+    }
+    let (board, mut machine) = hands::open(&args.board, |_| ())?;
+    let config = TrialConfig { stroke_mm: args.stroke, hold_s: args.hold, ..TrialConfig::new(board.geometry.law()) };
+    let findings = hands::at_hand(machine.as_mut(), |hand| {
+        trial::run(hand, &config, &mut |step| eprintln!("{step}")).map_err(|e| match e {
+            TrialError::Hand(e) => hands::ended(e),
+            e => miette!("{e}"),
+        })
+    })?;
+    drop(machine);
+    // a reader that has gone away is no failure of the procedure
+    let _ = std::io::stdout().write_all(findings.words().as_bytes());
+    if let (true, Some(wiring)) = (args.write, &findings.wiring) {
+        write_back(&args.board, &board, wiring)?;
+    }
+    Ok(verdict(&findings))
+}
+
+fn verdict(findings: &Findings) -> Outcome {
+    if findings.is_good() { Outcome::Good } else { Outcome::NotGoodEnough }
+}
+
+/// Writes a wiring into the board file, value by value.
+fn write_back(path: &Path, board: &Board, wiring: &Wiring) -> Result<()> {
+    if wiring.is_right() {
+        return Ok(());
+    }
+    let text = std::fs::read_to_string(path).into_diagnostic()?;
+    let (new, changes) = rewired(&text, board, wiring).map_err(|key| {
+        miette!("{}: {key} is not written in the file, so it cannot be changed there; add it to its table and run again", path.display())
+    })?;
+    source::parse::<Board>(&path.display().to_string(), &new)?;
+    output::write(path, &new)?;
+    for change in changes {
+        eprintln!("{}: {change}", path.display());
+    }
+    Ok(())
+}
+
+/// The text with the wiring mended; or the key that it lacks.
+fn rewired(text: &str, board: &Board, wiring: &Wiring) -> Result<(String, Vec<String>), String> {
+    let mut new = text.to_owned();
+    let mut changes = Vec::new();
+    let mut set = |key: String, value: String| -> Result<(), String> {
+        new = source::replace(&new, &key, &value).ok_or_else(|| key.clone())?;
+        changes.push(format!("{key} = {value}"));
+        Ok(())
+    };
+    let Some(pins) = &board.pins else { return Err("pins".to_owned()) };
+    for (i, &bellow) in wiring.reaches.iter().enumerate() {
+        // the driver of channel i belongs where its line ends
+        let from = &pins.channels[i];
+        if bellow != i {
+            set(format!("pins.channels.{bellow}.step"), from.step.to_string())?;
+            set(format!("pins.channels.{bellow}.dir"), from.dir.to_string())?;
+        }
+        let turned = from.dir_inverted != wiring.inverted[i];
+        if turned != pins.channels[bellow].dir_inverted {
+            set(format!("pins.channels.{bellow}.dir_inverted"), turned.to_string())?;
+        }
+    }
+    if let (Some(imu), true) = (&board.imu, wiring.turned_rad.abs() >= crate::commission::wiring::TURN_SMALL_RAD) {
+        let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), wiring.turned_rad);
+        let mount = (turn * imu.mount()).scaled_axis().map(f64::to_degrees);
+        set("imu.mount_deg".to_owned(), format!("[{:.1}, {:.1}, {:.1}]", mount.x, mount.y, mount.z))?;
+    }
+    Ok((new, changes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_back_is_a_board_that_is_wired_so() {
+        let text = include_str!("../../boards/pi4.toml");
+        let board: Board = source::parse("pi4", text).unwrap();
+        let wiring = Wiring { reaches: [1, 0, 2], inverted: [true, false, false], turned_rad: 0.7, residual_rad: 0.0 };
+        let (new, changes) = rewired(text, &board, &wiring).unwrap();
+        let mended: Board = source::parse("new", &new).unwrap();
+        let (was, is) = (board.pins.unwrap().channels, mended.pins.unwrap().channels);
+        // driver 1 reaches bellow 2 and turns the wrong way
+        assert_eq!((is[1].step, is[1].dir, is[1].dir_inverted), (was[0].step, was[0].dir, true));
+        assert_eq!((is[0].step, is[0].dir, is[0].dir_inverted), (was[1].step, was[1].dir, false));
+        assert_eq!(is[2], was[2]);
+        assert!((mended.imu.unwrap().mount().angle() - 0.7).abs() < 1e-3 && changes.len() == 6, "{changes:?}");
+        // comments and everything else are as they were
+        assert_eq!(new.lines().count(), text.lines().count());
+        let sim: Board = source::parse("sim", include_str!("../../boards/sim.toml")).unwrap();
+        assert_eq!(rewired("", &sim, &wiring).unwrap_err(), "pins");
+    }
+}

@@ -1,0 +1,204 @@
+//! `retroflex doctor`: the board file against the machine, line by line: pass, warn or fail, each with
+//! the mend.
+
+use crate::cli::{Outcome, output};
+use crate::config::board::Board;
+use crate::config::source;
+use crate::io::rt::{self, Grant, RtWish};
+use miette::{IntoDiagnostic, Result};
+use serde::Serialize;
+use std::io::Write;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `doctor`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Board file; without it the paper twin.
+    #[arg(long)]
+    board: Option<PathBuf>,
+    /// Write the lines as JSON.
+    #[arg(long)]
+    json: Option<PathBuf>,
+}
+
+/// How a line came out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// As it should be.
+    Pass,
+    /// It will run, less well.
+    Warn,
+    /// It will not run.
+    Fail,
+}
+
+/// One line.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Finding {
+    /// What was looked at.
+    pub what: String,
+    /// How it came out.
+    pub verdict: Verdict,
+    /// What was found.
+    pub found: String,
+    /// What to do about it; empty where nothing is to be done.
+    pub mend: String,
+}
+
+impl Finding {
+    /// A line.
+    pub fn new(what: &str, verdict: Verdict, found: impl Into<String>, mend: &str) -> Self {
+        let mend = if verdict == Verdict::Pass { String::new() } else { mend.to_owned() };
+        Self { what: what.to_owned(), verdict, found: found.into(), mend }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A report for a board file that is not one.
+pub fn run(args: &Args) -> Result<Outcome> {
+    let board: Board = match &args.board {
+        Some(path) => source::read(path)?,
+        None => source::parse("boards/sim.toml", include_str!("../../boards/sim.toml"))?,
+    };
+    let findings = examine(&board);
+    if let Some(path) = &args.json {
+        output::write(path, &(serde_json::to_string_pretty(&findings).into_diagnostic()? + "\n"))?;
+    }
+    let mut text = String::new();
+    for f in &findings {
+        let mark = match f.verdict {
+            Verdict::Pass => "pass",
+            Verdict::Warn => "WARN",
+            Verdict::Fail => "FAIL",
+        };
+        let mend = if f.mend.is_empty() { String::new() } else { format!("\n      → {}", f.mend) };
+        text.push_str(&format!("{mark}  {:<18} {}{mend}\n", f.what, f.found));
+    }
+    // a reader that has gone away is no failure of the doctor
+    let _ = std::io::stdout().write_all(text.as_bytes());
+    let failed = findings.iter().any(|f| f.verdict == Verdict::Fail);
+    Ok(if failed { Outcome::NotGoodEnough } else { Outcome::Good })
+}
+
+/// Everything that can be seen without driving anything.
+#[must_use]
+pub fn examine(board: &Board) -> Vec<Finding> {
+    let mut findings = vec![model(), kernel()];
+    findings.extend(real_time(board));
+    findings.extend([clock(), throttling(), disk(&board.service.state), folder("socket folder", board.service.socket.parent())]);
+    findings
+}
+
+fn read(path: &str) -> Option<String> {
+    std::fs::read_to_string(path).ok().map(|t| t.trim_end_matches(['\0', '\n']).to_owned())
+}
+
+fn model() -> Finding {
+    match read("/proc/device-tree/model") {
+        Some(model) if model.contains("Raspberry Pi") => Finding::new("computer", Verdict::Pass, model, ""),
+        Some(model) => Finding::new("computer", Verdict::Warn, model, "not a Raspberry Pi: pins through the GPIO character device only"),
+        None => Finding::new("computer", Verdict::Warn, std::env::consts::ARCH, "no device tree: plants and replays only"),
+    }
+}
+
+fn kernel() -> Finding {
+    let release = read("/proc/sys/kernel/osrelease").unwrap_or_default();
+    let preempt = read("/sys/kernel/realtime").as_deref() == Some("1") || release.contains("-rt");
+    let verdict = if preempt { Verdict::Pass } else { Verdict::Warn };
+    Finding::new(
+        "kernel",
+        verdict,
+        release,
+        "not a PREEMPT_RT kernel: rare late steps, see `retroflex bench rt`; a latched fault guards against harm",
+    )
+}
+
+/// What the kernel grants, asked for in a thread of its own that gives it back by ending.
+fn real_time(board: &Board) -> Vec<Finding> {
+    let wish = RtWish { priority: board.service.priority, cpu: board.service.cpu };
+    let asked = std::thread::spawn(move || rt::enter(&wish).0);
+    let Ok(status) = asked.join() else { return vec![Finding::new("real time", Verdict::Fail, "could not be asked", "")] };
+    let line = |(name, grant): (&'static str, &Grant)| match grant {
+        Grant::NotAsked => None,
+        Grant::Granted => Some(Finding::new(name, Verdict::Pass, "granted", "")),
+        Grant::Refused(r) => Some(Finding::new(name, Verdict::Warn, format!("{} refused", r.wish), r.mend)),
+    };
+    status.rows().into_iter().filter_map(line).collect()
+}
+
+fn clock() -> Finding {
+    let source = read("/sys/devices/system/clocksource/clocksource0/current_clocksource").unwrap_or_else(|| "unknown".to_owned());
+    let good = ["arch_sys_counter", "tsc", "kvm-clock"].contains(&source.as_str());
+    let verdict = if good { Verdict::Pass } else { Verdict::Warn };
+    Finding::new("clock", verdict, source, "a slow clock source makes every look at the time expensive")
+}
+
+/// Bits of the firmware's word (`vcgencmd get_throttled`): 0 under-voltage now, 1 capped, 2 throttled,
+/// 16 to 18 the same since boot.
+fn throttling() -> Finding {
+    let Some(word) = read("/sys/devices/platform/soc/soc:firmware/get_throttled") else {
+        return Finding::new("power", Verdict::Pass, "no firmware to ask", "");
+    };
+    let bits = u32::from_str_radix(word.trim_start_matches("0x"), 16).unwrap_or(0);
+    let names = [
+        (0, "under-voltage now"),
+        (1, "frequency capped now"),
+        (2, "throttled now"),
+        (16, "under-voltage since boot"),
+        (18, "throttled since boot"),
+    ];
+    let set: Vec<&str> = names.iter().filter(|(bit, _)| bits >> bit & 1 == 1).map(|(_, name)| *name).collect();
+    if set.is_empty() {
+        return Finding::new("power", Verdict::Pass, "no under-voltage, not throttled", "");
+    }
+    let verdict = if bits & 1 == 1 { Verdict::Fail } else { Verdict::Warn };
+    Finding::new("power", verdict, set.join(", "), "use the official supply, and feed the motors from one of their own")
+}
+
+fn disk(state: &Path) -> Finding {
+    let mut folder = state;
+    while !folder.exists() {
+        match folder.parent() {
+            Some(parent) => folder = parent,
+            None => break,
+        }
+    }
+    let out = std::process::Command::new("df").args(["-Pk"]).arg(folder).output();
+    let free_kib = out.ok().and_then(|o| {
+        let text = String::from_utf8_lossy(&o.stdout).into_owned();
+        text.lines().nth(1)?.split_whitespace().nth(3)?.parse::<u64>().ok()
+    });
+    match free_kib {
+        None => Finding::new("disk", Verdict::Warn, "free space unknown", "see that the state folder can be written"),
+        Some(k) if k < 1024 => Finding::new(
+            "disk",
+            Verdict::Fail,
+            format!("{k} KiB free under {}", folder.display()),
+            "make room: memory and recordings need it",
+        ),
+        Some(k) if k < 512 * 1024 => Finding::new(
+            "disk",
+            Verdict::Warn,
+            format!("{} MiB free under {}", k / 1024, folder.display()),
+            "a recording takes 15 MiB a minute",
+        ),
+        Some(k) => Finding::new("disk", Verdict::Pass, format!("{} MiB free under {}", k / 1024, folder.display()), ""),
+    }
+}
+
+fn folder(what: &str, path: Option<&Path>) -> Finding {
+    let Some(path) = path else { return Finding::new(what, Verdict::Fail, "none", "name the socket with its folder") };
+    match std::fs::metadata(path) {
+        Ok(m) => Finding::new(what, Verdict::Pass, format!("{} ({:o}, {}:{})", path.display(), m.mode() & 0o777, m.uid(), m.gid()), ""),
+        Err(e) => Finding::new(
+            what,
+            Verdict::Warn,
+            format!("{}: {e}", path.display()),
+            "the unit's RuntimeDirectory= makes it; by hand use --socket",
+        ),
+    }
+}

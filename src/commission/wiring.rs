@@ -1,0 +1,157 @@
+//! From three answers to what is connected to what.
+//!
+//! Channel i alone, elongating, bends the tip by a vector aᵢ; wired as the board says it is eᵢ, from the
+//! kinematics. A hypothesis is a permutation p (which bellow the line of channel i reaches), signs s
+//! (which way the motor turns) and an angle φ (how the sensor is turned about the tip's axis):
+//! aᵢ ∥ sᵢ Rot(φ) e_{p(i)}. All 48 are tried with their best φ. Several can fit alike (all lines one
+//! place on looks like a sensor turned by 120°): the fewest changes win, the others are told.
+
+use nalgebra::{Rotation2, Vector2};
+use std::fmt::Write;
+
+/// What is connected to what.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wiring {
+    /// Which bellow, from 0, each channel's line reaches.
+    pub reaches: [usize; 3],
+    /// Which motors turn the wrong way.
+    pub inverted: [bool; 3],
+    /// How the sensor is turned about the tip's axis against what the board says, rad.
+    pub turned_rad: f64,
+    /// RMS angle between this hypothesis and what was measured, rad.
+    pub residual_rad: f64,
+}
+
+/// Turns of the sensor below this are a matter of calibration, rad.
+pub const TURN_SMALL_RAD: f64 = 0.35;
+/// Residuals this near to the best fit as well, rad.
+const ALIKE_RAD: f64 = 0.12;
+/// A best residual above this fits nothing, rad.
+pub const RESIDUAL_MAX_RAD: f64 = 0.35;
+
+const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [1, 0, 2], [0, 2, 1], [2, 1, 0], [1, 2, 0], [2, 0, 1]];
+
+impl Wiring {
+    /// True when nothing needs to be changed.
+    #[must_use]
+    pub fn is_right(&self) -> bool {
+        self.reaches == [0, 1, 2] && self.inverted == [false; 3] && self.turned_rad.abs() < TURN_SMALL_RAD
+    }
+
+    /// How much would have to be changed.
+    fn cost(&self) -> f64 {
+        let moved = self.reaches.iter().enumerate().filter(|(i, p)| i != *p).count() as f64;
+        let inverted = self.inverted.iter().filter(|x| **x).count() as f64;
+        let turned = if self.turned_rad.abs() < TURN_SMALL_RAD { 0.0 } else { 1.5 };
+        moved + inverted + turned + 0.1 * self.turned_rad.abs()
+    }
+
+    /// What is wrong, in plain words; empty when nothing is.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let mut text = String::new();
+        for i in 0..3 {
+            if self.reaches[i] != i {
+                let _ = write!(text, "line {} reaches bellow {}; ", i + 1, self.reaches[i] + 1);
+            }
+        }
+        for i in (0..3).filter(|i| self.inverted[*i]) {
+            let _ = write!(text, "motor {} turns the wrong way; ", i + 1);
+        }
+        if self.turned_rad.abs() >= TURN_SMALL_RAD {
+            let _ = write!(text, "the sensor is turned by {:.0}° about the tip's axis; ", self.turned_rad.to_degrees());
+        }
+        text.trim_end_matches("; ").to_owned()
+    }
+}
+
+/// The simplest wiring that fits the answers, and others that fit as well. `None` when nothing fits.
+#[must_use]
+pub fn judge(answers: &[Vector2<f64>; 3], expected: &[Vector2<f64>; 3]) -> Option<(Wiring, Vec<Wiring>)> {
+    let mut all: Vec<Wiring> = ORDERS
+        .iter()
+        .flat_map(|order| (0..8).map(move |bits| (*order, [0, 1, 2].map(|i| bits >> i & 1 == 1))))
+        .map(|(reaches, inverted)| fit(answers, expected, reaches, inverted))
+        .collect();
+    let best = all.iter().map(|w| w.residual_rad).fold(f64::MAX, f64::min);
+    if best.is_nan() || best > RESIDUAL_MAX_RAD {
+        return None;
+    }
+    all.retain(|w| w.residual_rad <= best + ALIKE_RAD);
+    all.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
+    let simplest = all.remove(0);
+    let others = all.into_iter().filter(|w| w.cost() <= simplest.cost() + 1.6).take(3).collect();
+    Some((simplest, others))
+}
+
+fn fit(answers: &[Vector2<f64>; 3], expected: &[Vector2<f64>; 3], reaches: [usize; 3], inverted: [bool; 3]) -> Wiring {
+    let pairs = [0, 1, 2].map(|i| {
+        let e = expected[reaches[i]].normalize();
+        (answers[i].normalize(), if inverted[i] { -e } else { e })
+    });
+    // the angle that turns the expected onto the measured directions best
+    let (dot, cross) = pairs.iter().fold((0.0, 0.0), |(d, c), (a, e)| (d + e.dot(a), c + e.perp(a)));
+    let turned_rad = cross.atan2(dot);
+    let turn = Rotation2::new(turned_rad);
+    let square = pairs.iter().map(|(a, e)| (turn * e).angle(a).powi(2)).sum::<f64>() / 3.0;
+    Wiring { reaches, inverted, turned_rad, residual_rad: square.sqrt() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn expected() -> [Vector2<f64>; 3] {
+        [0, 1, 2].map(|i| Rotation2::new(-f64::from(i) * std::f64::consts::TAU / 3.0) * Vector2::new(-0.1, 0.0))
+    }
+
+    fn answers(w: &Wiring) -> [Vector2<f64>; 3] {
+        [0, 1, 2].map(|i| Rotation2::new(w.turned_rad) * expected()[w.reaches[i]] * if w.inverted[i] { -1.0 } else { 1.0 })
+    }
+
+    proptest! {
+        /// Whatever is wrong, the answer explains what was seen, and never with more changes than were made.
+        #[test]
+        fn the_simplest_explanation_is_found(order in 0..6usize, bits in 0..8u8, turned_rad in -3.1..3.1f64, noise in prop::array::uniform3(-0.15..0.15f64)) {
+            let truth = Wiring { reaches: ORDERS[order], inverted: [0, 1, 2].map(|i| bits >> i & 1 == 1), turned_rad, residual_rad: 0.0 };
+            let mut seen = answers(&truth);
+            for (a, n) in seen.iter_mut().zip(noise) {
+                *a = Rotation2::new(n) * *a;
+            }
+            let (found, others) = judge(&seen, &expected()).unwrap();
+            prop_assert!(found.cost() <= truth.cost() + 0.05, "{found:?} for {truth:?}");
+            let again = answers(&found);
+            for i in 0..3 {
+                prop_assert!(again[i].angle(&seen[i]) < 0.5);
+            }
+            prop_assert!(others.iter().all(|o| o.cost() >= found.cost()));
+        }
+    }
+
+    #[test]
+    fn single_mistakes_are_named_and_ambiguity_is_told() {
+        let right = Wiring { reaches: [0, 1, 2], inverted: [false; 3], turned_rad: 0.0, residual_rad: 0.0 };
+        let (w, others) = judge(&answers(&right), &expected()).unwrap();
+        assert!(w.is_right() && w.words().is_empty() && others.is_empty(), "{w:?} {others:?}");
+        let swapped = Wiring { reaches: [1, 0, 2], ..right };
+        let (w, _) = judge(&answers(&swapped), &expected()).unwrap();
+        assert_eq!(w.words(), "line 1 reaches bellow 2; line 2 reaches bellow 1");
+        let inverted = Wiring { inverted: [false, true, false], ..right };
+        assert_eq!(judge(&answers(&inverted), &expected()).unwrap().0.words(), "motor 2 turns the wrong way");
+        let turned = Wiring { turned_rad: 0.9, ..right };
+        let (w, _) = judge(&answers(&turned), &expected()).unwrap();
+        assert!(w.words().contains("turned by 52°"), "{}", w.words());
+        // one place on, or the sensor by 120°: both are told
+        let cycled = Wiring { reaches: [1, 2, 0], ..right };
+        let (w, others) = judge(&answers(&cycled), &expected()).unwrap();
+        let all: Vec<String> = std::iter::once(&w).chain(&others).map(Wiring::words).collect();
+        assert!(all.iter().any(|t| t.contains("line 1 reaches bellow 2")) && all.iter().any(|t| t.contains("turned by")), "{all:?}");
+    }
+
+    #[test]
+    fn answers_that_fit_nothing_are_not_explained() {
+        let same = [Vector2::new(0.1, 0.0); 3];
+        assert!(judge(&same, &expected()).is_none_or(|(w, _)| w.residual_rad < RESIDUAL_MAX_RAD));
+    }
+}

@@ -1,0 +1,19 @@
+//! The files together, as the pilot needs them.
+
+use crate::config::board::Board;
+use crate::config::calib::Calibration;
+use crate::config::gains::Gains;
+use crate::model::drive::Drive;
+use crate::pilot::PilotConfig;
+use crate::world::Nature;
+
+/// Board, calibration and gains for a machine of this nature.
+#[must_use]
+pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, nature: &Nature) -> PilotConfig {
+    let mut tick = super::assemble(board, calibration, gains);
+    // the machine's own step and rest length take the board's place
+    tick.drive = Drive { step_mm: nature.step_mm };
+    tick.geometry.rest_length_mm = nature.rest_length_mm;
+    let gate = board.safety.gate(&tick, &tick.limits, nature.period_s);
+    PilotConfig { gate, explain: board.safety.explain, proof: board.safety.proof, dead_man_s: board.service.dead_man_s, tick }
+}

@@ -1,0 +1,226 @@
+//! A pilot on a built-in plant that can be broken at its sensor, its lines and its clock.
+
+use crate::config::board::Board;
+use crate::config::calib::Calibration;
+use crate::config::gains::Gains;
+use crate::config::pilot::assemble;
+use crate::frames::{Base, Rotation, Tip};
+use crate::fuse::health::{Fault as BusFault, Outcome};
+use crate::machine::{Alarm, Inputs, Lockstep, Machine, Sensed};
+use crate::model::bend::Bend;
+use crate::pilot::flight::Flight;
+use crate::pilot::order::Order;
+use crate::pilot::{Pilot, PilotConfig, Turned};
+use crate::plant::{Channel, Fault, PlantError};
+use crate::sim::Sim;
+use crate::tick::{Command, Kept};
+use crate::units::{Mm, Seconds, Steps};
+use crate::world::{Nature, WorldError};
+
+/// A machine that can be broken from outside its plant.
+#[derive(Debug, Clone)]
+pub struct Breakable {
+    inner: Lockstep<Sim>,
+    /// Every transfer fails like this.
+    pub bus: Option<BusFault>,
+    /// Stamps of samples are off by so much, s.
+    pub stamps_off_s: f64,
+    /// The emergency stop is pressed.
+    pub pressed: bool,
+    /// The step thread complains.
+    pub alarm: Option<Alarm>,
+}
+
+impl Breakable {
+    /// Nothing is broken yet.
+    #[must_use]
+    pub fn new(sim: Sim) -> Self {
+        Self { inner: Lockstep::new(sim), bus: None, stamps_off_s: 0.0, pressed: false, alarm: None }
+    }
+
+    /// Breaks something in the plant.
+    pub fn inject(&mut self, fault: Fault) {
+        self.inner.world.plant_mut().inject(fault);
+    }
+
+    /// Puts a rack back to its mark by hand, with the pistons at rest: what was lost on the way there is made up for.
+    pub fn put_back(&mut self) {
+        let step_mm = self.nature().step_mm;
+        let Some(slack_mm) = self.inner.world.last().map(|out| out.truth.slack_mm) else { return };
+        for channel in Channel::ALL {
+            let microsteps = (slack_mm[channel.index()] / step_mm).round() as i32;
+            self.inject(Fault::StepLoss { channel, microsteps });
+        }
+    }
+
+    /// Mends everything; consequences stay.
+    pub fn mend(&mut self) {
+        self.inner.world.plant_mut().clear();
+        (self.bus, self.stamps_off_s, self.pressed) = (None, 0.0, false);
+    }
+}
+
+impl Machine for Breakable {
+    fn nature(&self) -> &Nature {
+        self.inner.nature()
+    }
+    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, WorldError> {
+        let mut sensed = self.inner.turn(now, wanted)?;
+        if let (Some(fault), Outcome::Sample(..)) = (self.bus, sensed.imu) {
+            sensed.imu = Outcome::Failed(fault);
+        }
+        if let Outcome::Sample(sample, quality) = &mut sensed.imu {
+            sample.t.0 += self.stamps_off_s;
+            // as a driver sees it in the counts
+            let chip = &self.inner.world.unit().imu;
+            quality.gyro_load = sample.gyro_rad_s.amax().to_degrees() / chip.gyro_range_deg_s;
+            quality.acc_load = sample.acc_m_s2.amax() / (chip.acc_range_g * 9.80665);
+        }
+        sensed.inputs = Inputs { emergency_stop: self.pressed, ..sensed.inputs };
+        sensed.alarm = self.alarm;
+        Ok(sensed)
+    }
+    fn energise(&mut self, on: bool) {
+        self.inner.energise(on);
+    }
+    fn recount(&mut self, counted: &Steps) {
+        self.inner.recount(counted);
+    }
+    fn clear(&mut self) {
+        self.alarm = None;
+    }
+    fn is_simulated(&self) -> bool {
+        true
+    }
+    fn remarks(&self) -> Vec<String> {
+        self.inner.remarks()
+    }
+}
+
+/// What a bench is made from.
+#[derive(Debug, Clone)]
+pub struct Make {
+    /// The board with its plant.
+    pub board: Board,
+    /// The calibration of that plant.
+    pub calibration: Calibration,
+    /// The gains.
+    pub gains: Gains,
+}
+
+/// A pilot, a machine and the time.
+pub struct Bench {
+    /// Both at work.
+    pub flight: Flight<Breakable>,
+    /// Time, s.
+    pub now_s: f64,
+    period_s: f64,
+    /// The orientation that is called straight now.
+    rest: Option<Rotation<Base, Tip>>,
+    truth: Option<Rotation<Base, Tip>>,
+}
+
+impl Make {
+    /// A unit of the board's plant.
+    ///
+    /// # Errors
+    /// [`PlantError`].
+    pub fn sim(&self, unit: u64, noise: u64) -> Result<Sim, PlantError> {
+        let section = self.board.plant.clone().unwrap_or_default();
+        Sim::new(&section.make(), unit, noise, section.period_s)
+    }
+
+    /// What a pilot of it runs on.
+    #[must_use]
+    pub fn pilot(&self, nature: &Nature) -> PilotConfig {
+        assemble(&self.board, &self.calibration, &self.gains, nature)
+    }
+
+    /// A bench at rest, nothing aligned.
+    ///
+    /// # Errors
+    /// [`PlantError`].
+    pub fn bench(&self, unit: u64, noise: u64) -> Result<Bench, PlantError> {
+        let machine = Breakable::new(self.sim(unit, noise)?);
+        Ok(self.bench_on(machine, None, 0.0))
+    }
+
+    /// A bench on a machine that is there already, as after a restart.
+    #[must_use]
+    pub fn bench_on(&self, machine: Breakable, kept: Option<Kept>, now_s: f64) -> Bench {
+        let config = self.pilot(machine.nature());
+        let period_s = machine.nature().period_s;
+        Bench { flight: Flight::new(machine, Pilot::new(config, kept)), now_s, period_s, rest: None, truth: None }
+    }
+}
+
+impl Bench {
+    /// One turn.
+    ///
+    /// # Errors
+    /// The plant's.
+    pub fn turn(&mut self, order: Option<Order>) -> Result<Turned, WorldError> {
+        self.now_s += self.period_s;
+        let turned = self.flight.turn(Seconds(self.now_s), order)?;
+        self.truth = turned.sensed.truth.or(self.truth);
+        Ok(turned)
+    }
+
+    /// Turns for so long; the last one.
+    ///
+    /// # Errors
+    /// The plant's.
+    pub fn run(&mut self, seconds: f64) -> Result<Turned, WorldError> {
+        let mut last = self.turn(None)?;
+        for _ in 1..(seconds / self.period_s).round() as u64 {
+            last = self.turn(None)?;
+        }
+        Ok(last)
+    }
+
+    /// Time passes and nobody turns.
+    pub fn stall(&mut self, seconds: f64) {
+        self.now_s += seconds;
+    }
+
+    /// Turns until something holds, at most so long; whether it came to hold.
+    ///
+    /// # Errors
+    /// The plant's.
+    pub fn until(&mut self, seconds: f64, holds: impl Fn(&Turned) -> bool) -> Result<bool, WorldError> {
+        for _ in 0..(seconds / self.period_s).round() as u64 {
+            if holds(&self.turn(None)?) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// What is straight from now on: the true orientation of this moment.
+    pub fn call_straight(&mut self) {
+        self.rest = self.truth;
+    }
+
+    /// True bend, from what is called straight.
+    #[must_use]
+    pub fn true_bend(&self) -> Bend {
+        let truth = self.truth.unwrap_or_else(Rotation::identity);
+        match &self.rest {
+            // base and tip frame coincide at the new rest
+            Some(rest) => Bend::from_rotation(&Rotation::assert_frames(rest.quat().inverse() * truth.quat())),
+            None => Bend::from_rotation(&truth),
+        }
+    }
+
+    /// Period of a turn, s.
+    #[must_use]
+    pub fn period_s(&self) -> f64 {
+        self.period_s
+    }
+}
+
+/// An order to bend, degrees.
+#[must_use]
+pub fn bend(bend_deg: f64, dir_deg: f64) -> Order {
+    Order::Bend(Command { bend: Bend::from_deg(bend_deg, dir_deg), length: Mm(20.0) }, None)
+}

@@ -1,0 +1,229 @@
+//! The faults that strike in flight: what is done, what notices it, what is promised.
+
+use crate::drill::bench::{Bench, bend};
+use crate::fuse::health::{Cause, Fault as Bus};
+use crate::machine::Alarm;
+use crate::model::bend::Bend;
+use crate::pilot::Turned;
+use crate::pilot::order::{Order, Refusal};
+use crate::plant::{Channel, Fault};
+use crate::supervise::explain::Kind;
+use crate::supervise::gate;
+use crate::tick::Command;
+use crate::units::Mm;
+
+/// What strikes.
+#[derive(Debug, Clone, Copy)]
+pub enum Strike {
+    /// Transfers fail, for so long (s).
+    Bus(Bus, f64),
+    /// Something in the plant, for so long (s).
+    Plant(Fault, f64),
+    /// The loop is kept from running, s.
+    Stall(f64),
+    /// Sensor stamps leap, s, for so long (s).
+    Clock(f64, f64),
+    /// The emergency stop is pressed.
+    Press,
+    /// The step thread complains.
+    Alarm(Alarm),
+    /// An order that must be refused.
+    Order(Order),
+    /// An order, and in the next turn one against it.
+    Orders(Order, Order),
+}
+
+/// What counts as noticed.
+#[derive(Debug, Clone, Copy)]
+pub enum Notice {
+    /// One of these causes against the sensor.
+    Senses(&'static [Cause]),
+    /// One of these suspicions, or a trip.
+    Words(&'static [Kind]),
+    /// One of these trips.
+    Trip(&'static [gate::Cause]),
+    /// A turn that came late.
+    LateTurn,
+    /// The order is refused.
+    Refused(fn(Refusal) -> bool),
+    /// The sensor's own bias is seen to have moved, or one of these causes is raised.
+    Bias,
+    /// The base is seen to have moved.
+    Base,
+}
+
+/// What is promised afterwards.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Promise {
+    /// It goes on as if nothing had been: no more steps than the move needs.
+    GoesOn,
+    /// It holds: no more steps than braking needs.
+    Holds,
+    /// It holds, or it goes on within what the move and its correction need.
+    Copes,
+    /// Nothing at all goes out any more.
+    Freezes,
+}
+
+/// One fault in flight.
+pub struct Spec {
+    /// Name of the row.
+    pub name: &'static str,
+    /// What strikes.
+    pub strike: Strike,
+    /// What notices.
+    pub notice: Notice,
+    /// What is promised.
+    pub promise: Promise,
+    /// States that are right at the end.
+    pub states: &'static [&'static str],
+    /// The rest has to be found again before the next pose.
+    pub zero: bool,
+    /// A rack has to be put back to its mark by hand first.
+    pub by_hand: bool,
+}
+
+const TWO: Channel = Channel::Two;
+const LASTS: f64 = 10.0;
+const GOES: &[&str] = &["holding", "tracking"];
+const HOLD: &[&str] = &["holding", "faulted"];
+const FAULT: &[&str] = &["faulted"];
+
+/// Every row that strikes in flight, in the order of the list of claims.
+#[must_use]
+pub fn specs() -> Vec<Spec> {
+    let row = |name, strike, notice, promise, states, zero| Spec { name, strike, notice, promise, states, zero, by_hand: false };
+    let senses = |name, strike, causes, promise, states| row(name, strike, Notice::Senses(causes), promise, states, false);
+    let words = |name, fault, kinds, zero| row(name, Strike::Plant(fault, LASTS), Notice::Words(kinds), Promise::Copes, &["holding", "tracking", "faulted"], zero);
+    let by_hand = |spec: Spec| Spec { by_hand: true, ..spec };
+    let blind = &[Cause::Nack, Cause::StuckBus, Cause::ShortRead, Cause::StaleTimestamp];
+    let far = Command { bend: Bend::from_deg(170.0, 0.0), length: Mm(20.0) };
+    let nan = Command { bend: Bend([f64::NAN, 0.1].into()), length: Mm(20.0) };
+    let spike = Fault::Spike { gyro_deg_s: 400.0, acc_g: 2.0 };
+    vec![
+        senses("i2c_nack", Strike::Bus(Bus::Nack, 0.02), blind, Promise::GoesOn, GOES),
+        senses("i2c_stuck", Strike::Bus(Bus::Bus, LASTS), blind, Promise::Holds, HOLD),
+        senses("i2c_wrong_id", Strike::Bus(Bus::WrongId, LASTS), &[Cause::WrongId], Promise::Holds, HOLD),
+        senses("i2c_brown_out", Strike::Bus(Bus::BrownOut, LASTS), &[Cause::BrownOut], Promise::Holds, HOLD),
+        senses("sample_frozen", Strike::Plant(Fault::FrozenSample, LASTS), &[Cause::Frozen], Promise::Holds, HOLD),
+        senses("sample_nan", Strike::Plant(Fault::NanSample, LASTS), &[Cause::NotFinite], Promise::Holds, HOLD),
+        senses("sample_spike", Strike::Plant(spike, 0.05), &[Cause::Spike, Cause::Saturated], Promise::GoesOn, GOES),
+        senses("sample_saturated", Strike::Plant(Fault::Saturation, LASTS), &[Cause::Saturated, Cause::Spike], Promise::Holds, HOLD),
+        row(
+            "sample_biased",
+            Strike::Plant(Fault::GyroBias { deg_s: [2.0, -2.0, 1.0] }, LASTS),
+            Notice::Bias,
+            Promise::Copes,
+            &["holding", "tracking", "faulted"],
+            true,
+        ),
+        by_hand(words("step_loss", Fault::StepLoss { channel: TWO, microsteps: 160 }, &[Kind::LostSteps, Kind::Weak, Kind::Leak, Kind::Contact], true)),
+        by_hand(words("dir_inverted", Fault::Inverted { channel: TWO }, &[Kind::Inverted, Kind::Deaf], true)),
+        by_hand(words("en_stuck", Fault::Disabled { channel: TWO }, &[Kind::Deaf, Kind::Weak], true)),
+        by_hand(words("end_stop", Fault::EndStop { channel: TWO, at_mm: 18.0 }, &[Kind::Deaf, Kind::Weak], true)),
+        words("leak", Fault::Leak { channel: TWO, rate_per_s: 0.1 }, &[Kind::Leak, Kind::Weak], true),
+        words("burst", Fault::Burst { channel: TWO }, &[Kind::Burst, Kind::Deaf], true),
+        words("air_bubble", Fault::AirBubble { channel: TWO, factor: 1.8 }, &[Kind::Weak, Kind::Leak], true),
+        words("blocked_line", Fault::Blocked { channel: TWO }, &[Kind::Deaf, Kind::Weak], true),
+        words("gain_half", Fault::Gain { channel: TWO, factor: 0.5 }, &[Kind::Weak, Kind::Burst, Kind::Deaf], true),
+        words("gain_double", Fault::Gain { channel: TWO, factor: 2.0 }, &[Kind::Strong], true),
+        row("stall_1ms", Strike::Stall(0.001), Notice::LateTurn, Promise::GoesOn, GOES, false),
+        row("stall_10ms", Strike::Stall(0.01), Notice::LateTurn, Promise::GoesOn, GOES, false),
+        row("stall_100ms", Strike::Stall(0.1), Notice::Trip(&[gate::Cause::Late]), Promise::Holds, FAULT, false),
+        senses("clock_jump", Strike::Clock(10.0, LASTS), &[Cause::JumpingTimestamp, Cause::StaleTimestamp], Promise::Holds, HOLD),
+        row("command_nan", Strike::Order(Order::Bend(nan, None)), Notice::Refused(|r| r == Refusal::NotANumber), Promise::GoesOn, GOES, false),
+        row("command_out_of_range", Strike::Order(Order::Bend(far, None)), Notice::Refused(|r| r == Refusal::TooFar), Promise::GoesOn, GOES, false),
+        row(
+            "command_contradictory",
+            Strike::Orders(Order::Relax, bend(40.0, 0.0)),
+            Notice::Refused(|r| matches!(r, Refusal::Mode(_))),
+            Promise::Copes,
+            &["relaxing", "disarmed"],
+            false,
+        ),
+        row("emergency_stop", Strike::Press, Notice::Trip(&[gate::Cause::EmergencyStop]), Promise::Freezes, FAULT, true),
+        row("step_thread_starved", Strike::Alarm(Alarm::Starved), Notice::Trip(&[gate::Cause::StepGenerator]), Promise::Holds, FAULT, false),
+        words("wall", Fault::Wall { at_deg: 48.0, dir_deg: 80.0 }, &[Kind::Contact, Kind::Deaf, Kind::Weak, Kind::Strong, Kind::Burst], false),
+        words("pushed", Fault::Push { bend_deg: 15.0, dir_deg: 0.0 }, &[Kind::Contact, Kind::Strong, Kind::Weak, Kind::LostSteps, Kind::Leak], true),
+        senses("magnet", Strike::Plant(Fault::Magnet { field_ut: [40.0, -30.0, 20.0] }, LASTS), &[Cause::FieldDisturbed], Promise::GoesOn, GOES),
+        row(
+            "base_turned",
+            Strike::Plant(Fault::BaseTurn { axis: [0.3, 0.2, 1.0], angle_deg: 25.0, over_s: 0.6 }, LASTS),
+            Notice::Base,
+            Promise::Copes,
+            &["holding", "tracking", "faulted"],
+            true,
+        ),
+    ]
+}
+
+impl Strike {
+    /// Breaks it. The order for this turn, and for the next.
+    pub fn strike(&self, bench: &mut Bench) -> (Option<Order>, Option<Order>) {
+        let machine = &mut bench.flight.machine;
+        match *self {
+            Self::Bus(fault, _) => machine.bus = Some(fault),
+            Self::Plant(fault, _) => machine.inject(fault),
+            Self::Stall(seconds) => bench.stall(seconds),
+            Self::Clock(seconds, _) => machine.stamps_off_s = seconds,
+            Self::Press => machine.pressed = true,
+            Self::Alarm(alarm) => machine.alarm = Some(alarm),
+            Self::Order(order) => return (Some(order), None),
+            Self::Orders(first, second) => return (Some(first), Some(second)),
+        }
+        (None, None)
+    }
+
+    /// How long it lasts before it passes by itself, s.
+    #[must_use]
+    pub fn lasts_s(&self) -> f64 {
+        match *self {
+            Self::Bus(_, s) | Self::Plant(_, s) | Self::Clock(_, s) => s,
+            _ => f64::INFINITY,
+        }
+    }
+}
+
+impl Notice {
+    /// Whether this turn notices; what is said then.
+    #[must_use]
+    pub fn sees(&self, turned: &Turned) -> Option<String> {
+        let trip = |causes: &[gate::Cause]| {
+            turned.tripped.filter(|c| causes.is_empty() || causes.contains(c)).map(|c| crate::service::status::words(c).to_owned())
+        };
+        match self {
+            Self::Senses(causes) => {
+                let found = causes.iter().find(|c| turned.raised.contains(**c))?;
+                Some(format!("{found}: {}", found.advice()))
+            }
+            Self::Words(_) => match turned.suspicion.filter(|_| turned.suspects) {
+                Some(s) => Some(s.to_string()),
+                None => trip(&[]),
+            },
+            Self::Trip(causes) => trip(causes),
+            Self::LateTurn => (turned.dt_s > 0.0015).then(|| format!("a turn came {:.0} ms late", (turned.dt_s - 1e-3) * 1e3)),
+            Self::Refused(right) => match turned.answer {
+                Some(Err(refusal)) if right(refusal) => Some(refusal.to_string()),
+                _ => None,
+            },
+            Self::Bias => {
+                let seen = turned.bias_moved.then(|| "the gyroscope's bias has moved since the rest: `zero` when convenient".to_owned());
+                seen.or_else(|| turned.frame.senses.disagrees.then(|| "the two orientation filters disagree".to_owned()))
+                    .or_else(|| (!turned.raised.is_empty()).then(|| turned.raised.to_string()))
+            }
+            Self::Base => {
+                let moved = turned.frame.base_moved.then(|| "the base has turned: relax, then zero".to_owned());
+                moved.or_else(|| turned.suspicion.filter(|_| turned.suspects).map(|s| s.to_string())).or_else(|| trip(&[]))
+            }
+        }
+    }
+
+    /// Whether what is suspected in the end is one of what it may be called.
+    #[must_use]
+    pub fn names_it(&self, turned: &Turned) -> bool {
+        match (self, &turned.suspicion) {
+            (Self::Words(kinds), Some(s)) => kinds.contains(&s.kind),
+            _ => true,
+        }
+    }
+}

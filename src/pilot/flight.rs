@@ -1,0 +1,52 @@
+//! A pilot and its machine, turn by turn.
+
+use crate::machine::{Machine, Sensed};
+use crate::pilot::order::Order;
+use crate::pilot::{Pilot, Turned};
+use crate::units::{Seconds, Steps};
+use crate::world::WorldError;
+
+/// A pilot at the controls of a machine.
+#[derive(Debug)]
+pub struct Flight<M> {
+    /// The machine.
+    pub machine: M,
+    /// The pilot.
+    pub pilot: Pilot,
+    wanted: Steps,
+    energised: bool,
+}
+
+impl<M: Machine> Flight<M> {
+    /// Nothing has been sensed yet.
+    pub fn new(machine: M, pilot: Pilot) -> Self {
+        let wanted = pilot.keep().steps;
+        Self { machine, pilot, wanted, energised: false }
+    }
+
+    /// One turn at `now`: the machine hands over what came and takes what was wanted, the pilot decides.
+    ///
+    /// # Errors
+    /// The machine's.
+    pub fn turn(&mut self, now: Seconds, order: Option<Order>) -> Result<Turned, WorldError> {
+        let sensed: Sensed = self.machine.turn(now, &self.wanted)?;
+        let turned = self.pilot.turn(&sensed, order);
+        if turned.energise != self.energised {
+            self.energised = turned.energise;
+            self.machine.energise(turned.energise);
+        }
+        if turned.clear {
+            self.machine.clear();
+        }
+        if let Some(counted) = turned.recount {
+            self.machine.recount(&counted);
+        }
+        self.wanted = turned.steps;
+        Ok(turned)
+    }
+
+    /// What the machine knows of the truth, for judges.
+    pub fn machine_mut(&mut self) -> &mut M {
+        &mut self.machine
+    }
+}

@@ -1,0 +1,79 @@
+//! The status: everything worth knowing, as one JSON object; and what of a turn a subscriber gets.
+
+use crate::pilot::Turned;
+use crate::service::protocol::VERSION;
+use crate::supervise::gate::Cause;
+use serde_json::{Value, json};
+
+/// A cause in words, with the mend.
+#[must_use]
+pub fn words(cause: Cause) -> &'static str {
+    match cause {
+        Cause::EmergencyStop => "the emergency stop is pressed: release it, then `retroflex reset-fault`",
+        Cause::StepGenerator => "the step generator raised an alarm: see `remarks`, then `retroflex reset-fault`",
+        Cause::Late => "the loop was kept from running: see `retroflex doctor` for real-time limits and load",
+        Cause::Unarmed => "motion was wanted while disarmed: a fault of the program, please report it",
+        Cause::Travel => "a piston would have left its travel: see [limits] of the board file",
+        Cause::Rate => "a piston would have been too fast: see [motion] of the board file",
+        Cause::Acceleration => "a piston would have been pushed too hard: see [motion] of the board file",
+        Cause::Pressure => "a line would have been compressed too far: look for a kink, or relax and calibrate again",
+        Cause::Stale => "no usable orientation for too long: check the IMU's cable; `retroflex doctor`",
+        Cause::Disagreement => "the two orientation filters disagree: `retroflex relax`, then `retroflex zero`",
+        Cause::Following => "the tip is not where it was led: see what is suspected",
+    }
+}
+
+/// Name of a cause as in files and status lines.
+#[must_use]
+pub fn name(cause: Cause) -> String {
+    serde_json::to_value(cause).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+/// What the turn says of tip and pistons.
+#[must_use]
+pub fn turn(turned: &Turned, step_mm: f64) -> Value {
+    let f = &turned.frame;
+    let pose = |b: &crate::model::bend::Bend| json!({"bend_deg": round(b.beta().to_degrees()), "dir_deg": round(b.delta().to_degrees())});
+    json!({
+        "t": turned.sensed.t.0,
+        "mode": turned.mode.name(),
+        "target": pose(&f.target.bend),
+        "setpoint": pose(&f.setpoint.bend),
+        "felt": f.felt.map(|x| pose(&x.bend)),
+        "sigma_deg": f.felt.and_then(|x| x.sigma_rad).map(|s| round(s.to_degrees())),
+        "length_mm": round(f.setpoint.length.0),
+        "piston_mm": turned.counted.0.map(|n| round(f64::from(n) * step_mm)),
+        "counted": turned.counted.0,
+        "energised": turned.sensed.energised,
+        "at_rest": f.at_rest,
+        "blocked": f.blocked,
+        "base_moved": f.base_moved,
+        "latched": turned.latched.map(name),
+        "suspicion": turned.suspicion.map(|s| s.to_string()),
+        "senses": {
+            "action": format!("{:?}", f.senses.action),
+            "in_force": f.senses.in_force.iter().map(|c| c.name()).collect::<Vec<_>>(),
+            "advice": f.senses.in_force.iter().map(|c| c.advice()).collect::<Vec<_>>(),
+            "held": f.senses.held,
+            "disagree": f.senses.disagrees,
+        },
+        "emergency_stop": turned.sensed.inputs.emergency_stop,
+        "alarm": turned.sensed.alarm.map(|a| a.to_string()),
+        "k_epsilon": f.k_epsilon.map(round),
+        "lag_s": round(f.dynamics.lag_s),
+        "delay_s": round(f.dynamics.delay_s),
+    })
+}
+
+/// The line of a subscriber.
+#[must_use]
+pub fn frame_line(turned: &Turned, step_mm: f64) -> String {
+    let mut value = turn(turned, step_mm);
+    value["v"] = json!(VERSION);
+    value["event"] = json!("frame");
+    value.to_string() + "\n"
+}
+
+fn round(x: f64) -> f64 {
+    (x * 1e4).round() * 1e-4
+}

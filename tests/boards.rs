@@ -1,0 +1,144 @@
+//! Board files: those that are shipped are read, every key has its paragraph, and a board that
+//! contradicts itself is refused with the place in the file.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::repo;
+use retroflex::config::board::Board;
+use retroflex::config::source;
+use retroflex::io::pins::{self, Backend};
+use std::process::Command;
+
+const HARDWARE: [&str; 5] = ["pi3", "pi4", "pi5", "pi-zero2w", "linux-gpiochip"];
+
+fn text(name: &str) -> String {
+    std::fs::read_to_string(repo(&format!("boards/{name}.toml"))).unwrap()
+}
+
+#[test]
+fn every_board_is_read_and_its_wiring_laid_out() {
+    for name in HARDWARE {
+        let board: Board = source::read(&repo(&format!("boards/{name}.toml"))).unwrap();
+        let wiring = board.pins.as_ref().unwrap();
+        assert!(board.imu.is_some() && board.plant.is_none(), "{name}");
+        let rehearsal = pins::PinsConfig { backend: Backend::Mock, ..wiring.clone() };
+        pins::open(&rehearsal, board.drive.microsteps).unwrap();
+        let expected = if name == "linux-gpiochip" { Backend::Cdev } else { Backend::Rppal };
+        assert_eq!(wiring.backend, expected, "{name}");
+        let share = board.power.kept_share(&board.limits, board.drive.pinion_pitch_diameter_mm);
+        assert!((0.11..0.14).contains(&share), "{name} says an eighth is left without current, the law says {share}");
+    }
+    let sim: Board = source::read(&repo("boards/sim.toml")).unwrap();
+    assert!(sim.plant.is_some() && sim.pins.is_none());
+}
+
+/// What is left out is what the paragraph says it is: the files state the defaults.
+#[test]
+fn boards_state_the_defaults_except_where_they_say_so() {
+    let bare: Board = source::parse("bare", "").unwrap();
+    for name in HARDWARE {
+        let b: Board = source::read(&repo(&format!("boards/{name}.toml"))).unwrap();
+        assert_eq!((b.geometry, b.drive, b.motion, b.limits), (bare.geometry, bare.drive, bare.motion, bare.limits), "{name}");
+        assert_eq!((b.power, b.safety, &b.service, b.homing), (bare.power, bare.safety, &bare.service, bare.homing), "{name}");
+        let step = retroflex::motion::StepperConfig { cpu: None, late_max_us: 1000.0, lead_ms: 4.0, ..b.stepper };
+        assert_eq!(step, bare.stepper, "{name}");
+        assert_eq!(b.imu.unwrap(), Default::default(), "{name}");
+    }
+}
+
+#[test]
+fn every_key_has_its_paragraph() {
+    let mut keys = 0;
+    for name in HARDWARE {
+        let text = text(name);
+        let mut paragraph = 0;
+        for (n, line) in text.lines().enumerate() {
+            let bare = line.trim_start_matches("# ");
+            let is_key =
+                bare.split_once(" = ").is_some_and(|(k, _)| k.chars().all(|c| c.is_ascii_lowercase() || c == '_' || c.is_ascii_digit()));
+            if is_key {
+                // the base IMU's keys are those of the tip's
+                let repeated = line.starts_with('#') && text.lines().take(n).any(|l| l.starts_with("# [base_imu"));
+                assert!(paragraph >= 30 || repeated, "boards/{name}.toml, line {}: `{bare}` has no paragraph", n + 1);
+                keys += 1;
+                paragraph = 0;
+            } else if line.starts_with('#') {
+                paragraph += line.len();
+            } else {
+                paragraph = 0;
+            }
+        }
+    }
+    assert!(keys > 5 * 60, "{keys}");
+}
+
+/// The board with one line replaced, and the number of that line.
+fn with(name: &str, old: &str, nth: usize, new: &str) -> (String, usize) {
+    let text = text(name);
+    let line = text.lines().enumerate().filter(|(_, l)| *l == old).nth(nth).unwrap_or_else(|| panic!("`{old}`")).0;
+    let lines: Vec<&str> = text.lines().enumerate().map(|(n, l)| if n == line { new } else { l }).collect();
+    (lines.join("\n") + "\n", line + 1)
+}
+
+#[test]
+fn contradictions_are_refused_with_their_place() {
+    let cases: [(&str, usize, &str, &[&str]); 19] = [
+        ("dir = 24", 0, "dir = 17", &["pins.channels.1.dir", "line 17 is pins.channels.0.step already", "its own line"]),
+        ("enable = 5", 2, "enable = 27", &["pins.channels.2.enable", "line 27 is pins.channels.1.step already"]),
+        ("step = 22", 0, "step = 28", &["pins.channels.2.step", "the header has no GPIO 28", "2 to 27"]),
+        ("step = 17", 0, "step = 1", &["pins.channels.0.step", "identification EEPROM"]),
+        ("step = 17", 0, "step = 3", &["pins.channels.0.step", "SDA or SCL of /dev/i2c-1"]),
+        ("step = 17", 0, "step = -1", &["-1"]),
+        (
+            "# home = { pin = 16, active_low = true, pull = \"up\" }",
+            0,
+            "home = { pin = 27 }",
+            &["pins.channels.1.step", "line 27 is pins.channels.0.home.pin"],
+        ),
+        ("# ms = [6, 13, 19]", 0, "ms = [6, 13, 6]", &["pins.channels.0.ms.2", "line 6 is pins.channels.0.ms.0 already"]),
+        ("priority = 80", 0, "priority = 74", &["machine.imu_priority", "75 is not below stepper.priority = 74"]),
+        ("speed_max_mm_s = 30.0", 0, "speed_max_mm_s = 150.0", &["stepper.step_interval_min_us", "200 must be at most 176.7", "Lower it"]),
+        ("acceleration_max_mm_s2 = 600.0", 0, "acceleration_max_mm_s2 = 14.0", &["limits.travel_mm", "a stop from full speed takes"]),
+        ("holding_torque_n_mm = 260.0", 0, "holding_torque_n_mm = 120.0", &["power.holding_torque_n_mm", "125 N·mm", "stronger motor"]),
+        ("pressure = \"relax\"", 0, "pressure = \"float\"", &["float", "hold", "relax", "release"]),
+        ("method = \"operator\"", 0, "method = \"switches\"", &["homing.method", "channel 1 has none"]),
+        ("lead_ms = 4.0", 0, "lead_ms = 1.0", &["stepper.lead_ms", "less than one turn of the loop, 2 ms"]),
+        ("address = 104", 0, "address = 0x42", &["imu.chip.address", "66", "104 (0x68) or 105 (0x69)"]),
+        ("part = \"icm20948\"", 0, "part = \"bno055\"", &["bno055", "icm20948"]),
+        ("microsteps = 16", 0, "microstep = 16", &["unknown field `microstep`", "microsteps"]),
+        ("pulse_high_us = 2.0", 0, "pulse_high_us = 0.5", &["stepper.pulse_high_us", "0.5", "1 to 1000 µs"]),
+    ];
+    for (old, nth, new, words) in cases {
+        let (text, line) = with("pi4", old, nth, new);
+        let error = source::parse::<Board>("b.toml", &text).expect_err(new);
+        let miette_help = format!("{error} {}", miette::Diagnostic::help(&error).map_or(String::new(), |h| h.to_string()));
+        for w in words {
+            assert!(miette_help.contains(w), "`{w}` is not in: {miette_help}");
+        }
+        // the line that was changed, unless the other half of a contradiction is named
+        let told: usize = error.to_string().split("line ").nth(1).unwrap().split(':').next().unwrap().parse().unwrap();
+        let changed = new.split(' ').next().unwrap();
+        assert!(told > 1 && (told == line || !words[0].split('.').any(|part| part == changed)), "{error}: line {line} was changed");
+    }
+}
+
+#[test]
+fn two_sensors_at_one_address_are_refused() {
+    let text = text("pi4") + "[base_imu]\n[base_imu.chip]\npart = \"icm20948\"\naddress = 104\n";
+    let error = source::parse::<Board>("b.toml", &text).unwrap_err().to_string();
+    assert!(error.contains("base_imu.chip.address: 0x68 on /dev/i2c-1 is the tip's IMU already"), "{error}");
+    assert!(error.contains(&format!("line {}", text.lines().count())), "{error}");
+}
+
+#[test]
+fn evaluate_says_clearly_that_a_hardware_board_has_no_plant() {
+    for name in HARDWARE {
+        let board = repo(&format!("boards/{name}.toml"));
+        let out = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(["evaluate", "--board"]).arg(&board).output().unwrap();
+        let said = String::from_utf8_lossy(&out.stderr).replace(['\n', '│'], " ");
+        let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert_eq!(out.status.code(), Some(2), "{said}");
+        assert!(said.contains("has no [plant] table") && said.contains("--plant"), "{said}");
+    }
+}

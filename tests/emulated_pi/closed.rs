@@ -1,0 +1,167 @@
+//! The service on device files with a plant behind them: what it is asked for happens to the truth, and
+//! what it counts is what the lines carried.
+#![allow(unsafe_code)]
+
+use crate::rig::Rig;
+use crate::server::ADDRESS;
+use retroflex::model::bend::Bend;
+use retroflex::service::client::Client;
+use retroflex::service::protocol::Request;
+use serde_json::Value;
+use std::fs::File;
+use std::process::{Child, ExitStatus};
+use std::time::{Duration, Instant};
+
+/// A running service and a connection to it.
+pub struct Service<'r> {
+    rig: &'r Rig,
+    child: Child,
+    client: Client,
+    /// Every comparison of counts that was made.
+    pub compared: u32,
+}
+
+impl<'r> Service<'r> {
+    /// Starts the service on a board and waits until it answers.
+    pub fn start(rig: &'r Rig, board: &str) -> Self {
+        let (socket, state) = (rig.folder().join("control.sock"), rig.folder().join("state"));
+        let mut command = rig.command(&["run", "--board", board]);
+        command.arg("--socket").arg(&socket).arg("--state").arg(&state);
+        command.stderr(File::create(rig.folder().join("stderr")).unwrap()).stdout(std::process::Stdio::null());
+        let mut child = command.spawn().unwrap();
+        let began = Instant::now();
+        let client = loop {
+            if let Ok(client) = Client::connect(&socket) {
+                break client;
+            }
+            let ended = child.try_wait().unwrap();
+            assert!(ended.is_none() && began.elapsed() < Duration::from_secs(20), "{ended:?}: {}", said(rig));
+            std::thread::sleep(Duration::from_millis(50));
+        };
+        Self { rig, child, client, compared: 0 }
+    }
+
+    /// Asks; a refusal fails the test.
+    pub fn ask(&mut self, request: &Request) -> Value {
+        match self.client.ask(request) {
+            Ok(answer) => answer,
+            Err(failure) => panic!("{request:?}: {failure:?}\n{}", said(self.rig)),
+        }
+    }
+
+    /// The status.
+    pub fn status(&mut self) -> Value {
+        self.ask(&Request::Status {})
+    }
+
+    /// Waits until the status is as wanted.
+    pub fn until(&mut self, what: &str, seconds: f64, good: impl Fn(&Value) -> bool) -> Value {
+        let began = Instant::now();
+        loop {
+            let status = self.status();
+            if good(&status) {
+                return status;
+            }
+            assert!(began.elapsed().as_secs_f64() < seconds, "not {what} within {seconds} s: {status:#}\n{}", said(self.rig));
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Sends the tip somewhere.
+    pub fn bend(&mut self, bend_deg: f64, dir_deg: f64) {
+        self.ask(&Request::Bend { bend_deg, dir_deg, length_mm: None, speed_deg_s: None });
+    }
+
+    /// Waits until the set-point has arrived.
+    pub fn arrived(&mut self) {
+        self.until("holding", 15.0, |s| turn(s)["mode"] == "holding");
+    }
+
+    /// Waits until the tip rests at its target, then how far the true bend is off it, degrees.
+    pub fn settled_error_deg(&mut self, bend_deg: f64, dir_deg: f64) -> f64 {
+        self.until("at rest", 15.0, |s| turn(s)["mode"] == "holding" && turn(s)["at_rest"] == true);
+        std::thread::sleep(Duration::from_millis(300));
+        self.compare();
+        let truth = Bend::from_rotation(&self.rig.world().truth().r_base_tip);
+        let wanted = Bend::from_deg(bend_deg, dir_deg);
+        let (beta, vector) = ((truth.beta() - wanted.beta()).to_degrees(), (truth.0 - wanted.0).norm().to_degrees());
+        println!("asked for {bend_deg}° toward {dir_deg}°: bend off by {beta:+.2}°, as a vector {vector:.2}°");
+        beta.abs()
+    }
+
+    /// The counts of the service are those of the lines, exactly. Only at rest do both speak of one time.
+    pub fn compare(&mut self) {
+        let began = Instant::now();
+        loop {
+            let before = self.rig.world().chip.counted;
+            let told = turn(&self.status())["counted"].clone();
+            let after = self.rig.world().chip.counted;
+            if before == after {
+                assert_eq!(told, serde_json::json!(after), "service and lines disagree");
+                self.compared += 1;
+                return;
+            }
+            assert!(began.elapsed().as_secs_f64() < 5.0, "the pistons do not come to rest");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Breaks the sensor for a while.
+    pub fn spoil(&self, how: Spoil, seconds: f64) {
+        let set = |on: bool| {
+            let mut world = self.rig.world();
+            match how {
+                Spoil::Nack => world.bus.chips.nack(ADDRESS, if on { u32::MAX } else { 0 }),
+                Spoil::Frozen => world.bus.chips.spoil(ADDRESS, |q| q.frozen = on),
+                Spoil::Hang => world.bus.hangs = on,
+            }
+        };
+        set(true);
+        std::thread::sleep(Duration::from_secs_f64(seconds));
+        set(false);
+        self.rig.unhang();
+    }
+
+    /// Ends the service as systemd does.
+    pub fn terminate(mut self) -> ExitStatus {
+        // SAFETY: a signal to a child that has not been waited for yet, so the number is still its own.
+        unsafe { libc::kill(self.child.id() as i32, libc::SIGTERM) };
+        let began = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(began.elapsed().as_secs_f64() < 30.0, "SIGTERM does not end it\n{}", said(self.rig));
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+impl Drop for Service<'_> {
+    fn drop(&mut self) {
+        // gone already after `terminate`
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// What can happen to a sensor.
+#[derive(Debug, Clone, Copy)]
+pub enum Spoil {
+    /// Nobody acknowledges.
+    Nack,
+    /// The same numbers again and again.
+    Frozen,
+    /// A transfer never ends.
+    Hang,
+}
+
+/// The part of a status that is about the last turn.
+pub fn turn(status: &Value) -> &Value {
+    if status["turn"].is_object() { &status["turn"] } else { status }
+}
+
+/// What the service wrote to its error output.
+pub fn said(rig: &Rig) -> String {
+    std::fs::read_to_string(rig.folder().join("stderr")).unwrap_or_default()
+}

@@ -1,0 +1,281 @@
+//! Every fault of the sensor, one by one and mid-motion, on the register-level fakes behind their
+//! drivers: how soon it is seen, what the policy does, how large the error gets, and that nothing jumps.
+//!
+//! `cargo test --release --test felt_faults -- --nocapture` prints the table.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod tip;
+
+use nalgebra::Vector3;
+use retroflex::calib_imu::Correction;
+use retroflex::config::assemble;
+use retroflex::config::board::Board;
+use retroflex::config::calib::Calibration;
+use retroflex::config::gains::Gains;
+use retroflex::fuse::health::{Action, Cause, Fault, Outcome};
+use retroflex::io::imu::fake::{FakeBus, FakeIcm20948};
+use retroflex::io::imu::icm20948::{self, Icm20948};
+use retroflex::io::imu::{Imu, ImuError, outcome};
+use retroflex::model::bend::Bend;
+use retroflex::tick::{Command, Config, Frame, Input, State, tick};
+use retroflex::units::{Mm, Seconds};
+use tip::TipPlant;
+
+const DT_S: f64 = 0.002;
+const ADDRESS: u8 = 0x68;
+/// Failed readings in a row after which the chip is set up again.
+const RETRY_AFTER: u32 = 25;
+
+/// What is done to the sensor, for how long, and what must be said of it.
+struct Case {
+    name: &'static str,
+    lasts_s: f64,
+    cause: Cause,
+    /// The mildest action that counts as an answer.
+    action: Action,
+    /// Largest true bend error during the fault, degrees, beyond what the motion has anyway.
+    error_max_deg: f64,
+}
+
+/// A loop whose sensor is a chip on a bus.
+struct Chip {
+    plant: TipPlant,
+    config: Config,
+    state: State,
+    input: Input,
+    bus: FakeBus,
+    imu: Icm20948<FakeBus>,
+    since_init_s: f64,
+    failures: u32,
+    last_init: Option<ImuError>,
+    /// What happens to a sample on its way, by name of the case.
+    spoil: Option<&'static str>,
+    held: Option<Outcome>,
+}
+
+impl Chip {
+    fn new() -> Self {
+        let plant = TipPlant::new(7, 50.0, DT_S);
+        let mut config = assemble(&Board::default(), &Calibration::default(), &Gains::default());
+        config.lines = plant.lines;
+        let bus = FakeBus::new();
+        bus.machine().attach(FakeIcm20948::new(ADDRESS, 3));
+        let mut imu = Icm20948::new(bus.clone(), &icm20948::Config::default()).unwrap();
+        imu.init(&mut bus.delay()).unwrap();
+        let state = State::new(&config);
+        Self {
+            plant,
+            config,
+            state,
+            input: Input { dt_s: DT_S, ..Input::default() },
+            bus,
+            imu,
+            since_init_s: 0.0,
+            failures: 0,
+            last_init: None,
+            spoil: None,
+            held: None,
+        }
+    }
+
+    fn tick(&mut self) -> Frame {
+        let frame = tick(&self.config, &mut self.state, &self.input);
+        self.plant.step(&frame.steps);
+        let now = Seconds(self.plant.t_s);
+        let reading = self.read(now);
+        self.input = Input { t: now, dt_s: DT_S, imu: reading, steps: frame.steps, ..Input::default() };
+        frame
+    }
+
+    /// What the sensor thread does: read, and set the chip up again when it has lost its settings.
+    fn read(&mut self, now: Seconds) -> Outcome {
+        self.bus.machine().set_motion(&self.plant.motion());
+        self.bus.machine().advance(DT_S);
+        self.since_init_s += DT_S;
+        let scale = self.imu.scale();
+        let read = self.imu.read();
+        let mut said = outcome(&read, &scale, &Correction::NONE, now);
+        match said {
+            Outcome::Sample(..) | Outcome::Nothing => self.failures = 0,
+            // only a chip that lost its settings, or a bus on which nothing works, is set up again
+            Outcome::Failed(Fault::BrownOut | Fault::WrongId) => self.failures = self.failures.max(RETRY_AFTER),
+            Outcome::Failed(_) => self.failures += 1,
+        }
+        if self.failures >= RETRY_AFTER {
+            if self.since_init_s > 0.05 {
+                self.since_init_s = 0.0;
+                self.last_init = self.imu.init(&mut self.bus.delay()).err();
+            }
+            // what stands in the way of setting it up is what is wrong
+            if let Some(error) = self.last_init {
+                said = Outcome::Failed(error.fault());
+            }
+        }
+        self.spoilt(said)
+    }
+
+    /// Faults between chip and loop.
+    fn spoilt(&mut self, said: Outcome) -> Outcome {
+        let (Some(name), Outcome::Sample(mut sample, quality)) = (self.spoil, said) else {
+            self.held = Some(said);
+            return said;
+        };
+        match name {
+            "not a number" => sample.acc_m_s2.y = f64::NAN,
+            "stale stamp" => return self.held.unwrap_or(said),
+            "stamp jumps ahead" => sample.t = Seconds(sample.t.0 + 0.4),
+            "stamp runs back" => sample.t = Seconds(sample.t.0 - 0.3),
+            "silence" => return Outcome::Nothing,
+            _ => {}
+        }
+        Outcome::Sample(sample, quality)
+    }
+
+    /// Begins or ends the fault called `name`.
+    fn fault(&mut self, name: &'static str, on: bool) {
+        let mut machine = self.bus.machine();
+        match name {
+            "nack" => machine.nack(ADDRESS, if on { u32::MAX } else { 0 }),
+            "short read" if on => machine.shorten(ADDRESS, 9),
+            "stuck bus" => machine.stuck = on,
+            "wrong chip" => {
+                machine.spoil(ADDRESS, |q| q.wrong_id = on.then_some(0x12));
+                if on {
+                    machine.brown_out();
+                }
+            }
+            "brown-out" if on => machine.brown_out(),
+            "frozen" => machine.spoil(ADDRESS, |q| q.frozen = on),
+            "spike" if on => machine.spoil(ADDRESS, |q| q.spike = Some(30_000)),
+            "saturated" => machine.spoil(ADDRESS, |q| q.saturate = on),
+            "field overflow" => machine.spoil(ADDRESS, |q| q.mag_overflow = on),
+            "magnetometer dead" => machine.spoil(ADDRESS, |q| q.mag_dead = on),
+            _ => {}
+        }
+        drop(machine);
+        match name {
+            "iron nearby" => self.plant.field = if on { tip::Field::HardIron(60.0) } else { tip::Field::Clean },
+            "shaken" => self.plant.push = if on { Vector3::new(0.0, 6.0, 2.0) } else { Vector3::zeros() },
+            _ => self.spoil = on.then_some(name),
+        }
+    }
+
+    fn command(&mut self, bend_deg: f64, dir_deg: f64) {
+        self.input.command = Some(Command { bend: Bend::from_deg(bend_deg, dir_deg), length: Mm(20.0) });
+    }
+
+    fn error_deg(&self, frame: &Frame) -> f64 {
+        (frame.setpoint.bend.0 - self.plant.bend().0).norm().to_degrees()
+    }
+}
+
+#[derive(Debug, Default)]
+struct Seen {
+    detected_s: Option<f64>,
+    worst: Option<Action>,
+    during_deg: f64,
+    after_deg: f64,
+    felt_jump_deg: f64,
+    target_jump_mm: f64,
+    stopped: bool,
+    recovered_s: f64,
+}
+
+fn endure(case: &Case) -> Seen {
+    let mut chip = Chip::new();
+    while chip.tick().felt.is_none() {
+        assert!(chip.plant.t_s < 6.0, "{}", chip.state.fusion.waiting_for());
+    }
+    for (bend, dir, ticks) in [(30.0, 0.0, 750), (50.0, 90.0, 750), (20.0, 200.0, 750), (60.0, 20.0, 200)] {
+        chip.command(bend, dir);
+        for _ in 0..ticks {
+            chip.tick();
+        }
+    }
+    chip.command(45.0, 130.0);
+    let mut before = chip.tick();
+    let (mut seen, start) = (Seen::default(), chip.plant.t_s + 0.2);
+    for _ in 0..2500 {
+        let t = chip.plant.t_s;
+        if t >= start && t < start + DT_S {
+            chip.fault(case.name, true);
+        }
+        if t >= start + case.lasts_s && t < start + case.lasts_s + DT_S {
+            chip.fault(case.name, false);
+        }
+        let frame = chip.tick();
+        look(&mut seen, &chip, case, &before, &frame, t - start);
+        before = frame;
+    }
+    seen.after_deg = chip.error_deg(&before);
+    assert!(before.senses.in_force.is_empty(), "{}: still {}", case.name, before.senses.in_force);
+    seen
+}
+
+fn look(seen: &mut Seen, chip: &Chip, case: &Case, before: &Frame, frame: &Frame, since_s: f64) {
+    if frame.senses.in_force.contains(case.cause) {
+        seen.detected_s = seen.detected_s.or(Some(since_s));
+        seen.recovered_s = since_s;
+    }
+    if since_s < 0.0 {
+        return;
+    }
+    seen.worst = seen.worst.max(Some(frame.senses.action));
+    seen.stopped |= frame.senses.held;
+    if since_s < case.lasts_s + 0.3 {
+        seen.during_deg = seen.during_deg.max(chip.error_deg(frame));
+    }
+    let (now, then) = (frame.felt.unwrap().bend.0, before.felt.unwrap().bend.0);
+    // what the tip truly turned in a tick is no jump
+    let jump = (now - then).norm() - 120f64.to_radians() * DT_S;
+    seen.felt_jump_deg = seen.felt_jump_deg.max(jump.to_degrees());
+    if before.senses.held && !frame.senses.held {
+        seen.target_jump_mm = seen.target_jump_mm.max((frame.piston_target_mm - before.piston_target_mm).amax());
+    }
+}
+
+#[test]
+fn every_fault_is_seen_answered_and_survived() {
+    use Action::{CoastOnGyro, GravityOnly, Hold, Skip};
+    let case = |name, lasts_s, cause, action, error_max_deg| Case { name, lasts_s, cause, action, error_max_deg };
+    let cases = [
+        case("nack", 0.02, Cause::Nack, Skip, 12.0),
+        case("short read", 0.02, Cause::ShortRead, Skip, 12.0),
+        case("stuck bus", 0.4, Cause::StuckBus, Hold, 25.0),
+        case("wrong chip", 0.4, Cause::WrongId, Hold, 25.0),
+        case("brown-out", 0.02, Cause::BrownOut, Hold, 25.0),
+        case("frozen", 0.4, Cause::Frozen, Hold, 25.0),
+        case("not a number", 0.03, Cause::NotFinite, Skip, 12.0),
+        case("spike", 0.02, Cause::Spike, Skip, 12.0),
+        case("saturated", 0.2, Cause::Saturated, Hold, 25.0),
+        case("stale stamp", 0.1, Cause::StaleTimestamp, Skip, 12.0),
+        case("stamp jumps ahead", 0.03, Cause::JumpingTimestamp, Skip, 12.0),
+        case("stamp runs back", 0.03, Cause::JumpingTimestamp, Skip, 12.0),
+        case("silence", 0.5, Cause::StaleTimestamp, Hold, 25.0),
+        case("field overflow", 0.8, Cause::MagOverflow, GravityOnly, 12.0),
+        case("magnetometer dead", 0.8, Cause::MagSilent, GravityOnly, 12.0),
+        case("iron nearby", 0.8, Cause::FieldDisturbed, GravityOnly, 12.0),
+        case("shaken", 0.8, Cause::AccelDisturbed, CoastOnGyro, 12.0),
+    ];
+    println!("fault               seen after  policy         pistons  error during  after   felt jump  target jump  over after");
+    for c in &cases {
+        let s = endure(c);
+        println!(
+            "{:18} {:8.3} s  {:13} {:>8} {:10.2}° {:8.2}° {:8.2}° {:9.2} mm {:8.2} s",
+            c.name,
+            s.detected_s.unwrap_or(f64::NAN),
+            format!("{:?}", s.worst.unwrap()),
+            if s.stopped { "stopped" } else { "go on" },
+            s.during_deg,
+            s.after_deg,
+            s.felt_jump_deg,
+            s.target_jump_mm,
+            s.recovered_s,
+        );
+        let detected = s.detected_s.unwrap_or_else(|| panic!("{} was not seen", c.name));
+        assert!((0.0..0.35).contains(&detected), "{}: seen after {detected} s", c.name);
+        assert!(s.worst >= Some(c.action), "{}: {:?}", c.name, s.worst);
+        assert!(s.during_deg < c.error_max_deg && s.after_deg < 1.0, "{}: {s:?}", c.name);
+        assert!(s.felt_jump_deg < 1.0 && s.target_jump_mm < 0.2, "{}: {s:?}", c.name);
+    }
+}

@@ -1,0 +1,485 @@
+//! The safety gate, limit by limit: each is tried just inside and just outside, so that no line of it
+//! could be changed without a test here noticing.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use retroflex::supervise::gate::{Cause, Following, Gate, Limits, On, Passed, Safe, Told};
+use retroflex::units::Steps;
+
+const DT: f64 = 1e-3;
+
+fn limits() -> Limits {
+    Limits {
+        step_mm: 0.03,
+        tick_s: DT,
+        travel_mm: 30.0,
+        speed_mm_s: 34.5,
+        acceleration_mm_s2: 1200.0,
+        squeeze_mm: 29.5,
+        following_rad: 0.35,
+        following_s: 0.4,
+        following_for_s: 0.5,
+        stale_s: 0.5,
+        late_s: 0.05,
+        brake_mm_s2: 600.0,
+        relax_mm_s: 8.0,
+        on: On::default(),
+    }
+}
+
+fn told(wanted: [i32; 3]) -> Told {
+    Told {
+        dt_s: DT,
+        wanted: Steps(wanted),
+        armed: true,
+        felt_bellow_mm: None,
+        following: None,
+        stale_s: 0.0,
+        disagree: false,
+        emergency_stop: false,
+        alarm: false,
+    }
+}
+
+/// A gate with pistons at rest there.
+fn at(counts: i32) -> Gate {
+    Gate::new(&limits(), &Steps([counts; 3]))
+}
+
+fn trips(gate: &mut Gate, t: &Told) -> Option<Cause> {
+    gate.pass(t).tripped
+}
+
+/// Drives channel `i` at a steady speed (mm/s), slowly brought up to it, for so long; the first trip.
+fn steady(gate: &mut Gate, i: usize, speed_mm_s: f64, seconds: f64) -> Option<Cause> {
+    let (mut mm, mut v) = (0.0, 0.0f64);
+    for _ in 0..(seconds / DT) as usize {
+        v = (v + 500.0 * DT).min(speed_mm_s);
+        mm += v * DT;
+        let mut wanted = [0; 3];
+        wanted[i] = (mm / 0.03f64).round() as i32;
+        if let Some(cause) = trips(gate, &told(wanted)) {
+            return Some(cause);
+        }
+    }
+    None
+}
+
+/// A gate whose pistons move at 20 mm/s, and the counts they are at.
+fn moving() -> (Gate, i32) {
+    let mut gate = at(0);
+    assert_eq!(steady(&mut gate, 0, 20.0, 0.3), None);
+    let counts = gate.pass(&told([194, 0, 0]));
+    assert_eq!(counts.tripped, None);
+    (gate, 194)
+}
+
+#[test]
+fn what_is_within_all_limits_passes_as_it_is() {
+    let mut gate = at(0);
+    let passed = gate.pass(&told([0, 0, 0]));
+    assert_eq!(passed, Passed { steps: Steps([0; 3]), energise: true, tripped: None, rested: false });
+    for i in 0..3 {
+        let mut gate = at(0);
+        assert_eq!(steady(&mut gate, i, 30.0, 0.6), None);
+        assert!(!gate.is_busy() && gate.latched().is_none());
+    }
+}
+
+#[test]
+fn travel_trips_beyond_and_not_at_the_limit_on_every_channel_and_side() {
+    for i in 0..3 {
+        for side in [-1, 1] {
+            let mut counts = [0; 3];
+            counts[i] = side * 999;
+            let mut gate = Gate::new(&limits(), &Steps(counts));
+            counts[i] = side * 1000;
+            assert_eq!(trips(&mut gate, &told(counts)), None, "30.0 mm is allowed");
+            counts[i] = side * 1001;
+            let passed = gate.pass(&told(counts));
+            assert_eq!(passed.tripped, Some(Cause::Travel));
+            assert_eq!(passed.steps.0[i], side * 1000, "what tripped does not go out");
+        }
+    }
+}
+
+#[test]
+fn speed_trips_above_its_limit_and_one_step_of_grain() {
+    // a window of 16 ms is 18.4 steps at the limit, and one step is grain
+    assert_eq!(steady(&mut at(0), 1, 34.4, 0.5), None);
+    assert_eq!(steady(&mut at(0), 2, 38.5, 0.5), Some(Cause::Rate));
+    let mut gate = at(0);
+    assert_eq!(trips(&mut gate, &told([0, 0, 4])), Some(Cause::Acceleration), "a jump is a push first");
+}
+
+#[test]
+fn a_slow_window_is_judged_by_the_time_it_took() {
+    // the same counts, spread over late ticks, are no speed: 32 ticks of 2 ms at 1 step each
+    let mut gate = at(0);
+    for k in 1..=64 {
+        let t = Told { dt_s: 2.0 * DT, ..told([k, 0, 0]) };
+        assert_eq!(trips(&mut gate, &t), None, "tick {k}");
+    }
+    // and squeezed into half the time they are
+    let mut gate = at(0);
+    let first = (1..=64).find_map(|k| trips(&mut gate, &Told { dt_s: DT / 2.0, ..told([k, 0, 0]) }));
+    assert!(first.is_some());
+}
+
+#[test]
+fn acceleration_trips_on_a_push_and_on_a_reversal() {
+    // from rest: n steps within a window is n·0.03/0.016² mm/s², less two steps of grain
+    let push = |n: i32| {
+        let mut gate = at(0);
+        (1..=16).find_map(|k| trips(&mut gate, &told([n * k / 16, 0, 0])))
+    };
+    assert_eq!(push(11), None);
+    assert_eq!(push(13), Some(Cause::Acceleration));
+    let (mut gate, mut counts) = moving();
+    let reversal = (0..40).find_map(|k| {
+        counts -= i32::from(k % 2 == 0);
+        trips(&mut gate, &told([counts, 0, 0]))
+    });
+    assert_eq!(reversal, Some(Cause::Acceleration));
+}
+
+#[test]
+fn pressure_trips_on_moves_and_not_on_standing() {
+    let felt = |mm: f64| Some([0.0, mm, 0.0]);
+    for (side, channel) in [(1, 1usize), (-1, 1)] {
+        let mut gate = Gate::new(&limits(), &Steps([0, side * 900, 0]));
+        let mut counts = [0, side * 900, 0];
+        let t = Told { felt_bellow_mm: felt(-2.6 * f64::from(side)), ..told(counts) };
+        assert_eq!(trips(&mut gate, &t), None, "29.6 mm that are there already do not trip");
+        counts[channel] += side;
+        let t = Told { felt_bellow_mm: felt(-2.4 * f64::from(side)), ..told(counts) };
+        assert_eq!(trips(&mut gate, &t), None, "29.43 mm are allowed");
+        counts[channel] += side;
+        let t = Told { felt_bellow_mm: felt(-2.5 * f64::from(side)), ..told(counts) };
+        assert_eq!(trips(&mut gate, &t), Some(Cause::Pressure));
+    }
+}
+
+#[test]
+fn pressure_relaxes_and_releases_at_zero() {
+    let mut gate = at(100);
+    let t = Told { felt_bellow_mm: Some([-40.0, 3.0, 3.0]), ..told([101, 100, 100]) };
+    let passed = gate.pass(&t);
+    assert_eq!((passed.tripped, passed.energise), (Some(Cause::Pressure), true));
+    assert!(gate.is_busy());
+    let ticks = (0..10_000).find(|_| gate.pass(&told([0; 3])).rested).unwrap();
+    // 3 mm at 8 mm/s, braking on √(600 s): between 0.37 and 0.6 s
+    assert!((370..600).contains(&ticks), "{ticks}");
+    let passed = gate.pass(&told([50; 3]));
+    assert_eq!((passed.steps, passed.energise, passed.rested), (Steps([0; 3]), false, false));
+    assert_eq!(gate.latched(), Some(Cause::Pressure));
+    assert!(!gate.is_busy());
+}
+
+#[test]
+fn lateness_trips_above_its_limit_and_on_no_number() {
+    for (dt_s, cause) in [(0.05, None), (0.0501, Some(Cause::Late)), (f64::NAN, Some(Cause::Late))] {
+        let mut gate = at(5);
+        let passed = gate.pass(&Told { dt_s, ..told([5; 3]) });
+        assert_eq!((passed.tripped, passed.steps), (cause, Steps([5; 3])), "{dt_s}");
+        let next = gate.pass(&told([5; 3]));
+        assert_eq!((next.tripped, next.steps), (None, Steps([5; 3])));
+    }
+}
+
+#[test]
+fn nothing_moves_that_is_not_armed() {
+    for i in 0..3 {
+        let mut gate = at(7);
+        assert_eq!(trips(&mut gate, &Told { armed: false, ..told([7; 3]) }), None);
+        let mut counts = [7; 3];
+        counts[i] += 1;
+        let passed = gate.pass(&Told { armed: false, ..told(counts) });
+        assert_eq!((passed.tripped, passed.steps), (Some(Cause::Unarmed), Steps([7; 3])));
+    }
+}
+
+#[test]
+fn staleness_and_disagreement_count_while_armed() {
+    let cases: [(f64, bool, Option<Cause>); 4] =
+        [(0.5, false, None), (0.501, false, Some(Cause::Stale)), (0.0, true, Some(Cause::Disagreement)), (0.6, true, Some(Cause::Stale))];
+    for (stale_s, disagree, cause) in cases {
+        assert_eq!(trips(&mut at(0), &Told { stale_s, disagree, ..told([0; 3]) }), cause);
+        assert_eq!(trips(&mut at(0), &Told { stale_s, disagree, armed: false, ..told([0; 3]) }), None);
+    }
+}
+
+/// Ticks until the gate trips on a felt bend that is off by so much (rad), at most two seconds.
+fn astray(gate: &mut Gate, off: [f64; 2], armed: bool) -> Option<(usize, Cause)> {
+    let following = Some(Following { setpoint: [0.5, -0.2], felt: [0.5 + off[0], -0.2 + off[1]] });
+    (1..=2000).find_map(|k| trips(gate, &Told { following, armed, ..told([0; 3]) }).map(|c| (k, c)))
+}
+
+#[test]
+fn following_trips_after_its_time_and_not_within_its_distance() {
+    assert_eq!(astray(&mut at(0), [0.34, 0.0], true), None);
+    assert_eq!(astray(&mut at(0), [0.0, -0.349], true), None);
+    for off in [[0.36, 0.0], [0.0, -0.36], [0.26, 0.26]] {
+        let (ticks, cause) = astray(&mut at(0), off, true).unwrap();
+        assert_eq!(cause, Cause::Following);
+        assert!((500..=502).contains(&ticks), "{ticks}");
+    }
+    assert_eq!(astray(&mut at(0), [1.0, 0.0], false), None);
+    let (_, cause) = astray(&mut at(0), [f64::NAN, 0.0], true).unwrap();
+    assert_eq!(cause, Cause::Following, "what is no number is nowhere");
+}
+
+#[test]
+fn following_forgets_when_it_is_back_or_there_is_nothing_to_follow() {
+    let off = Some(Following { setpoint: [0.0; 2], felt: [0.4, 0.0] });
+    let near = Some(Following { setpoint: [0.0; 2], felt: [0.1, 0.0] });
+    for relief in [near, None] {
+        let mut gate = at(0);
+        for k in 0..1500 {
+            let following = if k % 450 == 449 { relief } else { off };
+            assert_eq!(trips(&mut gate, &Told { following, ..told([0; 3]) }), None, "tick {k}");
+        }
+    }
+}
+
+#[test]
+fn following_allows_for_the_speed_of_the_set_point() {
+    // at 1.5 rad/s 0.6 rad more are allowed, and that wears off with 0.4 s
+    let moving = |off: f64, ticks: usize| {
+        let mut gate = at(0);
+        (0..ticks).find_map(|k| {
+            let setpoint = [1.5 * DT * k as f64, 0.0];
+            trips(&mut gate, &Told { following: Some(Following { setpoint, felt: [setpoint[0] - off, 0.0] }), ..told([0; 3]) })
+        })
+    };
+    assert_eq!(moving(0.94, 2000), None);
+    assert_eq!(moving(0.96, 2000), Some(Cause::Following));
+    let mut gate = at(0);
+    let mut tripped_at = None;
+    for k in 0..4000usize {
+        let x = 1.5 * DT * k.min(1000) as f64;
+        let following = Some(Following { setpoint: [x, 0.0], felt: [x - 0.65, 0.0] });
+        if trips(&mut gate, &Told { following, ..told([0; 3]) }).is_some() {
+            tripped_at = Some(k);
+            break;
+        }
+    }
+    // 0.35 + 0.6 e^(−t/0.4) falls to 0.65 after 0.277 s, and then it takes 0.5 s
+    let after_s = (tripped_at.unwrap() - 1000) as f64 * DT;
+    assert!((0.75..0.81).contains(&after_s), "{after_s}");
+}
+
+#[test]
+fn an_emergency_stop_releases_at_once_whatever_goes_on() {
+    let (mut gate, counts) = moving();
+    let pressed = Told { emergency_stop: true, ..told([counts + 1, 0, 0]) };
+    let passed = gate.pass(&pressed);
+    assert_eq!(passed, Passed { steps: Steps([counts, 0, 0]), energise: false, tripped: Some(Cause::EmergencyStop), rested: false });
+    let passed = gate.pass(&pressed);
+    assert_eq!((passed.tripped, passed.steps.0[0]), (None, counts), "it is said once, and nothing moves");
+    assert!(!gate.is_busy());
+    // on the way back after another fault, and unarmed
+    let mut gate = at(50);
+    gate.pass(&Told { stale_s: 1.0, ..told([50; 3]) });
+    gate.relax();
+    gate.pass(&told([50; 3]));
+    let passed = gate.pass(&Told { emergency_stop: true, armed: false, ..told([50; 3]) });
+    assert_eq!((passed.tripped, passed.energise), (Some(Cause::EmergencyStop), false));
+    assert_eq!(gate.latched(), Some(Cause::Stale), "the first cause is kept");
+}
+
+#[test]
+fn an_alarm_of_the_step_generator_counts_at_any_time_and_after_the_emergency_stop() {
+    assert_eq!(trips(&mut at(0), &Told { alarm: true, armed: false, ..told([0; 3]) }), Some(Cause::StepGenerator));
+    assert_eq!(trips(&mut at(0), &Told { alarm: true, emergency_stop: true, ..told([0; 3]) }), Some(Cause::EmergencyStop));
+    let mut gate = at(60);
+    gate.relax();
+    let passed = gate.pass(&Told { alarm: true, ..told([60; 3]) });
+    assert_eq!((passed.tripped, passed.energise), (Some(Cause::StepGenerator), true));
+    let rest = gate.pass(&told([0; 3])).steps;
+    for _ in 0..500 {
+        assert_eq!(gate.pass(&told([0; 3])).steps, rest, "the way back has ended");
+    }
+}
+
+#[test]
+fn after_a_trip_it_brakes_within_its_limit_and_stands() {
+    let (mut gate, counts) = moving();
+    let mut last = gate.pass(&Told { disagree: true, ..told([counts + 1, 0, 0]) });
+    assert_eq!(last.tripped, Some(Cause::Disagreement));
+    assert!(gate.is_busy());
+    let mut ticks = 0;
+    while gate.is_busy() {
+        // the controller wants to run on and is not listened to
+        let passed = gate.pass(&told([counts + 500, 300, -300]));
+        let step = passed.steps.0[0] - last.steps.0[0];
+        assert!((0..=1).contains(&step) && passed.steps.0[1..] == [0, 0] && passed.energise);
+        last = passed;
+        ticks += 1;
+        assert!(ticks < 100);
+    }
+    // 20 mm/s at 600 mm/s²: 33 ms and 0.33 mm, 11 steps
+    assert!((28..=38).contains(&ticks), "{ticks} ticks");
+    assert!((9..=14).contains(&(last.steps.0[0] - counts)), "{} steps", last.steps.0[0] - counts);
+    let stood = gate.pass(&told([0; 3]));
+    assert_eq!((stood.steps, stood.tripped), (last.steps, None));
+}
+
+#[test]
+fn it_stays_latched_until_it_is_reset_and_then_passes_from_where_it_is() {
+    let mut gate = at(40);
+    assert_eq!(trips(&mut gate, &Told { stale_s: 1.0, ..told([40; 3]) }), Some(Cause::Stale));
+    for _ in 0..100 {
+        assert_eq!(gate.pass(&told([41; 3])), Passed { steps: Steps([40; 3]), energise: true, tripped: None, rested: false });
+    }
+    gate.reset(&Steps([40; 3]));
+    assert_eq!(gate.latched(), None);
+    assert_eq!(gate.pass(&told([41; 3])).steps, Steps([41; 3]));
+    // a reset forgets speeds: pistons at rest elsewhere are no jump
+    gate.reset(&Steps([-500; 3]));
+    assert_eq!(gate.pass(&told([-500; 3])), Passed { steps: Steps([-500; 3]), energise: true, tripped: None, rested: false });
+}
+
+#[test]
+fn a_way_back_is_slow_symmetric_and_ends_at_zero() {
+    let mut gate = Gate::new(&limits(), &Steps([400, -400, 30]));
+    gate.relax();
+    assert!(gate.is_busy() && gate.latched().is_none());
+    let (mut last, mut fastest) = (Steps([400, -400, 30]), 0);
+    let mut window = std::collections::VecDeque::from(vec![last.0[0]; 100]);
+    let mut ticks = 0;
+    loop {
+        let passed = gate.pass(&told([0; 3]));
+        ticks += 1;
+        assert_eq!(passed.steps.0[0], -passed.steps.0[1]);
+        assert!(passed.steps.0[0] <= last.0[0] && passed.steps.0[2] <= last.0[2] && passed.steps.0[2] >= 0);
+        window.push_back(passed.steps.0[0]);
+        fastest = fastest.max(window.pop_front().unwrap() - passed.steps.0[0]);
+        last = passed.steps;
+        if passed.rested {
+            break;
+        }
+        assert!(passed.energise && ticks < 5000);
+    }
+    // 12 mm at 8 mm/s, a little longer for both ends
+    assert!((1500..1700).contains(&ticks), "{ticks}");
+    // 8 mm/s is 26.7 steps in 100 ms
+    assert!((26..=27).contains(&fastest), "{fastest}");
+    assert_eq!(last, Steps([0; 3]));
+    assert!(!gate.pass(&told([0; 3])).rested, "it is said once");
+}
+
+#[test]
+fn a_way_back_that_begins_in_motion_brakes_first_and_can_be_stopped() {
+    let (mut gate, counts) = moving();
+    gate.relax();
+    let passed: Vec<i32> = (0..60).map(|_| gate.pass(&told([0; 3])).steps.0[0]).collect();
+    let top = *passed.iter().max().unwrap();
+    assert!((9..=14).contains(&(top - counts)), "it overshoots by its braking distance: {}", top - counts);
+    for _ in 0..200 {
+        gate.pass(&told([0; 3]));
+    }
+    gate.stand();
+    assert!(gate.is_busy());
+    for _ in 0..40 {
+        gate.pass(&told([0; 3]));
+    }
+    assert!(!gate.is_busy());
+    let there = gate.pass(&told([0; 3])).steps;
+    assert!(there.0[0] > 20 && there.0[0] < top - 20);
+    assert_eq!(gate.pass(&told([5; 3])).steps, there);
+}
+
+#[test]
+fn a_late_tick_is_no_reason_for_a_leap_on_the_way_back() {
+    let mut gate = at(500);
+    gate.relax();
+    for _ in 0..200 {
+        gate.pass(&told([0; 3]));
+    }
+    let before = gate.pass(&told([0; 3])).steps.0[0];
+    let after = gate.pass(&Told { dt_s: 0.04, ..told([0; 3]) }).steps.0[0];
+    assert!(before - after <= 1, "{} steps at once", before - after);
+    let frozen = gate.pass(&Told { dt_s: -1.0, ..told([0; 3]) }).steps.0[0];
+    assert_eq!(frozen, after, "time that runs backwards moves nothing");
+}
+
+#[test]
+fn braking_does_not_leave_the_travel() {
+    let near = (29.9f64 / 0.03) as i32;
+    let mut gate = Gate::new(&limits(), &Steps([near - 194, 0, 0]));
+    let (mut mm, mut v) = (0.0, 0.0f64);
+    for _ in 0..300 {
+        v = (v + 500.0 * DT).min(20.0);
+        mm += v * DT;
+        let wanted = near - 194 + (mm / 0.03f64).round() as i32;
+        if gate.pass(&Told { disagree: wanted >= near - 1, ..told([wanted, 0, 0]) }).tripped.is_some() {
+            break;
+        }
+    }
+    for _ in 0..100 {
+        assert!(gate.pass(&told([2000, 0, 0])).steps.0[0] <= 1000);
+    }
+}
+
+#[test]
+fn every_cause_leads_where_the_board_says() {
+    let pressure = Told { felt_bellow_mm: Some([-40.0, 0.0, 0.0]), ..told([31, 30, 30]) };
+    let cases: [(Cause, Told, fn(&mut On, Safe)); 10] = [
+        (Cause::EmergencyStop, Told { emergency_stop: true, ..told([30; 3]) }, |on, s| on.emergency_stop = s),
+        (Cause::StepGenerator, Told { alarm: true, ..told([30; 3]) }, |on, s| on.step_generator = s),
+        (Cause::Late, Told { dt_s: 0.2, ..told([30; 3]) }, |on, s| on.late = s),
+        (Cause::Unarmed, Told { armed: false, ..told([31; 3]) }, |on, s| on.unarmed = s),
+        (Cause::Travel, told([3000; 3]), |on, s| on.travel = s),
+        (Cause::Acceleration, told([90; 3]), |on, s| on.acceleration = s),
+        (Cause::Pressure, pressure, |on, s| on.pressure = s),
+        (Cause::Stale, Told { stale_s: 9.0, ..told([30; 3]) }, |on, s| on.stale = s),
+        (Cause::Disagreement, Told { disagree: true, ..told([30; 3]) }, |on, s| on.disagreement = s),
+        (Cause::Following, Told { following: Some(Following { setpoint: [0.0; 2], felt: [2.0, 0.0] }), ..told([30; 3]) }, |on, s| {
+            on.following = s
+        }),
+    ];
+    for (cause, t, set) in cases {
+        for safe in [Safe::Hold, Safe::Relax, Safe::Release] {
+            // the other causes lead elsewhere, so that a mix-up shows
+            let other = if safe == Safe::Hold { Safe::Release } else { Safe::Hold };
+            let mut on = On {
+                emergency_stop: other,
+                step_generator: other,
+                late: other,
+                unarmed: other,
+                travel: other,
+                rate: other,
+                acceleration: other,
+                pressure: other,
+                stale: other,
+                disagreement: other,
+                following: other,
+            };
+            set(&mut on, safe);
+            let mut gate = Gate::new(&Limits { on, ..limits() }, &Steps([30; 3]));
+            let tripped = (0..600).find_map(|_| trips(&mut gate, &t));
+            assert_eq!(tripped, Some(cause));
+            let passed: Vec<Passed> = (0..1000).map(|_| gate.pass(&told([30; 3]))).collect();
+            let last = passed.last().unwrap();
+            let (steps, energise) = match safe {
+                Safe::Hold => ([30; 3], true),
+                Safe::Relax => ([0; 3], false),
+                Safe::Release => ([30; 3], false),
+            };
+            assert_eq!((last.steps.0, last.energise), (steps, energise), "{cause:?} {safe:?}");
+            assert_eq!(passed.iter().filter(|p| p.rested).count(), usize::from(safe == Safe::Relax));
+        }
+    }
+    // the one that takes time to bring about
+    let mut gate = Gate::new(&Limits { on: On { rate: Safe::Release, ..On::default() }, ..limits() }, &Steps([0; 3]));
+    assert_eq!(steady(&mut gate, 0, 40.0, 0.5), Some(Cause::Rate));
+    assert!(!gate.pass(&told([0; 3])).energise);
+}
+
+#[test]
+fn defaults_are_as_documented() {
+    let on = On::default();
+    let hold = [on.step_generator, on.late, on.unarmed, on.travel, on.rate, on.acceleration, on.stale, on.disagreement, on.following];
+    assert!(hold.iter().all(|s| *s == Safe::Hold));
+    assert_eq!((on.emergency_stop, on.pressure), (Safe::Release, Safe::Relax));
+}

@@ -1,0 +1,177 @@
+//! The supervised loop on the paper twin: modes, gate, words, restarts.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::{repo, twin, unit};
+use retroflex::config::calib::Calibration;
+use retroflex::config::gains::Gains;
+use retroflex::config::pilot::assemble;
+use retroflex::config::source;
+use retroflex::machine::Lockstep;
+use retroflex::model::bend::Bend;
+use retroflex::pilot::flight::Flight;
+use retroflex::pilot::order::Order;
+use retroflex::pilot::{Pilot, Turned};
+use retroflex::plant::{Channel, Fault};
+use retroflex::sim::Sim;
+use retroflex::supervise::mode::Mode;
+use retroflex::tick::{Command, Kept};
+use retroflex::units::{Mm, Seconds};
+use retroflex::world::World;
+
+/// An order to bend, degrees.
+fn bend_to(b: f64, d: f64) -> Order {
+    Order::Bend(Command { bend: Bend::from_deg(b, d), length: Mm(20.0) }, None)
+}
+
+struct Fly {
+    flight: Flight<Lockstep<Sim>>,
+    k: u64,
+}
+
+impl Fly {
+    fn new(kept: Option<Kept>, machine: Option<Lockstep<Sim>>) -> Self {
+        let machine = machine.unwrap_or_else(|| Lockstep::new(unit(0, 1)));
+        let calib: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
+        let config = assemble(&twin(), &calib, &Gains::default(), machine.world.nature());
+        Self { flight: Flight::new(machine, Pilot::new(config, kept)), k: 0 }
+    }
+    fn turn(&mut self, order: Option<Order>) -> Turned {
+        self.k += 1;
+        let t = Seconds(self.k as f64 * 1e-3);
+        self.flight.turn(t, order).unwrap()
+    }
+    fn run(&mut self, s: f64) -> Turned {
+        let mut last = self.turn(None);
+        for _ in 1..(s * 1e3) as u64 {
+            last = self.turn(None);
+        }
+        last
+    }
+    fn order(&mut self, o: Order) {
+        self.turn(Some(o)).answer.unwrap().unwrap();
+    }
+    fn bend(&mut self, b: f64, d: f64) {
+        self.order(bend_to(b, d));
+    }
+}
+
+/// A seeded stream of numbers between 0 and 1 (xorshift64).
+fn dice(seed: u64) -> impl FnMut() -> f64 {
+    let mut x = seed;
+    move || {
+        x ^= x << 13;
+        x ^= x >> 7;
+        x ^= x << 17;
+        (x >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+#[test]
+fn healthy_tips_are_suspected_of_nothing_and_never_tripped() {
+    let mut roll = dice(88_172_645_463_325_252);
+    for u in 0..8u64 {
+        let mut f = Fly::new(None, Some(Lockstep::new(unit(u, 1))));
+        f.run(2.5);
+        f.order(Order::Arm);
+        f.run(0.1);
+        for n in 0..20 {
+            f.bend(75.0 * roll().sqrt(), 360.0 * roll());
+            for _ in 0..2500 {
+                let t = f.turn(None);
+                assert!(t.tripped.is_none(), "unit {u}, pose {n}: {:?}", t.tripped);
+                // units are as different as their make; the first poses teach their gains
+                assert!(!t.suspects || n < 2, "unit {u}, pose {n}: {}", t.suspicion.unwrap());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_fault_of_one_line_is_named_with_its_channel() {
+    let cases = [
+        (Fault::Burst { channel: Channel::Two }, "Burst"),
+        (Fault::Gain { channel: Channel::Two, factor: 0.4 }, "Weak"),
+        (Fault::Gain { channel: Channel::Two, factor: 2.0 }, "Strong"),
+        (Fault::Leak { channel: Channel::Two, rate_per_s: 0.1 }, "Leak"),
+    ];
+    for (fault, kind) in cases {
+        let mut f = Fly::new(None, None);
+        f.run(2.5);
+        f.order(Order::Arm);
+        f.run(0.1);
+        f.bend(65.0, 70.0);
+        f.run(2.5);
+        f.flight.machine.world.plant_mut().inject(fault);
+        let t = f.run(5.0);
+        let s = t.suspicion.unwrap_or_else(|| panic!("{fault:?} was not noticed"));
+        assert_eq!((format!("{:?}", s.kind).as_str(), s.channel), (kind, Some(2)), "{fault:?}: {s}");
+    }
+}
+
+#[test]
+fn orders_are_taken_and_refused_by_mode() {
+    let mut f = Fly::new(None, None);
+    let refused = |f: &mut Fly, o| f.turn(Some(o)).answer.unwrap().unwrap_err().to_string();
+    assert!(refused(&mut f, Order::Arm).contains("still for 2 s"));
+    f.run(2.5);
+    assert!(refused(&mut f, bend_to(30.0, 0.0)).contains("arm"));
+    f.order(Order::Arm);
+    f.run(0.1);
+    f.order(bend_to(40.0, 0.0));
+    f.run(0.1);
+    assert!(refused(&mut f, Order::Disarm).contains("stop"));
+    assert!(refused(&mut f, Order::Calibrate(true)).contains("stop"));
+    f.order(Order::Stop);
+    assert!(refused(&mut f, bend_to(30.0, 0.0)).contains("moment"));
+    let t = f.run(0.5);
+    let stood = t.steps;
+    assert_eq!((t.mode, f.run(0.5).mode), (Mode::Holding, Mode::Holding));
+    assert!((0..3).all(|i| (f.run(0.01).steps.0[i] - stood.0[i]).abs() < 40), "it stays about where it stopped");
+    f.order(Order::Disarm);
+    assert!(refused(&mut f, Order::Zero).contains("relax"));
+    f.order(Order::Relax);
+    let t = f.run(6.0);
+    assert_eq!((t.mode, t.steps.0, t.energise), (Mode::Disarmed, [0; 3], false));
+    f.order(Order::Zero);
+    assert_eq!(f.run(2.5).mode, Mode::Disarmed);
+}
+
+#[test]
+fn a_stream_that_falls_silent_stops_the_tip() {
+    let mut f = Fly::new(None, None);
+    f.run(2.5);
+    f.order(Order::Arm);
+    f.run(0.1);
+    let Order::Bend(command, _) = bend_to(70.0, 10.0) else { unreachable!() };
+    f.order(Order::Stream(command));
+    let mut ended = None;
+    for k in 0..400 {
+        let t = f.turn(None);
+        if t.stream_ended {
+            ended.get_or_insert(k);
+        }
+    }
+    assert!((248..=252).contains(&ended.unwrap()), "{ended:?} ms");
+    let t = f.run(1.0);
+    assert!(t.mode == Mode::Holding && t.frame.felt.unwrap().bend.beta().to_degrees() < 60.0);
+}
+
+#[test]
+fn a_reload_moves_nothing() {
+    let mut f = Fly::new(None, None);
+    f.run(2.5);
+    f.order(Order::Arm);
+    f.run(0.1);
+    f.bend(50.0, 120.0);
+    let before = f.run(2.5).steps;
+    let mut next = f.flight.pilot.config().clone();
+    next.tick.feedback.as_mut().unwrap().tau_c_s = 0.25;
+    f.flight.pilot.reload(&mut next);
+    assert!((f.flight.pilot.config().tick.feedback.unwrap().tau_c_s - 0.25).abs() < 1e-12);
+    for _ in 0..500 {
+        let t = f.turn(None);
+        assert!((0..3).all(|i| (t.steps.0[i] - before.0[i]).abs() <= 8), "{:?} {before:?}", t.steps);
+    }
+}
