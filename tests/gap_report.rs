@@ -37,7 +37,8 @@ fn diagnosis(kind: &'static str, names: &[&'static str], equivalent: &[&[&'stati
             effect("creep", "bellows", 0.02, 0.1),
         ],
         verdict: VerdictEntry { kind, names: names.to_vec(), equivalent: equivalent.iter().map(|g| g.to_vec()).collect() },
-        unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37 },
+        unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37, foretold_deg_s: 0.0 },
+        rivals: vec![],
     }
 }
 

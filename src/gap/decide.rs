@@ -118,7 +118,8 @@ fn kin(names: &[&str]) -> bool {
 fn judged(log: &Observed, nominal: &Candidate, chosen: &Candidate, floor: f64) -> Verdict {
     let left = excess(chosen.energy(), floor) / excess(nominal.energy(), floor);
     let foretold = rates_foretold_deg_s(log, &chosen.held_out);
-    let doubt = doubt(log, left, &chosen.held_out, chosen.names.is_empty()).max(logistic((foretold - FORETOLD_DEG_S) / FORETOLD_WIDTH_DEG_S));
+    let doubt =
+        doubt(log, left, &chosen.held_out, chosen.names.is_empty()).max(logistic((foretold - FORETOLD_DEG_S) / FORETOLD_WIDTH_DEG_S));
     let kind = match (doubt > 0.5, chosen.names.is_empty()) {
         (true, _) => "unknown",
         (false, true) => "none",
@@ -130,7 +131,10 @@ fn judged(log: &Observed, nominal: &Candidate, chosen: &Candidate, floor: f64) -
 /// Probability that what is left has a cause of its own.
 fn doubt(log: &Observed, left: f64, h: &HeldOut, none: bool) -> f64 {
     let left = left.max(1e-3);
-    let worst = (0..4).filter(|&k| log.has[k]).map(|k| (h.rmse_deg[k].powi(2) - 3.0 * log.noise_deg[k].powi(2)).max(0.0).sqrt()).fold(0.05, f64::max);
+    let worst = (0..4)
+        .filter(|&k| log.has[k])
+        .map(|k| (h.rmse_deg[k].powi(2) - 3.0 * log.noise_deg[k].powi(2)).max(0.0).sqrt())
+        .fold(0.05, f64::max);
     if none {
         // what no unit is without is a share of nothing
         return logistic((worst / NONE_DEG).ln() / NONE_WIDTH);
