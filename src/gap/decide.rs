@@ -4,6 +4,13 @@
 //! kind's RMSE by at least 0.3° (0.3 °/s for the gyroscope) to be claimed at all. A law of another form
 //! than the truth's always leaves something, and many a second effect feeds on that a little; a second
 //! *cause* takes most of it, and no other takes as much. What no set explains is unknown.
+//!
+//! 0.3° is the published bar. The other constants were chosen on the built-in plant, from the answers
+//! that `retroflex gap exam --every 4 --seed N --json FILE` wrote with N = 201, 202, 301 and 401 (132 logs).
+//! They stand where they part most right answers from wrong ones there; an anisotropic cable is still
+//! called two causes now and then. A logistic law fitted to the sets that were chosen has the weights
+//! (4.7, 2.7, 1.9), near those used; both put every effect outside the catalogue above 0.5, and every right
+//! set below it but one contact. Effect-free logs left up to 0.54° in their worst kind.
 
 use crate::effects::by_name;
 use crate::gap::observe::Observed;
@@ -118,7 +125,8 @@ fn kin(names: &[&str]) -> bool {
 fn judged(log: &Observed, nominal: &Candidate, chosen: &Candidate, floor: f64) -> Verdict {
     let left = excess(chosen.energy(), floor) / excess(nominal.energy(), floor);
     let foretold = rates_foretold_deg_s(log, &chosen.held_out);
-    let doubt = doubt(log, left, &chosen.held_out, chosen.names.is_empty()).max(logistic((foretold - FORETOLD_DEG_S) / FORETOLD_WIDTH_DEG_S));
+    let doubt =
+        doubt(log, left, &chosen.held_out, chosen.names.is_empty()).max(logistic((foretold - FORETOLD_DEG_S) / FORETOLD_WIDTH_DEG_S));
     let kind = match (doubt > 0.5, chosen.names.is_empty()) {
         (true, _) => "unknown",
         (false, true) => "none",
@@ -130,7 +138,10 @@ fn judged(log: &Observed, nominal: &Candidate, chosen: &Candidate, floor: f64) -
 /// Probability that what is left has a cause of its own.
 fn doubt(log: &Observed, left: f64, h: &HeldOut, none: bool) -> f64 {
     let left = left.max(1e-3);
-    let worst = (0..4).filter(|&k| log.has[k]).map(|k| (h.rmse_deg[k].powi(2) - 3.0 * log.noise_deg[k].powi(2)).max(0.0).sqrt()).fold(0.05, f64::max);
+    let worst = (0..4)
+        .filter(|&k| log.has[k])
+        .map(|k| (h.rmse_deg[k].powi(2) - 3.0 * log.noise_deg[k].powi(2)).max(0.0).sqrt())
+        .fold(0.05, f64::max);
     if none {
         // what no unit is without is a share of nothing
         return logistic((worst / NONE_DEG).ln() / NONE_WIDTH);

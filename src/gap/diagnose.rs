@@ -6,10 +6,10 @@ pub use crate::gap::credit::StageShare;
 use crate::gap::credit::{credits, stages};
 use crate::gap::decide::{Verdict, decide, floor};
 use crate::gap::fit::nominal_start;
-use crate::gap::sense::sense;
 use crate::gap::interval::{Compared, closed_ci95};
 use crate::gap::observe::{Kind, Observed};
 use crate::gap::search::{Candidate, Found, HeldOut, model_of, score, search};
+use crate::gap::sense::sense;
 use crate::model::transmission::Line;
 use serde::Serialize;
 
@@ -236,7 +236,11 @@ fn write(
                 .map(|(k, kind)| KindShare { name: kind.name(), rmse_deg: nominal.rmse_deg[k], explained_deg: after.rmse_deg[k] })
                 .collect(),
         },
-        unknown: UnknownEntry { probability: verdict.doubt, foretold_deg_s: verdict.foretold, rmse_deg: rms((after.energy() - floor).max(0.0)) },
+        unknown: UnknownEntry {
+            probability: verdict.doubt,
+            foretold_deg_s: verdict.foretold,
+            rmse_deg: rms((after.energy() - floor).max(0.0)),
+        },
         verdict: VerdictEntry { kind: verdict.kind, names: verdict.names.clone(), equivalent },
         effects,
         rivals: rivals(found),

@@ -4,9 +4,9 @@ use crate::check::{Check, Checker};
 use crate::effects::Effect;
 use crate::gap::chain::{LAG_MAX_S, NOMINAL, run};
 use crate::gap::decide::floor;
-use crate::gap::sense::sense;
 use crate::gap::observe::Observed;
 use crate::gap::search::{Candidate, Found, model_of, score};
+use crate::gap::sense::sense;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -122,11 +122,8 @@ fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, known: 
         let names: Vec<&str> = pair(e.as_ref()).effects.iter().map(|e| e.name()).collect();
         names.len() == 2 && !known.contains(&names)
     };
-    let mut promising: Vec<_> = catalogue
-        .par_iter()
-        .filter(fresh)
-        .filter_map(|e| begin(log, &ground, &pair(e.as_ref()), e.as_ref()).map(|b| (e, b)))
-        .collect();
+    let mut promising: Vec<_> =
+        catalogue.par_iter().filter(fresh).filter_map(|e| begin(log, &ground, &pair(e.as_ref()), e.as_ref()).map(|b| (e, b))).collect();
     promising.sort_by(|a, b| a.1.promise.total_cmp(&b.1.promise));
     promising.truncate(GROWN);
     promising.par_iter().map(|(e, b)| settled(log, pair(e.as_ref()), &b.theta).0).collect()

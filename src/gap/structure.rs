@@ -41,7 +41,11 @@ pub fn rates_foretold_deg_s(log: &Observed, h: &HeldOut) -> f64 {
         }
         let Some(inverse) = n.try_inverse() else { continue };
         let law = inverse * s;
-        gained += seen.iter().filter(|(f, _, _)| *f == fold).map(|(_, x, r)| r.norm_squared() - (r - x.transpose() * law).norm_squared()).sum::<f64>();
+        gained += seen
+            .iter()
+            .filter(|(f, _, _)| *f == fold)
+            .map(|(_, x, r)| r.norm_squared() - (r - x.transpose() * law).norm_squared())
+            .sum::<f64>();
     }
     (gained.max(0.0) / seen.len().max(1) as f64).sqrt().to_degrees()
 }
