@@ -4,6 +4,13 @@
 //! kind's RMSE by at least 0.3° (0.3 °/s for the gyroscope) to be claimed at all. A law of another form
 //! than the truth's always leaves something, and many a second effect feeds on that a little; a second
 //! *cause* takes most of it, and no other takes as much. What no set explains is unknown.
+//!
+//! 0.3° is the published bar. The other constants were chosen on the built-in plant, from the answers
+//! that `retroflex gap exam --every 4 --seed N --json FILE` wrote with N = 201, 202, 301 and 401 (132 logs).
+//! They stand where they part most right answers from wrong ones there; an anisotropic cable is still
+//! called two causes now and then. A logistic law fitted to the sets that were chosen has the weights
+//! (4.7, 2.7, 1.9), near those used; both put every effect outside the catalogue above 0.5, and every right
+//! set below it but one contact. Effect-free logs left up to 0.54° in their worst kind.
 
 use crate::effects::by_name;
 use crate::gap::observe::Observed;
