@@ -424,7 +424,8 @@ fn braking_does_not_leave_the_travel() {
 #[test]
 fn every_cause_leads_where_the_board_says() {
     let pressure = Told { felt_bellow_mm: Some([-40.0, 0.0, 0.0]), ..told([31, 30, 30]) };
-    let cases: [(Cause, Told, fn(&mut On, Safe)); 10] = [
+    type Case = (Cause, Told, fn(&mut On, Safe));
+    let cases: [Case; 10] = [
         (Cause::EmergencyStop, Told { emergency_stop: true, ..told([30; 3]) }, |on, s| on.emergency_stop = s),
         (Cause::StepGenerator, Told { alarm: true, ..told([30; 3]) }, |on, s| on.step_generator = s),
         (Cause::Late, Told { dt_s: 0.2, ..told([30; 3]) }, |on, s| on.late = s),
