@@ -152,11 +152,22 @@ fn judge(soak: &mut Soak) {
 
 /// Whatever state it is in, as an operator would: to armed.
 fn to_armed(bench: &mut crate::drill::bench::Bench) -> Result<bool, WorldError> {
-    for _ in 0..8 {
+    for attempt in 0..10 {
         match bench.flight.pilot.mode() {
             Mode::Holding | Mode::Tracking => return Ok(true),
             Mode::Boot | Mode::Aligning => {
                 bench.until(10.0, |t| t.mode != Mode::Aligning && t.mode != Mode::Boot)?;
+            }
+            // what comes back after a reset needs the rest found again
+            Mode::Disarmed if attempt > 4 && bench.flight.pilot.keep().steps.0 == [0; 3] => {
+                bench.turn(Some(Order::Reset))?;
+                bench.turn(Some(Order::Zero))?;
+                bench.until(8.0, |t| t.mode != Mode::Aligning)?;
+                bench.turn(Some(Order::Arm))?;
+                bench.run(0.05)?;
+            }
+            Mode::Disarmed if attempt > 4 => {
+                bench.turn(Some(Order::Relax))?;
             }
             Mode::Disarmed => {
                 bench.turn(Some(Order::Reset))?;

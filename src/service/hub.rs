@@ -264,6 +264,10 @@ impl Hub {
         self.end_recording();
         let at_rest = self.last.as_ref().is_some_and(|t| t.counted.0 == [0; 3]);
         self.parts.memory.armed = !at_rest;
+        if let (Some(kept), Some(last)) = (&mut self.parts.memory.kept, &self.last) {
+            // the last note of the loop may be older than its last step
+            kept.steps = last.counted;
+        }
         let memory = self.parts.memory.clone();
         let kept = self.parts.keeper.finish(&memory);
         if let Some(Err(e)) = kept.map(|k| k.result) {

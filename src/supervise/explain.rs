@@ -26,11 +26,11 @@ pub struct ExplainConfig {
     /// Unexplained bend that is worth a word while the set-point rests, degrees. Default 4.5. Larger
     /// overlooks larger leaks and hears less of creep.
     pub rest_deg: f64,
-    /// Unexplained bend that is worth a word while it moves, degrees. Default 10: backlash and lag that
-    /// are not quite as believed make 8 of them. Larger overlooks larger faults.
+    /// Unexplained bend that is worth a word while it moves, degrees. Default 12: backlash and lag that
+    /// are not quite as believed make 10 of them. Larger overlooks larger faults.
     pub motion_deg: f64,
-    /// … both more by so much per degree that the pistons have led the tip since. Default 0.22: gains
-    /// that are off by a fifth. Larger overlooks a line that answers weakly.
+    /// … both more by so much per degree that the pistons have led the tip since. Default 0.26: gains
+    /// that are off by a quarter. Larger overlooks a line that answers weakly.
     pub share: f64,
     /// How long it must stand, s. Default 0.1. Larger overlooks knocks and says leaks later.
     pub for_s: f64,
@@ -41,7 +41,7 @@ pub struct ExplainConfig {
 
 impl Default for ExplainConfig {
     fn default() -> Self {
-        Self { rest_deg: 4.5, motion_deg: 10.0, share: 0.22, for_s: 0.1, leap_deg: 3.5 }
+        Self { rest_deg: 4.5, motion_deg: 12.0, share: 0.26, for_s: 0.1, leap_deg: 3.5 }
     }
 }
 
@@ -285,8 +285,13 @@ impl Explain {
         let of = |kind, share| Suspicion { kind, channel: Some(j as u8 + 1), share, deg };
         let led = !sudden && moved > u.norm() && way_mm.abs() > 0.8;
         let share = x_mm / way_mm;
-        if led && share < -1.5 {
-            return of(Kind::Inverted, share);
+        // along one spoke it is one line, whatever the controller makes of it
+        let of_one_line = along[j].abs() > 0.9 * u.norm();
+        if led && of_one_line && share < -0.7 {
+            return of(if share < -1.5 { Kind::Inverted } else { Kind::Deaf }, share);
+        }
+        if self.settled && of_one_line && all_mm.abs() > 0.5 && x_mm / all_mm < -0.6 {
+            return of(Kind::Burst, x_mm / all_mm);
         }
         if seen.blocked && !sudden {
             return Suspicion { kind: Kind::Contact, channel: None, share: -1.0, deg };
