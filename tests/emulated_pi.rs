@@ -2,9 +2,9 @@
 //! behind them. Needs root and FUSE; skips with a printed reason where it cannot mount.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
 #[path = "emulated_pi/closed.rs"]
 mod closed;
+mod common;
 #[path = "emulated_pi/fuse.rs"]
 mod fuse;
 #[path = "emulated_pi/gpio.rs"]
@@ -21,10 +21,10 @@ mod server;
 use closed::{Service, Spoil};
 use common::repo;
 use registers::Registers;
-use retroflex::model::bend::Bend;
-use retroflex::service::protocol::Request;
 use retroflex::config::board::Board;
 use retroflex::config::source;
+use retroflex::model::bend::Bend;
+use retroflex::service::protocol::Request;
 use rig::{Rig, on_a_pi};
 use server::World;
 
