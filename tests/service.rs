@@ -13,8 +13,7 @@ fn program() -> &'static Path {
 
 /// The command line as a client of a daemon.
 fn cli(daemon: &Daemon, args: &[&str]) -> (i32, String) {
-    let Output { status, stdout, stderr } =
-        Command::new(program()).args(args).env("RETROFLEX_SOCKET", daemon.socket()).output().unwrap();
+    let Output { status, stdout, stderr } = Command::new(program()).args(args).env("RETROFLEX_SOCKET", daemon.socket()).output().unwrap();
     (status.code().unwrap(), String::from_utf8_lossy(&stdout).into_owned() + &String::from_utf8_lossy(&stderr))
 }
 

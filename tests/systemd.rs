@@ -68,7 +68,11 @@ impl Booted {
     fn until(&self, what: &str, holds: impl Fn(&Self) -> bool) -> f64 {
         let begun = Instant::now();
         while !holds(self) {
-            assert!(begun.elapsed() < Duration::from_secs(30), "{what} did not come; {}", self.systemctl(&["status", "retroflex", "--no-pager"]).1);
+            assert!(
+                begun.elapsed() < Duration::from_secs(30),
+                "{what} did not come; {}",
+                self.systemctl(&["status", "retroflex", "--no-pager"]).1
+            );
             std::thread::sleep(Duration::from_millis(50));
         }
         begun.elapsed().as_secs_f64()
@@ -95,7 +99,15 @@ fn can_boot() -> Result<(), &'static str> {
         return Err("no /lib/systemd/systemd");
     }
     let tried = Command::new("unshare")
-        .args(["--mount", "--pid", "--fork", "--cgroup", "sh", "-c", "mount --make-rprivate / && umount -R /sys/fs/cgroup; mount -t cgroup2 none /sys/fs/cgroup"])
+        .args([
+            "--mount",
+            "--pid",
+            "--fork",
+            "--cgroup",
+            "sh",
+            "-c",
+            "mount --make-rprivate / && umount -R /sys/fs/cgroup; mount -t cgroup2 none /sys/fs/cgroup",
+        ])
         .stderr(Stdio::null())
         .status();
     if tried.is_ok_and(|s| s.success()) { Ok(()) } else { Err("no namespace with control groups of its own") }
@@ -126,10 +138,16 @@ fn boot(folder: &Path) -> Booted {
         let pid = std::fs::read_to_string(&children).ok().and_then(|t| t.split_whitespace().next()?.parse().ok());
         if let Some(pid) = pid {
             let booted = Booted { outer, pid };
-            booted.until("systemd", |b| b.systemctl(&["is-system-running"]).1.contains("running") || b.systemctl(&["is-system-running"]).1.contains("degraded"));
+            booted.until("systemd", |b| {
+                b.systemctl(&["is-system-running"]).1.contains("running") || b.systemctl(&["is-system-running"]).1.contains("degraded")
+            });
             return booted;
         }
-        assert!(begun.elapsed() < Duration::from_secs(10), "no first process: {}", std::fs::read_to_string(folder.join("boot.log")).unwrap());
+        assert!(
+            begun.elapsed() < Duration::from_secs(10),
+            "no first process: {}",
+            std::fs::read_to_string(folder.join("boot.log")).unwrap()
+        );
         std::thread::sleep(Duration::from_millis(20));
     }
 }

@@ -117,7 +117,8 @@ fn summary(s: &Sheet) -> String {
     others.load_style(presets::UTF8_HORIZONTAL_ONLY);
     others.set_header(["method", "single lab", "single field", "pair lab", "pair field", "false alarms", "macro F1"]);
     let mut add = |name: &str, m: &Method| {
-        let alarms = crate::gap::exam::mark::Count { right: m.alarm.lab.right + m.alarm.field.right, of: m.alarm.lab.of + m.alarm.field.of };
+        let alarms =
+            crate::gap::exam::mark::Count { right: m.alarm.lab.right + m.alarm.field.right, of: m.alarm.lab.of + m.alarm.field.of };
         others.add_row([
             name.to_owned(),
             share(&m.single.lab),
@@ -140,7 +141,15 @@ fn summary(s: &Sheet) -> String {
     let wrong: Vec<String> = s
         .confusion
         .iter()
-        .flat_map(|(truth, said)| said.iter().filter(move |(a, _)| *a != truth && !(*a == "unknown" && truth.starts_with("unknown"))).map(move |(a, n)| format!("  {truth} → {a} ({n})")))
+        .flat_map(|(truth, said)| {
+            said.iter()
+                .filter(move |(a, _)| *a != truth && !(*a == "unknown" && truth.starts_with("unknown")))
+                .map(move |(a, n)| format!("  {truth} → {a} ({n})"))
+        })
         .collect();
-    format!("{table}\ncalibration error of the probabilities {:.3}\n{others}\nanswers that differ from the truth:\n{}", s.calibration_error, wrong.join("\n"))
+    format!(
+        "{table}\ncalibration error of the probabilities {:.3}\n{others}\nanswers that differ from the truth:\n{}",
+        s.calibration_error,
+        wrong.join("\n")
+    )
 }

@@ -38,7 +38,7 @@ pub enum Strike {
 pub enum Notice {
     /// One of these causes against the sensor.
     Senses(&'static [Cause]),
-    /// One of these suspicions, or a trip.
+    /// One of these suspicions, a trip, or a tip that was shaken.
     Words(&'static [Kind]),
     /// One of these trips.
     Trip(&'static [gate::Cause]),
@@ -81,6 +81,8 @@ pub struct Spec {
     pub zero: bool,
     /// A rack has to be put back to its mark by hand first.
     pub by_hand: bool,
+    /// Where the move goes that it strikes: bend and direction, degrees.
+    pub to: (f64, f64),
 }
 
 const TWO: Channel = Channel::Two;
@@ -92,10 +94,22 @@ const FAULT: &[&str] = &["faulted"];
 /// Every row that strikes in flight, in the order of the list of claims.
 #[must_use]
 pub fn specs() -> Vec<Spec> {
-    let row = |name, strike, notice, promise, states, zero| Spec { name, strike, notice, promise, states, zero, by_hand: false };
+    let row = |name, strike, notice, promise, states, zero| Spec {
+        name,
+        strike,
+        notice,
+        promise,
+        states,
+        zero,
+        by_hand: false,
+        to: (68.0, 80.0),
+    };
     let senses = |name, strike, causes, promise, states| row(name, strike, Notice::Senses(causes), promise, states, false);
-    let words = |name, fault, kinds, zero| row(name, Strike::Plant(fault, LASTS), Notice::Words(kinds), Promise::Copes, &["holding", "tracking", "faulted"], zero);
+    let words = |name, fault, kinds, zero| {
+        row(name, Strike::Plant(fault, LASTS), Notice::Words(kinds), Promise::Copes, &["holding", "tracking", "faulted"], zero)
+    };
     let by_hand = |spec: Spec| Spec { by_hand: true, ..spec };
+    let far_out = |spec: Spec| Spec { to: (78.0, 62.0), by_hand: true, ..spec };
     let blind = &[Cause::Nack, Cause::StuckBus, Cause::ShortRead, Cause::StaleTimestamp];
     let far = Command { bend: Bend::from_deg(170.0, 0.0), length: Mm(20.0) };
     let nan = Command { bend: Bend([f64::NAN, 0.1].into()), length: Mm(20.0) };
@@ -117,10 +131,15 @@ pub fn specs() -> Vec<Spec> {
             &["holding", "tracking", "faulted"],
             true,
         ),
-        by_hand(words("step_loss", Fault::StepLoss { channel: TWO, microsteps: 160 }, &[Kind::LostSteps, Kind::Weak, Kind::Leak, Kind::Contact], true)),
+        by_hand(words(
+            "step_loss",
+            Fault::StepLoss { channel: TWO, microsteps: 160 },
+            &[Kind::LostSteps, Kind::Weak, Kind::Leak, Kind::Contact],
+            true,
+        )),
         by_hand(words("dir_inverted", Fault::Inverted { channel: TWO }, &[Kind::Inverted, Kind::Deaf], true)),
         by_hand(words("en_stuck", Fault::Disabled { channel: TWO }, &[Kind::Deaf, Kind::Weak], true)),
-        by_hand(words("end_stop", Fault::EndStop { channel: TWO, at_mm: 18.0 }, &[Kind::Deaf, Kind::Weak], true)),
+        far_out(words("end_stop", Fault::EndStop { channel: TWO, at_mm: 11.5 }, &[Kind::Deaf, Kind::Weak], true)),
         words("leak", Fault::Leak { channel: TWO, rate_per_s: 0.1 }, &[Kind::Leak, Kind::Weak], true),
         words("burst", Fault::Burst { channel: TWO }, &[Kind::Burst, Kind::Deaf], true),
         words("air_bubble", Fault::AirBubble { channel: TWO, factor: 1.8 }, &[Kind::Weak, Kind::Leak], true),
@@ -131,8 +150,22 @@ pub fn specs() -> Vec<Spec> {
         row("stall_10ms", Strike::Stall(0.01), Notice::LateTurn, Promise::GoesOn, GOES, false),
         row("stall_100ms", Strike::Stall(0.1), Notice::Trip(&[gate::Cause::Late]), Promise::Holds, FAULT, false),
         senses("clock_jump", Strike::Clock(10.0, LASTS), &[Cause::JumpingTimestamp, Cause::StaleTimestamp], Promise::Holds, HOLD),
-        row("command_nan", Strike::Order(Order::Bend(nan, None)), Notice::Refused(|r| r == Refusal::NotANumber), Promise::GoesOn, GOES, false),
-        row("command_out_of_range", Strike::Order(Order::Bend(far, None)), Notice::Refused(|r| r == Refusal::TooFar), Promise::GoesOn, GOES, false),
+        row(
+            "command_nan",
+            Strike::Order(Order::Bend(nan, None)),
+            Notice::Refused(|r| r == Refusal::NotANumber),
+            Promise::GoesOn,
+            GOES,
+            false,
+        ),
+        row(
+            "command_out_of_range",
+            Strike::Order(Order::Bend(far, None)),
+            Notice::Refused(|r| r == Refusal::TooFar),
+            Promise::GoesOn,
+            GOES,
+            false,
+        ),
         row(
             "command_contradictory",
             Strike::Orders(Order::Relax, bend(40.0, 0.0)),
@@ -142,10 +175,35 @@ pub fn specs() -> Vec<Spec> {
             false,
         ),
         row("emergency_stop", Strike::Press, Notice::Trip(&[gate::Cause::EmergencyStop]), Promise::Freezes, FAULT, true),
-        row("step_thread_starved", Strike::Alarm(Alarm::Starved), Notice::Trip(&[gate::Cause::StepGenerator]), Promise::Holds, FAULT, false),
-        words("wall", Fault::Wall { at_deg: 48.0, dir_deg: 80.0 }, &[Kind::Contact, Kind::Deaf, Kind::Weak, Kind::Strong, Kind::Burst], false),
-        words("pushed", Fault::Push { bend_deg: 15.0, dir_deg: 0.0 }, &[Kind::Contact, Kind::Strong, Kind::Weak, Kind::LostSteps, Kind::Leak], true),
-        senses("magnet", Strike::Plant(Fault::Magnet { field_ut: [40.0, -30.0, 20.0] }, LASTS), &[Cause::FieldDisturbed], Promise::GoesOn, GOES),
+        row(
+            "step_thread_starved",
+            Strike::Alarm(Alarm::Starved),
+            Notice::Trip(&[gate::Cause::StepGenerator]),
+            Promise::Holds,
+            FAULT,
+            false,
+        ),
+        words(
+            "wall",
+            Fault::Wall { at_deg: 48.0, dir_deg: 80.0 },
+            &[Kind::Contact, Kind::Deaf, Kind::Weak, Kind::Strong, Kind::Burst],
+            false,
+        ),
+        row(
+            "pushed",
+            Strike::Plant(Fault::Push { bend_deg: 15.0, dir_deg: 0.0 }, LASTS),
+            Notice::Senses(&[Cause::AccelDisturbed, Cause::Spike]),
+            Promise::Copes,
+            &["holding", "tracking", "faulted"],
+            true,
+        ),
+        senses(
+            "magnet",
+            Strike::Plant(Fault::Magnet { field_ut: [40.0, -30.0, 20.0] }, LASTS),
+            &[Cause::FieldDisturbed],
+            Promise::GoesOn,
+            GOES,
+        ),
         row(
             "base_turned",
             Strike::Plant(Fault::BaseTurn { axis: [0.3, 0.2, 1.0], angle_deg: 25.0, over_s: 0.6 }, LASTS),
@@ -198,7 +256,9 @@ impl Notice {
             }
             Self::Words(_) => match turned.suspicion.filter(|_| turned.suspects) {
                 Some(s) => Some(s.to_string()),
-                None => trip(&[]),
+                None => {
+                    trip(&[]).or_else(|| turned.raised.contains(Cause::AccelDisturbed).then(|| Cause::AccelDisturbed.advice().to_owned()))
+                }
             },
             Self::Trip(causes) => trip(causes),
             Self::LateTurn => (turned.dt_s > 0.0015).then(|| format!("a turn came {:.0} ms late", (turned.dt_s - 1e-3) * 1e3)),

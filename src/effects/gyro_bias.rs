@@ -20,7 +20,10 @@ use nalgebra::Vector3;
 /// Times of the knots after the first, s.
 const KNOTS_S: [f64; 13] = [12.0, 30.0, 50.0, 75.0, 100.0, 125.0, 150.0, 175.0, 200.0, 225.0, 250.0, 275.0, 300.0];
 /// Names of the knots' values, axis by axis.
-const NAMES: [&str; 39] = ["x1", "x2", "x3", "x4", "x5", "x6", "x7", "x8", "x9", "x10", "x11", "x12", "x13", "y1", "y2", "y3", "y4", "y5", "y6", "y7", "y8", "y9", "y10", "y11", "y12", "y13", "z1", "z2", "z3", "z4", "z5", "z6", "z7", "z8", "z9", "z10", "z11", "z12", "z13"];
+const NAMES: [&str; 39] = [
+    "x1", "x2", "x3", "x4", "x5", "x6", "x7", "x8", "x9", "x10", "x11", "x12", "x13", "y1", "y2", "y3", "y4", "y5", "y6", "y7", "y8", "y9",
+    "y10", "y11", "y12", "y13", "z1", "z2", "z3", "z4", "z5", "z6", "z7", "z8", "z9", "z10", "z11", "z12", "z13",
+];
 
 /// A wander of the three rates.
 #[derive(Debug, Clone, Copy, Default)]

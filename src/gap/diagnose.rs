@@ -6,10 +6,10 @@ pub use crate::gap::credit::StageShare;
 use crate::gap::credit::{credits, stages};
 use crate::gap::decide::{Verdict, decide, floor};
 use crate::gap::fit::nominal_start;
-use crate::gap::sense::sense;
 use crate::gap::interval::{Compared, closed_ci95};
 use crate::gap::observe::{Kind, Observed};
 use crate::gap::search::{Candidate, Found, HeldOut, model_of, score, search};
+use crate::gap::sense::sense;
 use crate::model::transmission::Line;
 use serde::Serialize;
 
@@ -132,6 +132,8 @@ pub struct UnknownEntry {
     pub probability: f64,
     /// RMSE left, degrees.
     pub rmse_deg: f64,
+    /// RMS of the gyroscope's residual that its own reading foretells, °/s.
+    pub foretold_deg_s: f64,
 }
 
 /// A whole diagnosis.
@@ -234,7 +236,11 @@ fn write(
                 .map(|(k, kind)| KindShare { name: kind.name(), rmse_deg: nominal.rmse_deg[k], explained_deg: after.rmse_deg[k] })
                 .collect(),
         },
-        unknown: UnknownEntry { probability: verdict.doubt, rmse_deg: rms((after.energy() - floor).max(0.0)) },
+        unknown: UnknownEntry {
+            probability: verdict.doubt,
+            foretold_deg_s: verdict.foretold,
+            rmse_deg: rms((after.energy() - floor).max(0.0)),
+        },
         verdict: VerdictEntry { kind: verdict.kind, names: verdict.names.clone(), equivalent },
         effects,
         rivals: rivals(found),
@@ -346,11 +352,12 @@ fn params(log: &Observed, catalogue: &[Box<dyn Effect>], e: &dyn Effect, c: &Can
         .map(|(k, p)| {
             let at = model.at[i] + k;
             let (value, half) = (c.fitted.theta[at], 1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt());
+            let shown = |x: f64| p.shown(x).0;
             ParamValue {
                 name: p.name,
-                unit: p.unit,
-                value,
-                ci95: [(value - half).max(p.low), (value + half).min(p.high)],
+                unit: p.shown(value).1,
+                value: shown(value),
+                ci95: [shown((value - half).max(p.low)), shown((value + half).min(p.high))],
                 channel: p.channel,
             }
         })

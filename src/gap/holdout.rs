@@ -97,7 +97,8 @@ fn refitted(log: &Observed, model: &Model<'_>, point: &Point, bounds: &[Bound], 
     let cost = |s: &Scored, theta: &[f64]| {
         let data: f64 = (0..4)
             .map(|kind| {
-                let of = |(k, b): (usize, &crate::gap::observe::Bin)| s.residual[kind][k].norm_squared() * (b.weight[kind] * mask[k]).powi(2);
+                let of =
+                    |(k, b): (usize, &crate::gap::observe::Bin)| s.residual[kind][k].norm_squared() * (b.weight[kind] * mask[k]).powi(2);
                 log.bins.iter().enumerate().map(of).sum::<f64>()
             })
             .sum();

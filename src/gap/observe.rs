@@ -434,9 +434,5 @@ pub fn between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Vector3<f64> {
 #[inline]
 pub fn back(a: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
     let a = a.as_slice();
-    Vector3::new(
-        a[0] * v.x + a[1] * v.y + a[2] * v.z,
-        a[3] * v.x + a[4] * v.y + a[5] * v.z,
-        a[6] * v.x + a[7] * v.y + a[8] * v.z,
-    )
+    Vector3::new(a[0] * v.x + a[1] * v.y + a[2] * v.z, a[3] * v.x + a[4] * v.y + a[5] * v.z, a[6] * v.x + a[7] * v.y + a[8] * v.z)
 }

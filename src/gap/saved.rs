@@ -4,9 +4,9 @@ use crate::check::{Check, Checker};
 use crate::effects::Effect;
 use crate::gap::chain::{LAG_MAX_S, NOMINAL, run};
 use crate::gap::decide::floor;
-use crate::gap::sense::sense;
 use crate::gap::observe::Observed;
 use crate::gap::search::{Candidate, Found, model_of, score};
+use crate::gap::sense::sense;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -40,6 +40,9 @@ pub struct SavedModel {
     pub schema: u32,
     /// Log it was made from.
     pub source: String,
+    /// Groups of effects that the log could not tell apart, by name.
+    #[serde(default)]
+    pub equivalent: Vec<Vec<String>>,
     /// Recalibrated nominal model.
     pub nominal: Gains,
     /// Gains re-identified together with the effects.
@@ -79,7 +82,7 @@ fn key(p: &crate::effects::Param) -> String {
 impl SavedModel {
     /// From a diagnosis.
     #[must_use]
-    pub fn new(source: &str, catalogue: &[Box<dyn Effect>], found: &Found, chosen: &Candidate) -> Self {
+    pub fn new(source: &str, catalogue: &[Box<dyn Effect>], found: &Found, chosen: &Candidate, equivalent: &[Vec<&'static str>]) -> Self {
         let model = model_of(catalogue, &chosen.names);
         let effect = model
             .each(&chosen.fitted.theta)
@@ -90,6 +93,7 @@ impl SavedModel {
             source: source.to_owned(),
             nominal: gains(&found.nominal.fitted.theta),
             with_effects: gains(&chosen.fitted.theta),
+            equivalent: equivalent.iter().map(|g| g.iter().map(|n| (*n).to_owned()).collect()).collect(),
             effect,
         }
     }
@@ -98,6 +102,26 @@ impl SavedModel {
     #[must_use]
     pub fn names(&self) -> Vec<&str> {
         self.effect.iter().map(|e| e.name.as_str()).collect()
+    }
+
+    /// Parameters of an effect in the order of the catalogue; `None` if the model has no such effect.
+    #[must_use]
+    pub fn params_of(&self, effect: &dyn Effect) -> Option<Vec<f64>> {
+        let saved = self.effect.iter().find(|s| s.name == effect.name())?;
+        Some(effect.params().iter().map(|p| saved.params.get(&key(p)).copied().unwrap_or(p.start)).collect())
+    }
+
+    /// What another log should tell apart: the groups, or else the effects and what they are taken for.
+    #[must_use]
+    pub fn in_question(&self) -> Vec<String> {
+        if self.equivalent.iter().any(|g| g.len() > 1) {
+            return self.equivalent.concat();
+        }
+        let mut out: Vec<String> = self.effect.iter().map(|e| e.name.clone()).collect();
+        for e in self.effect.iter().filter_map(|s| crate::effects::by_name(&s.name)) {
+            out.extend(e.confused_with().iter().map(|n| (*n).to_owned()));
+        }
+        out
     }
 
     /// Runs both models over a fresh log; only gravity, field and gyroscope bias (the base frame and
@@ -137,6 +161,9 @@ impl SavedModel {
             if let Some(stray) = s.params.keys().find(|k| !keys.contains(k)) {
                 return Some(format!("effect `{}` has no parameter `{stray}`; it has {}", s.name, keys.join(", ")));
             }
+        }
+        if let Some(stray) = self.equivalent.iter().flatten().find(|n| !catalogue.iter().any(|e| e.name() == n.as_str())) {
+            return Some(format!("equivalent: effect `{stray}` is not in the catalogue"));
         }
         None
     }

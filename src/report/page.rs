@@ -35,9 +35,15 @@ impl Page {
         // writing to a String cannot fail
         let _ = writeln!(self.body, "<h2>{}</h2>", escape(text));
     }
-    /// A paragraph.
+    /// A paragraph; what stands between two backticks is set as code.
     pub fn text(&mut self, text: &str) {
-        let _ = writeln!(self.body, "<p>{}</p>", escape(text));
+        let parts = escape(text);
+        let parts: Vec<String> = parts
+            .split('`')
+            .enumerate()
+            .map(|(k, part)| if k % 2 == 1 { format!("<code>{part}</code>") } else { part.to_owned() })
+            .collect();
+        let _ = writeln!(self.body, "<p>{}</p>", parts.concat());
     }
     /// A paragraph in the background.
     pub fn quiet(&mut self, text: &str) {
@@ -82,6 +88,13 @@ impl Page {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn backticks_make_code() {
+        let mut page = Page::new("x");
+        page.text("run `a <b>` now");
+        assert!(page.html().contains("<p>run <code>a &lt;b&gt;</code> now</p>"));
+    }
 
     #[test]
     fn text_cannot_break_out() {

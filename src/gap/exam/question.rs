@@ -155,7 +155,8 @@ fn unit(rng: &mut StdRng) -> PlantConfig {
 /// Largest RMS difference over the signals, in degrees (°/s for the gyroscope).
 fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
     let rms = |x: &[Vector3<f64>], y: &[Vector3<f64>], unit: f64| {
-        let (sum, n) = x.iter().zip(y).map(|(x, y)| (x - y).norm_squared()).filter(|d| !d.is_nan()).fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
+        let (sum, n) =
+            x.iter().zip(y).map(|(x, y)| (x - y).norm_squared()).filter(|d| !d.is_nan()).fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
         (sum / f64::max(n, 1.0)).sqrt() / unit
     };
     let mut out: f64 = 0.0;

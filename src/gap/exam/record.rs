@@ -1,7 +1,7 @@
 //! Bend logs of the built-in plant, as a rig would record them.
 
-use crate::gap::exam::schedule::{DT_S, drive};
 use crate::gap::exam::schedule;
+use crate::gap::exam::schedule::{DT_S, drive};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::transmission::Line;
 use crate::plant::{Plant, PlantConfig, PlantError};

@@ -1,0 +1,61 @@
+//! `retroflex gap diagnose --map`: the bench log of another rig.
+
+use crate::cli::Outcome;
+use crate::cli::output::write;
+use crate::config::source;
+use crate::gap::map::document::Document;
+use crate::gap::map::file::MapFile;
+use crate::gap::map::{diagnose, table};
+use comfy_table::{CellAlignment, Table, presets};
+use miette::{IntoDiagnostic, Result};
+use std::path::{Path, PathBuf};
+
+/// Diagnoses a mapped log.
+///
+/// # Errors
+/// A report that names file, line and column, or the key of the map.
+pub fn run(log: &Path, map: &Path, fresh: &[PathBuf], json: Option<&Path>, seed: u64) -> Result<Outcome> {
+    let map: MapFile = source::read(map)?;
+    let signals = table::read(log, &map).into_diagnostic()?;
+    let name = |p: &PathBuf| p.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let others = fresh.iter().map(|p| table::read(p, &map).map(|s| (name(p), s)).into_diagnostic()).collect::<Result<Vec<_>>>()?;
+    let document = diagnose(&map, &signals, &others, seed);
+    if let Some(path) = json {
+        write(path, &(serde_json::to_string_pretty(&document).into_diagnostic()? + "\n"))?;
+    }
+    eprintln!("{}", summary(&document));
+    Ok(Outcome::Good)
+}
+
+fn summary(d: &Document) -> String {
+    let mut table = Table::new();
+    table.load_style(presets::UTF8_HORIZONTAL_ONLY);
+    table.set_header(["effect", "before", "after", "closed", "95 %", ""]);
+    for e in d.set.iter().filter(|s| s.name.contains('+')).chain(d.effects.iter().take(6)) {
+        let params: Vec<String> = e.params.iter().map(|p| format!("{} {:.4}", p.name, p.value)).collect();
+        table.add_row([
+            e.name.clone(),
+            format!("{:.4}", e.rmse_before),
+            format!("{:.4}", e.rmse_after),
+            format!("{:.0} %", e.closed * 100.0),
+            format!("{:.0} to {:.0} %", e.closed_ci95[0] * 100.0, e.closed_ci95[1] * 100.0),
+            params.join(", "),
+        ]);
+    }
+    for column in table.column_iter_mut().skip(1).take(4) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    let names = if d.verdict.names.is_empty() { String::new() } else { format!(": {}", d.verdict.names.join(" and ")) };
+    let mut out = vec![
+        format!("verdict {}{names}", d.verdict.kind),
+        format!(
+            "RMSE {:.4} {} nominal, {:.4} explained, {:.4} noise, on parts of the log that no fit has seen",
+            d.gap.recalibrated, d.unit, d.gap.explained, d.gap.noise_floor
+        ),
+    ];
+    out.extend(d.verdict.equivalent.iter().map(|g| format!("not distinguishable here: {}", g.join(", "))));
+    out.extend(d.notes.iter().map(|n| format!("note: {n}")));
+    out.extend(d.fresh.iter().map(|f| format!("on {}, as fitted: {:.4} before, {:.4} after", f.log, f.before, f.after)));
+    out.push(table.to_string());
+    out.join("\n")
+}

@@ -1,0 +1,336 @@
+//! What may stand between the input and the output of a single channel.
+//!
+//! Each operator gives, for one value η of the one number that it is not linear in, columns of a
+//! linear regression beside the nominal ones. `v` is the nominal prediction over its range, −1..=1;
+//! `m` what moves, over its range; times are in seconds, or rows if the log has no clock. State runs
+//! through the whole log.
+
+use std::f64::consts::TAU;
+
+/// The signals an operator works on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Drive {
+    /// Nominal prediction, scaled to −1..=1.
+    pub v: Vec<f64>,
+    /// What moves, scaled to 0..=1.
+    pub m: Vec<f64>,
+    /// Its range, in its own unit.
+    pub m_range: f64,
+    /// Time, s or rows.
+    pub t: Vec<f64>,
+}
+
+/// An operator.
+#[derive(Debug, Clone, Copy)]
+pub struct Operator {
+    /// Name in reports.
+    pub name: &'static str,
+    /// What η is; empty if there is none.
+    pub eta: &'static str,
+    /// Law and source.
+    pub law: &'static str,
+    /// Manoeuvre that separates it from the others.
+    pub separated_by: &'static str,
+    /// Values of η to try.
+    pub grid: fn(&Drive) -> Vec<f64>,
+    /// Columns for one η.
+    pub columns: fn(&Drive, f64) -> Vec<Vec<f64>>,
+    /// Sign that the first coefficient must have; 0 if either.
+    pub sign: i8,
+}
+
+/// Operators for a rig with an input.
+pub const DRIVEN: [Operator; 15] = [
+    Operator {
+        name: "play",
+        eta: "half-width / range",
+        law: "play operator of one half-width",
+        separated_by: "nested loops of several sizes",
+        grid: widths,
+        columns: |d, r| vec![play(&d.v, 2.0 * r)],
+        sign: 1,
+    },
+    Operator {
+        name: "hysteresis",
+        eta: "",
+        law: "Prandtl-Ishlinskii: eight plays with weights of their own (Kuhnen 2003)",
+        separated_by: "nested loops of several sizes",
+        grid: none,
+        columns: |d, _| (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect(),
+        sign: 0,
+    },
+    Operator {
+        name: "bouc_wen",
+        eta: "yield / range",
+        law: "Bouc-Wen with n = 1 and β = γ (Wen 1976)",
+        separated_by: "nested loops of several sizes",
+        grid: widths,
+        columns: |d, r| vec![bouc_wen(&d.v, 2.0 * r)],
+        sign: 0,
+    },
+    Operator {
+        name: "coulomb",
+        eta: "",
+        law: "sign of the speed",
+        separated_by: "several speeds, and loops of several sizes",
+        grid: none,
+        columns: |d, _| vec![sign_of(&d.m, &d.t)],
+        sign: 0,
+    },
+    Operator {
+        name: "load_friction",
+        eta: "",
+        law: "sign of the speed times the load",
+        separated_by: "two loads",
+        grid: none,
+        columns: |d, _| vec![times(&sign_of(&d.m, &d.t), &d.v, 1.0)],
+        sign: 0,
+    },
+    Operator {
+        name: "viscous",
+        eta: "",
+        law: "speed",
+        separated_by: "several speeds",
+        grid: none,
+        columns: |d, _| vec![speed(&d.m, &d.t)],
+        sign: 0,
+    },
+    Operator {
+        name: "cubic",
+        eta: "",
+        law: "third power: stiffening or softening alike both ways",
+        separated_by: "several amplitudes",
+        grid: none,
+        columns: |d, _| vec![d.v.iter().map(|v| v * v * v).collect()],
+        sign: 0,
+    },
+    Operator {
+        name: "asymmetry",
+        eta: "corner / range",
+        law: "another slope on one side of a corner",
+        separated_by: "amplitudes to both sides",
+        grid: |_| (1..10).map(|k| f64::from(k) * 0.1).collect(),
+        columns: |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()],
+        sign: 0,
+    },
+    Operator {
+        name: "lag",
+        eta: "time constant",
+        law: "first order",
+        separated_by: "a step and a chirp",
+        grid: |d| times_from(d, 1.0, 0.02),
+        columns: |d, tau| vec![follow(&d.v, &d.t, tau)],
+        sign: 1,
+    },
+    Operator {
+        name: "delay",
+        eta: "dead time",
+        law: "the input as it was a while ago",
+        separated_by: "a chirp: phase that grows with frequency",
+        grid: |d| times_from(d, 1.0, 0.02),
+        columns: |d, tau| vec![late(&d.v, &d.t, tau)],
+        sign: 1,
+    },
+    Operator {
+        name: "creep",
+        eta: "time constant",
+        law: "two Kelvin-Voigt elements, a factor 12 apart",
+        separated_by: "hold, return, hold",
+        grid: |d| times_from(d, 20.0, 0.2),
+        columns: |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, 12.0 * tau)],
+        sign: 1,
+    },
+    Operator {
+        name: "leak",
+        eta: "time constant",
+        law: "what was put in flows off again",
+        separated_by: "a long hold, then back to zero",
+        grid: |d| times_from(d, 20.0, 0.5),
+        columns: |d, tau| vec![follow(&d.v, &d.t, tau)],
+        sign: -1,
+    },
+    Operator {
+        name: "periodic_position",
+        eta: "period",
+        law: "sine of position, with a second harmonic",
+        separated_by: "two speeds",
+        grid: |d| periods(d.m_range),
+        columns: |d, p| waves(d.m.iter().map(|m| m * d.m_range / p)),
+        sign: 0,
+    },
+    Operator {
+        name: "periodic_time",
+        eta: "period",
+        law: "sine of time, with a second harmonic",
+        separated_by: "two speeds",
+        grid: |d| periods(d.t[d.t.len() - 1] - d.t[0]),
+        columns: |d, p| waves(d.t.iter().map(|t| t / p)),
+        sign: 0,
+    },
+    DRIFT,
+];
+
+/// Follows the clock and nothing else.
+const DRIFT: Operator = Operator {
+    name: "drift",
+    eta: "",
+    law: "straight line in time",
+    separated_by: "the same motion again, later",
+    grid: none,
+    columns: |d, _| vec![since(&d.t)],
+    sign: 0,
+};
+
+/// Operators for an output that is left to itself.
+pub const STILL: [Operator; 3] = [
+    Operator {
+        name: "leak",
+        eta: "time constant",
+        law: "exponential decay",
+        separated_by: "two pressures, and a temperature beside them",
+        grid: |d| times_from(d, 3.0, 30.0),
+        columns: |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()],
+        sign: 0,
+    },
+    Operator {
+        name: "creep",
+        eta: "onset",
+        law: "logarithm of time",
+        separated_by: "the same again after a long rest",
+        grid: |d| times_from(d, 1.0, 0.2),
+        columns: |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()],
+        sign: 0,
+    },
+    DRIFT,
+];
+
+fn none(_: &Drive) -> Vec<f64> {
+    vec![0.0]
+}
+fn widths(_: &Drive) -> Vec<f64> {
+    (0..24).map(|k| 0.005 * 100f64.powf(f64::from(k) / 23.0)).collect()
+}
+/// From so many rows to a share of the log, evenly in the logarithm.
+fn times_from(d: &Drive, rows: f64, share: f64) -> Vec<f64> {
+    let span = d.t[d.t.len() - 1] - d.t[0];
+    let low = rows * span / (d.t.len() - 1) as f64;
+    let high = (share * span).max(2.0 * low);
+    (0..24).map(|k| low * (high / low).powf(f64::from(k) / 23.0)).collect()
+}
+/// From six to 150 periods in a range, a quarter apart; fewer would be a curve, not a period.
+fn periods(range: f64) -> Vec<f64> {
+    (24..=600).map(|k| range * 4.0 / f64::from(k)).collect()
+}
+/// The play operator; it starts centred.
+pub fn play(v: &[f64], r: f64) -> Vec<f64> {
+    let mut w = v[0];
+    let one = |&x: &f64| {
+        w = w.max(x - r).min(x + r);
+        w
+    };
+    v.iter().map(one).collect()
+}
+fn bouc_wen(v: &[f64], z0: f64) -> Vec<f64> {
+    let (mut z, mut before) = (0.0f64, v[0]);
+    let one = |&x: &f64| {
+        let dv = x - before;
+        before = x;
+        let loaded = if dv * z > 0.0 { 1.0 - z.abs() / z0 } else { 1.0 };
+        z = (z + dv * loaded).clamp(-z0, z0);
+        z
+    };
+    v.iter().map(one).collect()
+}
+/// Speed of what moves, ranges a second, over five rows.
+fn speed(m: &[f64], t: &[f64]) -> Vec<f64> {
+    let last = m.len() - 1;
+    (0..m.len()).map(|k| (k.saturating_sub(2), (k + 2).min(last))).map(|(a, b)| (m[b] - m[a]) / (t[b] - t[a])).collect()
+}
+fn sign_of(m: &[f64], t: &[f64]) -> Vec<f64> {
+    let s = speed(m, t);
+    let usual = (s.iter().map(|x| x * x).sum::<f64>() / s.len() as f64).sqrt();
+    s.iter().map(|x| (x / (0.1 * usual).max(1e-12)).tanh()).collect()
+}
+fn times(a: &[f64], b: &[f64], shift: f64) -> Vec<f64> {
+    a.iter().zip(b).map(|(x, y)| x * (y + shift)).collect()
+}
+fn follow(v: &[f64], t: &[f64], tau: f64) -> Vec<f64> {
+    let (mut z, mut before) = (v[0], t[0]);
+    let one = |(&x, &now): (&f64, &f64)| {
+        z += (x - z) * (1.0 - (-(now - before) / tau).exp());
+        before = now;
+        z
+    };
+    v.iter().zip(t).map(one).collect()
+}
+fn late(v: &[f64], t: &[f64], by: f64) -> Vec<f64> {
+    let mut a = 0;
+    let one = |&now: &f64| {
+        let then = now - by;
+        while a + 1 < t.len() && t[a + 1] <= then {
+            a += 1;
+        }
+        let b = (a + 1).min(t.len() - 1);
+        let share = if b > a { ((then - t[a]) / (t[b] - t[a])).clamp(0.0, 1.0) } else { 0.0 };
+        v[a] + (v[b] - v[a]) * share
+    };
+    t.iter().map(one).collect()
+}
+fn waves(turns: impl Iterator<Item = f64>) -> Vec<Vec<f64>> {
+    let mut out = vec![vec![]; 4];
+    for x in turns {
+        for harmonic in [1, 2] {
+            let (s, c) = (TAU * x * f64::from(harmonic)).sin_cos();
+            out[2 * (harmonic as usize - 1)].push(s);
+            out[2 * (harmonic as usize - 1) + 1].push(c);
+        }
+    }
+    out
+}
+fn since(t: &[f64]) -> Vec<f64> {
+    t.iter().map(|x| x - t[0]).collect()
+}
+
+/// A linear oscillator `ÿ + 2ζω ẏ + ω² y = ω² u` by the bilinear transform, `wh = 2 tan(ω h / 2)`.
+#[must_use]
+pub fn oscillator(u: &[f64], wh: f64, zeta: f64) -> Vec<f64> {
+    let (k, w2) = (4.0 * zeta * wh, wh * wh);
+    let (a0, a1, a2) = (4.0 + k + w2, 2.0 * w2 - 8.0, 4.0 - k + w2);
+    let (mut u1, mut u2, mut y1, mut y2) = (u[0], u[0], u[0], u[0]);
+    let one = |&x: &f64| {
+        let y = (w2 * (x + 2.0 * u1 + u2) - a1 * y1 - a2 * y2) / a0;
+        (u2, u1, y2, y1) = (u1, x, y1, y);
+        y
+    };
+    u.iter().map(one).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn play_is_dragged_and_rests_in_its_gap() {
+        assert_eq!(play(&[0.0, 1.0, 0.5, -1.0], 0.25), [0.0, 0.75, 0.75, -0.75]);
+    }
+
+    #[test]
+    fn a_lag_follows_and_a_delay_repeats() {
+        let t: Vec<f64> = (0..200).map(|k| f64::from(k) * 0.01).collect();
+        let ramp: Vec<f64> = t.clone();
+        assert!((late(&ramp, &t, 0.05)[100] - 0.95).abs() < 1e-9);
+        assert!((follow(&ramp, &t, 0.05)[199] - (1.99 - 0.05)).abs() < 0.006);
+    }
+
+    #[test]
+    fn an_oscillator_keeps_what_is_still_and_swings_at_its_frequency() {
+        assert!(oscillator(&[1.0; 50], 0.3, 0.1).iter().all(|y| (y - 1.0).abs() < 1e-12));
+        let mut kick = vec![0.0; 2000];
+        kick[10] = 1.0;
+        let y = oscillator(&kick, 0.1, 0.01);
+        let zeros: Vec<usize> = (20..600).filter(|&k| y[k - 1] < 0.0 && y[k] >= 0.0).collect();
+        let period = (zeros[zeros.len() - 1] - zeros[0]) as f64 / (zeros.len() - 1) as f64;
+        // wh = 2 tan(ω h / 2)
+        assert!((period - TAU / (2.0 * (0.1f64 / 2.0).atan())).abs() < 0.3, "{period}");
+    }
+}
