@@ -95,7 +95,15 @@ impl<'r> Service<'r> {
     /// Sends the tip somewhere.
     pub fn bend(&mut self, bend_deg: f64, dir_deg: f64) {
         self.target = Some((bend_deg, dir_deg));
-        self.ask(&Request::Bend { bend_deg, dir_deg, length_mm: None, speed_deg_s: None });
+        let request = Request::Bend { bend_deg, dir_deg, length_mm: None, speed_deg_s: None };
+        match self.client.ask(&request) {
+            Ok(_) => {}
+            // a stall just now; taking it back sends the tip to its target
+            Err(failure) if failure.words.contains("not while faulted") => {
+                self.until("recovered", 10.0, |s| s["latched"].is_null());
+            }
+            Err(failure) => panic!("{request:?}: {failure:?}\n{}", said(self.rig)),
+        }
     }
 
     /// Waits until the set-point has arrived.
