@@ -1,4 +1,4 @@
-//! Time per update of each generic filter, and its ratio to the bare `ahrs` Madgwick in the same run.
+//! Time per update of each generic filter and of the bend filter, and its ratio to the bare `ahrs` Madgwick in the same run.
 //!
 //! `cargo bench --bench fuse`. The samples are those of a sensor turned by hand at 500 Hz with a 100 Hz
 //! magnetometer.
@@ -6,6 +6,9 @@
 use ahrs::Ahrs;
 use divan::{AllocProfiler, Bencher, black_box};
 use nalgebra::{UnitQuaternion, Vector3};
+use retroflex::fuse::align::Alignment;
+use retroflex::fuse::base::BaseTurn;
+use retroflex::fuse::bend::{BendFilter, BendFilterConfig, Heed};
 use retroflex::fuse::{FilterName, OrientationFilter, Periods};
 use retroflex::sample::ImuSample;
 use retroflex::units::Seconds;
@@ -68,6 +71,35 @@ fn update(bencher: Bencher, name: FilterName) {
     });
 }
 
+/// The bend filter at the rest that the samples start from.
+fn bend_filter(first: &ImuSample) -> BendFilter {
+    let rest = Alignment {
+        gyro_bias_rad_s: Vector3::zeros(),
+        acc_rest_m_s2: first.acc_m_s2,
+        mag_rest_ut: first.mag_ut,
+        gyro_sigma_rad_s: 0.002,
+        acc_sigma_m_s2: 0.02,
+        mag_sigma_ut: 0.35,
+        duration_s: 1.8,
+        samples: 900,
+        mag_samples: 180,
+        repeated: 0,
+    };
+    BendFilter::new(&BendFilterConfig::default(), &rest)
+}
+
+const HEED: Heed = Heed { acc: true, mag: true, still: false };
+
+#[divan::bench]
+fn bend(bencher: Bencher) {
+    let samples = samples();
+    let (mut filter, mut k) = (bend_filter(&samples[0]), 0);
+    bencher.bench_local(|| {
+        filter.update(black_box(&samples[k % SAMPLES]), PERIOD_S, HEED, &BaseTurn::none());
+        k += 1;
+    });
+}
+
 /// Best of several passes, ns per update: the least disturbed by whatever else the machine does.
 fn best_ns(mut pass: impl FnMut()) -> f64 {
     let once = |_| {
@@ -88,6 +120,9 @@ fn ratios() {
         let ns = best_ns(|| samples.iter().for_each(|s| filter.update(black_box(s), PERIOD_S)));
         println!("{name:<10} {ns:8.0} ns per update, {:5.1} x bare ahrs", ns / bare_ns);
     }
+    let mut filter = bend_filter(&samples[0]);
+    let ns = best_ns(|| samples.iter().for_each(|s| filter.update(black_box(s), PERIOD_S, HEED, &BaseTurn::none())));
+    println!("{:<10} {ns:8.0} ns per update, {:5.1} x bare ahrs", "bend", ns / bare_ns);
 }
 
 fn main() {

@@ -142,7 +142,11 @@ impl Store {
         let fail = |path: &Path, source| MemoryError::Io { path: path.display().to_string(), source };
         std::fs::create_dir_all(folder).map_err(|e| fail(folder, e))?;
         let lock_path = folder.join("lock");
-        let lock = OpenOptions::new().create(true).truncate(false).write(true).open(&lock_path).map_err(|e| fail(&lock_path, e))?;
+        if !lock_path.exists() {
+            File::create(&lock_path).map_err(|e| fail(&lock_path, e))?;
+        }
+        // held open for reading only, so that a disk that must become read-only may
+        let lock = File::open(&lock_path).map_err(|e| fail(&lock_path, e))?;
         if lock.try_lock().is_err() {
             return Err(MemoryError::InUse { path: folder.display().to_string() });
         }

@@ -46,7 +46,7 @@ pub struct PilotConfig {
 /// Change of the gyroscope's bias since the rest that is worth a word, rad/s (0.9 °/s).
 const BIAS_MOVED_RAD_S: f64 = 0.016;
 
-/// How long pistons stand before a rate is held against the sensor, half of it, and what rate, s and rad/s.
+/// Smoothing of the rate of a resting tip, s, and what of it is held against the sensor, rad/s (0.7 °/s).
 const RESTING_S: f64 = 0.5;
 const RESTING_RAD_S: f64 = 0.012;
 
@@ -105,7 +105,6 @@ pub struct Pilot {
     explain: Explain,
     last: Option<Sensed>,
     sent: Steps,
-    last_counted: Steps,
     setpoint: Shape,
     /// What is to be proved before it is believed.
     kept: Option<Kept>,
@@ -113,6 +112,8 @@ pub struct Pilot {
     adrift: bool,
     /// The gate moved by itself; the controller takes over once it stands.
     handing_over: bool,
+    /// A way back has ended, and its last steps are on their way.
+    arriving: bool,
     /// The feedback that a calibration has put aside.
     aside: Option<FeedbackConfig>,
     pace: Pace,
@@ -120,7 +121,7 @@ pub struct Pilot {
     blind_s: f64,
     /// The machine is still taking its alarm back, s.
     clearing_s: f64,
-    /// Rate of a tip whose pistons stand, without bias, smoothed, rad/s.
+    /// Rate of the tip without bias, smoothed, rad/s, and for how long the set-point has rested, s.
     resting_rate_rad_s: Vector3<f64>,
     resting_s: f64,
     pending: Pending,
@@ -154,11 +155,11 @@ impl Pilot {
             explain: Explain::new(&config.explain, r_mm),
             last: None,
             sent,
-            last_counted: sent,
             setpoint: Shape { bend: Bend::STRAIGHT, length: Mm(config.tick.geometry.rest_length_mm) },
             kept: kept.filter(|k| k.steps != Steps::default()),
             adrift: false,
             handing_over: false,
+            arriving: false,
             aside: None,
             pace: config.tick.bend_pace,
             stream_until: None,
@@ -210,7 +211,8 @@ impl Pilot {
     /// True when the next restart has nothing to prove: the pistons are at zero.
     #[must_use]
     pub fn is_at_rest(&self) -> bool {
-        self.sent == Steps::default() && !self.adrift
+        let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
+        self.sent == Steps::default() && there && !self.adrift
     }
 
     /// Puts another configuration in place, bumpless, and gives back the old one: the pistons stay, the
@@ -247,7 +249,7 @@ impl Pilot {
         let frame = tick(&self.config.tick, &mut self.state, &input);
         self.setpoint = frame.setpoint;
         let raised = self.watch_senses(dt_s);
-        self.watch_bias(&frame, sensed, paced_s);
+        self.watch_bias(&frame, paced_s);
         self.follow_alignment(&frame);
         let tripped = self.pass(&frame, sensed, dt_s);
         self.follow_motion(&frame, sensed);
@@ -302,19 +304,19 @@ impl Pilot {
         verdict.raised
     }
 
-    /// A tip that rests does not turn: a mean rate that stays is the sensor's, or the base's.
-    fn watch_bias(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) {
-        let rests = sensed.counted == self.last_counted && frame.felt.is_some();
-        self.last_counted = sensed.counted;
+    /// A tip whose set-point rests does not turn for long: a mean rate that stays is the sensor's, or the
+    /// base's. (What feedback corrects of it in the felt bend is no turn either.)
+    fn watch_bias(&mut self, frame: &Frame, dt_s: f64) {
+        let rests = frame.felt.is_some() && frame.mode == tick::Mode::Holding;
         self.resting_s = if rests { self.resting_s + dt_s } else { 0.0 };
         if let Some(rate) = self.state.fusion.rate_rad_s() {
-            let keep = (-2.0 * dt_s / RESTING_S).exp();
+            let keep = (-dt_s / RESTING_S).exp();
             self.resting_rate_rad_s = rate + (self.resting_rate_rad_s - rate) * keep;
         }
     }
 
     fn bias_moved(&self) -> bool {
-        if self.resting_s > 2.0 * RESTING_S && self.resting_rate_rad_s.norm() > RESTING_RAD_S {
+        if self.resting_s > 3.0 * RESTING_S && self.resting_rate_rad_s.norm() > RESTING_RAD_S {
             return true;
         }
         let fusion = &self.state.fusion;
@@ -370,7 +372,10 @@ impl Pilot {
         if !passed.energise && !passed.rested && self.sent != Steps::default() {
             self.adrift = true;
         }
-        if passed.rested && self.modes.now() == Mode::Relaxing {
+        // the last step must be out before the drivers are let go
+        self.arriving = (self.arriving || passed.rested) && self.modes.now() == Mode::Relaxing;
+        if self.arriving && sensed.counted == self.sent {
+            self.arriving = false;
             self.come_to_rest();
         }
         passed.tripped

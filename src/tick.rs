@@ -11,6 +11,7 @@
 //! simulation and in replay, bit for bit.
 
 use crate::calib_imu::Correction;
+use crate::calib_imu::motor::MotorField;
 use crate::control::follow::{Follower, Pace};
 use crate::control::limit::{Cut, Limits};
 use crate::control::pi::{Dynamics, PiGains, PiState, ReferenceModel};
@@ -60,6 +61,10 @@ pub struct Config {
     pub fuse: FuseConfig,
     /// The tip IMU's own errors, taken off every sample.
     pub imu: Correction,
+    /// Fields of the motors' coils, taken off the magnetometer, where they have been calibrated.
+    pub motors: Option<MotorField>,
+    /// A driver idles this long after its last step, s.
+    pub motors_idle_after_s: f64,
 }
 
 /// The outer loop's settings.
@@ -204,6 +209,8 @@ pub struct State {
     refine: RefineState,
     bank: DynamicsBank,
     last_steps: Steps,
+    /// Time since each motor's last step, s.
+    idle_s: [f64; 3],
     still_s: f64,
     watch: Watch,
     /// What stood when all was quiet last: integral, felt bend, bend that the pistons gave by the play.
@@ -288,6 +295,7 @@ impl State {
             refine: RefineState::new(&config.lines),
             bank: DynamicsBank::default(),
             last_steps: Steps::default(),
+            idle_s: [f64::INFINITY; 3],
             still_s: 0.0,
             watch: Watch::default(),
             quiet: [Vector2::zeros(); 3],
@@ -401,13 +409,18 @@ pub fn tick(config: &Config, state: &mut State, input: &Input) -> Frame {
 /// Fusion, told whether the pistons have rested.
 fn feel(config: &Config, state: &mut State, input: &Input) {
     state.still_s = if input.steps == state.last_steps { state.still_s + input.dt_s } else { 0.0 };
+    for (idle_s, (now, before)) in state.idle_s.iter_mut().zip(input.steps.0.iter().zip(state.last_steps.0)) {
+        *idle_s = if *now == before { *idle_s + input.dt_s } else { 0.0 };
+    }
     state.last_steps = input.steps;
+    let energised = state.idle_s.map(|s| s < config.motors_idle_after_s);
+    let coils_ut = config.motors.as_ref().map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
     let tip = match input.imu {
         Reading::Sample(sample, quality) => Reading::Sample(config.imu.apply(&sample), quality),
         other => other,
     };
     let still = state.still_s >= STILL_AFTER_S;
-    state.fusion.update(&config.fuse, &Told { now: input.t, tip, base: input.base_imu, still });
+    state.fusion.update(&config.fuse, &Told { now: input.t, tip, base: input.base_imu, coils_ut, still });
 }
 
 /// Whether the pistons must stand: the closed loop does not move blindly, nor while it aligns again.

@@ -18,7 +18,7 @@ mod rig;
 #[path = "emulated_pi/server.rs"]
 mod server;
 
-use closed::{Service, Spoil, turn};
+use closed::{Service, Spoil};
 use common::repo;
 use registers::Registers;
 use retroflex::config::board::Board;
@@ -194,7 +194,7 @@ fn the_service_closes_its_loop_through_the_device_files() {
     on_a_pi(world("linux-gpiochip"), |rig| {
         let board = repo("boards/linux-gpiochip.toml").to_str().unwrap().to_owned();
         let mut service = Service::start(rig, &board);
-        service.until("aligned", 20.0, |s| turn(s)["mode"] == "disarmed");
+        service.until("aligned", 20.0, |s| s["mode"] == "disarmed");
         service.ask(&Request::Arm {});
         service.arrived();
         for (bend, dir) in [(40.0, 60.0), (65.0, -120.0), (25.0, 170.0)] {
@@ -209,18 +209,18 @@ fn the_service_closes_its_loop_through_the_device_files() {
             service.spoil(how, 0.3);
             let error = service.settled_error_deg(bend, dir);
             assert!(error <= 1.0, "{how:?}: {error}");
-            assert!(turn(&service.status())["latched"].is_null());
+            assert!(service.status()["latched"].is_null());
         }
 
         // a bus that hangs for longer: held, latched, not one pulse more; then on, when it is asked to
         service.bend(60.0, -60.0);
         service.spoil(Spoil::Hang, 1.2);
-        let status = service.until("faulted", 2.0, |s| turn(s)["mode"] == "faulted");
-        assert_eq!(turn(&status)["latched"], "stale");
+        let status = service.until("faulted", 2.0, |s| s["mode"] == "faulted");
+        assert_eq!(status["latched"], "stale");
         let pulses = rig.world().chip.pulses;
         std::thread::sleep(std::time::Duration::from_millis(500));
         assert!(rig.world().chip.pulses == pulses && rig.world().chip.energised(), "it does not hold");
-        service.until("feeling again", 10.0, |s| turn(s)["senses"]["held"] == false);
+        service.until("feeling again", 10.0, |s| s["senses"]["held"] == false);
         service.ask(&Request::ResetFault {});
         service.ask(&Request::Arm {});
         service.bend(60.0, -60.0);
@@ -238,7 +238,7 @@ fn the_service_closes_its_loop_through_the_device_files() {
         service.bend(35.0, 30.0);
         let error = service.settled_error_deg(35.0, 30.0);
         assert!(error <= 1.0, "after the long way: {error}");
-        println!("{} pulses, counts compared {} times", rig.world().chip.pulses, service.compared);
+        println!("{} pulses, counts compared {} times, {} stalls", rig.world().chip.pulses, service.compared, service.stalls);
         assert!(service.compared > 40);
 
         let status = service.terminate();

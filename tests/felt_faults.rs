@@ -7,15 +7,14 @@
 mod tip;
 
 use nalgebra::Vector3;
-use retroflex::calib_imu::Correction;
 use retroflex::config::assemble;
 use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
-use retroflex::fuse::health::{Action, Cause, Fault, Outcome};
+use retroflex::fuse::health::{Action, Cause, Outcome};
 use retroflex::io::imu::fake::{FakeBus, FakeIcm20948};
 use retroflex::io::imu::icm20948::{self, Icm20948};
-use retroflex::io::imu::{Imu, ImuError, outcome};
+use retroflex::io::imu::{Supervisor, SupervisorConfig};
 use retroflex::model::bend::Bend;
 use retroflex::tick::{Command, Config, Frame, Input, State, tick};
 use retroflex::units::{Mm, Seconds};
@@ -23,8 +22,6 @@ use tip::TipPlant;
 
 const DT_S: f64 = 0.002;
 const ADDRESS: u8 = 0x68;
-/// Failed readings in a row after which the chip is set up again.
-const RETRY_AFTER: u32 = 25;
 
 /// What is done to the sensor, for how long, and what must be said of it.
 struct Case {
@@ -44,10 +41,7 @@ struct Chip {
     state: State,
     input: Input,
     bus: FakeBus,
-    imu: Icm20948<FakeBus>,
-    since_init_s: f64,
-    failures: u32,
-    last_init: Option<ImuError>,
+    imu: Supervisor<Icm20948<FakeBus>>,
     /// What happens to a sample on its way, by name of the case.
     spoil: Option<&'static str>,
     held: Option<Outcome>,
@@ -60,22 +54,11 @@ impl Chip {
         config.lines = plant.lines;
         let bus = FakeBus::new();
         bus.machine().attach(FakeIcm20948::new(ADDRESS, 3));
-        let mut imu = Icm20948::new(bus.clone(), &icm20948::Config::default()).unwrap();
-        imu.init(&mut bus.delay()).unwrap();
+        let chip = Icm20948::new(bus.clone(), &icm20948::Config::default()).unwrap();
+        let mut imu = Supervisor::new(Box::new(chip), SupervisorConfig::default());
+        imu.start(&mut bus.delay()).unwrap();
         let state = State::new(&config);
-        Self {
-            plant,
-            config,
-            state,
-            input: Input { dt_s: DT_S, ..Input::default() },
-            bus,
-            imu,
-            since_init_s: 0.0,
-            failures: 0,
-            last_init: None,
-            spoil: None,
-            held: None,
-        }
+        Self { plant, config, state, input: Input { dt_s: DT_S, ..Input::default() }, bus, imu, spoil: None, held: None }
     }
 
     fn tick(&mut self) -> Frame {
@@ -87,30 +70,11 @@ impl Chip {
         frame
     }
 
-    /// What the sensor thread does: read, and set the chip up again when it has lost its settings.
+    /// What the sensor thread does.
     fn read(&mut self, now: Seconds) -> Outcome {
         self.bus.machine().set_motion(&self.plant.motion());
         self.bus.machine().advance(DT_S);
-        self.since_init_s += DT_S;
-        let scale = self.imu.scale();
-        let read = self.imu.read();
-        let mut said = outcome(&read, &scale, &Correction::NONE, now);
-        match said {
-            Outcome::Sample(..) | Outcome::Nothing => self.failures = 0,
-            // only a chip that lost its settings, or a bus on which nothing works, is set up again
-            Outcome::Failed(Fault::BrownOut | Fault::WrongId) => self.failures = self.failures.max(RETRY_AFTER),
-            Outcome::Failed(_) => self.failures += 1,
-        }
-        if self.failures >= RETRY_AFTER {
-            if self.since_init_s > 0.05 {
-                self.since_init_s = 0.0;
-                self.last_init = self.imu.init(&mut self.bus.delay()).err();
-            }
-            // what stands in the way of setting it up is what is wrong
-            if let Some(error) = self.last_init {
-                said = Outcome::Failed(error.fault());
-            }
-        }
+        let said = self.imu.read(&mut self.bus.delay(), now);
         self.spoilt(said)
     }
 

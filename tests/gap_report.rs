@@ -23,7 +23,6 @@ fn effect(name: &'static str, stage: &'static str, probability: f64, closed: f64
 fn diagnosis(kind: &'static str, names: &[&'static str], equivalent: &[&[&'static str]]) -> Diagnosis {
     Diagnosis {
         schema: 1,
-        rivals: vec![],
         gap: Gap { as_configured_deg: 6.1, recalibrated_deg: 3.0, explained_deg: 0.4, noise_floor_deg: 0.15 },
         location: Where {
             stages: vec![StageShare { name: "timing", share: 0.9 }, StageShare { name: "bellows", share: 0.1 }],
@@ -38,7 +37,8 @@ fn diagnosis(kind: &'static str, names: &[&'static str], equivalent: &[&[&'stati
             effect("creep", "bellows", 0.02, 0.1),
         ],
         verdict: VerdictEntry { kind, names: names.to_vec(), equivalent: equivalent.iter().map(|g| g.to_vec()).collect() },
-        unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37 },
+        unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37, foretold_deg_s: 0.0 },
+        rivals: vec![],
     }
 }
 

@@ -68,9 +68,9 @@ fn steady(gate: &mut Gate, i: usize, speed_mm_s: f64, seconds: f64) -> Option<Ca
 fn moving() -> (Gate, i32) {
     let mut gate = at(0);
     assert_eq!(steady(&mut gate, 0, 20.0, 0.3), None);
-    let counts = gate.pass(&told([194, 0, 0]));
+    let counts = gate.pass(&told([188, 0, 0]));
     assert_eq!(counts.tripped, None);
-    (gate, 194)
+    (gate, 188)
 }
 
 #[test]
@@ -108,7 +108,7 @@ fn speed_trips_above_its_limit_and_one_step_of_grain() {
     assert_eq!(steady(&mut at(0), 1, 34.4, 0.5), None);
     assert_eq!(steady(&mut at(0), 2, 38.5, 0.5), Some(Cause::Rate));
     let mut gate = at(0);
-    assert_eq!(trips(&mut gate, &told([0, 0, 4])), Some(Cause::Acceleration), "a jump is a push first");
+    assert_eq!(trips(&mut gate, &told([0, 0, 14])), Some(Cause::Acceleration), "a jump is a push first");
 }
 
 #[test]
@@ -424,13 +424,14 @@ fn braking_does_not_leave_the_travel() {
 #[test]
 fn every_cause_leads_where_the_board_says() {
     let pressure = Told { felt_bellow_mm: Some([-40.0, 0.0, 0.0]), ..told([31, 30, 30]) };
-    let cases: [(Cause, Told, fn(&mut On, Safe)); 10] = [
+    type Case = (Cause, Told, fn(&mut On, Safe));
+    let cases: [Case; 10] = [
         (Cause::EmergencyStop, Told { emergency_stop: true, ..told([30; 3]) }, |on, s| on.emergency_stop = s),
         (Cause::StepGenerator, Told { alarm: true, ..told([30; 3]) }, |on, s| on.step_generator = s),
         (Cause::Late, Told { dt_s: 0.2, ..told([30; 3]) }, |on, s| on.late = s),
         (Cause::Unarmed, Told { armed: false, ..told([31; 3]) }, |on, s| on.unarmed = s),
         (Cause::Travel, told([3000; 3]), |on, s| on.travel = s),
-        (Cause::Acceleration, told([90; 3]), |on, s| on.acceleration = s),
+        (Cause::Acceleration, told([44; 3]), |on, s| on.acceleration = s),
         (Cause::Pressure, pressure, |on, s| on.pressure = s),
         (Cause::Stale, Told { stale_s: 9.0, ..told([30; 3]) }, |on, s| on.stale = s),
         (Cause::Disagreement, Told { disagree: true, ..told([30; 3]) }, |on, s| on.disagreement = s),
@@ -482,4 +483,59 @@ fn defaults_are_as_documented() {
     let hold = [on.step_generator, on.late, on.unarmed, on.travel, on.rate, on.acceleration, on.stale, on.disagreement, on.following];
     assert!(hold.iter().all(|s| *s == Safe::Hold));
     assert_eq!((on.emergency_stop, on.pressure), (Safe::Release, Safe::Relax));
+}
+
+/// Limits and times that binary numbers hold exactly, so that "at the limit" means it.
+fn exact() -> Limits {
+    Limits {
+        step_mm: 1.0 / 32.0,
+        tick_s: 1.0 / 1024.0,
+        travel_mm: 64.0,
+        speed_mm_s: 34.0,
+        acceleration_mm_s2: 1e9,
+        squeeze_mm: 29.5,
+        following_rad: 0.25,
+        following_s: 0.5,
+        following_for_s: 0.5,
+        late_s: 0.5,
+        ..limits()
+    }
+}
+
+#[test]
+fn at_the_limit_is_within_it() {
+    let tick = Told { dt_s: 1.0 / 1024.0, ..told([0; 3]) };
+    // 18 steps in 16 ticks are 36 mm/s, and 2 mm/s are grain
+    let run = |steps: i32| {
+        let mut gate = Gate::new(&exact(), &Steps([0; 3]));
+        (1..=16).find_map(|k| trips(&mut gate, &Told { wanted: Steps([steps * k / 16, 0, 0]), ..tick }))
+    };
+    assert_eq!((run(18), run(19)), (None, Some(Cause::Rate)));
+    // the air that 944 steps of a piston compress is 29.5 mm
+    let press = |steps: i32| {
+        let mut gate = Gate::new(&exact(), &Steps([steps - 1, 0, 0]));
+        trips(&mut gate, &Told { wanted: Steps([steps, 0, 0]), felt_bellow_mm: Some([0.0; 3]), ..tick })
+    };
+    assert_eq!((press(944), press(945)), (None, Some(Cause::Pressure)));
+    // an error of the allowed size is none, and one that lasts as long as it may is allowed
+    let follow = |off: f64, ticks: usize| {
+        let mut gate = Gate::new(&exact(), &Steps([0; 3]));
+        let following = Some(Following { setpoint: [1.0, 0.0], felt: [1.0 - off, 0.0] });
+        (0..ticks).find_map(|_| trips(&mut gate, &Told { dt_s: 0.25, following, ..tick }))
+    };
+    assert_eq!((follow(0.25, 50), follow(0.5, 2), follow(0.5, 3)), (None, None, Some(Cause::Following)));
+    // a push of exactly the limit: n·4 mm/s over 1/64 s, less two grains of 4 mm/s
+    let push = |steps: i32| {
+        let limits = Limits { step_mm: 1.0 / 16.0, acceleration_mm_s2: 2048.0, speed_mm_s: 1e9, ..exact() };
+        let mut gate = Gate::new(&limits, &Steps([0; 3]));
+        (1..=16).find_map(|k| trips(&mut gate, &Told { wanted: Steps([steps * k / 16, 0, 0]), ..tick }))
+    };
+    assert_eq!((push(10), push(11)), (None, Some(Cause::Acceleration)));
+    // and a stop of exactly the limit
+    let limits = Limits { step_mm: 1.0 / 16.0, acceleration_mm_s2: 2048.0, speed_mm_s: 1e9, ..exact() };
+    let mut gate = Gate::new(&limits, &Steps([0; 3]));
+    for k in 1..=64 {
+        let steps = 10 * k.min(16) / 16;
+        assert_eq!(trips(&mut gate, &Told { wanted: Steps([steps, 0, 0]), ..tick }), None, "tick {k}");
+    }
 }

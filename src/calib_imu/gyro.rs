@@ -30,6 +30,10 @@ pub struct GyroBias {
 /// [`Refusal`] when it is too short, not finite, or something moved in it.
 pub fn at_rest(samples: &[ImuSample], limits: &Limits) -> Result<GyroBias, Refusal> {
     let rest = still::rest(samples, limits)?;
+    let (have, limit) = (rest.gyro_rad_s.amax(), limits.still_mean_rad_s);
+    if have > limit {
+        return Err(Refusal::Moving { what: "the gyroscope's mean", have, limit, unit: "rad/s" });
+    }
     let white = rest.gyro_std_rad_s / (rest.samples as f64).sqrt();
     let size = samples.len() / BLOCKS;
     let squares: Vector3<f64> = samples

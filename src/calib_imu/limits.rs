@@ -13,6 +13,11 @@ pub struct Limits {
     /// Largest standard deviation of the accelerometer in a rest, m/s² per axis. Default 0.15.
     pub still_acc_m_s2: f64,
 
+    /// Largest mean rate of a rest, rad/s per axis. Default 0.15 (8.6 °/s), beyond the zero-rate level of any
+    /// part used. A bigger value would take a steady turn about the vertical, which the accelerometer does not
+    /// see, for bias.
+    pub still_mean_rad_s: f64,
+
     /// Largest tilt or heading change within a rest, degrees. Default 0.5. A bigger value accepts
     /// a slow creep, which a bias would swallow: 0.5° in 2 s is 0.25 °/s.
     pub still_turn_deg: f64,
@@ -63,6 +68,7 @@ impl Default for Limits {
         Self {
             still_gyro_rad_s: 0.02,
             still_acc_m_s2: 0.15,
+            still_mean_rad_s: 0.15,
             still_turn_deg: 0.5,
             still_min_s: 1.0,
             sphere_coverage: 0.6,

@@ -28,7 +28,7 @@ pub use limits::Limits;
 pub use refusal::Refusal;
 
 use crate::sample::ImuSample;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// A calibrated quantity with its pedigree.
@@ -85,8 +85,8 @@ pub struct ImuCalibration {
     pub mag_bias_ut: Option<Entry<[f64; 3]>>,
     /// Soft iron, rows of a matrix near 1 with determinant 1.
     pub mag_matrix: Option<Entry<Rows>>,
-    /// Rotation sensor to tip as a rotation vector, degrees. Applied by the alignment, not by
-    /// [`apply`], which stays in the sensor's frame.
+    /// Rotation sensor to tip as a rotation vector, degrees: turns all three vectors into the tip's axes,
+    /// after everything else.
     pub mount_deg: Option<Entry<[f64; 3]>>,
     /// Fields of the motor coils, fixed in the base frame. Subtracted by [`motor::MotorField`], which
     /// must know the phases.
@@ -118,12 +118,14 @@ impl ImuCalibration {
     pub fn correction(&self) -> Correction {
         let vector = |e: &Option<Entry<[f64; 3]>>| e.as_ref().map_or_else(Vector3::zeros, |e| e.value.into());
         let table = |e: &Option<Entry<Rows>>| e.as_ref().map_or_else(Matrix3::identity, |e| matrix(&e.value));
+        let mount = UnitQuaternion::from_scaled_axis(vector(&self.mount_deg).map(f64::to_radians)).to_rotation_matrix().into_inner();
         Correction {
             gyro_bias_rad_s: vector(&self.gyro_bias_rad_s),
+            gyro_matrix: mount,
             acc_bias_m_s2: vector(&self.acc_bias_m_s2),
-            acc_matrix: table(&self.acc_matrix),
+            acc_matrix: mount * table(&self.acc_matrix),
             mag_bias_ut: vector(&self.mag_bias_ut),
-            mag_matrix: table(&self.mag_matrix),
+            mag_matrix: mount * table(&self.mag_matrix),
         }
     }
 }
@@ -133,13 +135,15 @@ impl ImuCalibration {
 pub struct Correction {
     /// Subtracted from the gyroscope, rad/s.
     pub gyro_bias_rad_s: Vector3<f64>,
+    /// Applied to the gyroscope after that: the mount.
+    pub gyro_matrix: Matrix3<f64>,
     /// Subtracted from the accelerometer, m/s².
     pub acc_bias_m_s2: Vector3<f64>,
-    /// Applied to the accelerometer after that.
+    /// Applied to the accelerometer after that: scale, then the mount.
     pub acc_matrix: Matrix3<f64>,
     /// Subtracted from the magnetometer, µT.
     pub mag_bias_ut: Vector3<f64>,
-    /// Applied to the magnetometer after that.
+    /// Applied to the magnetometer after that: soft iron, then the mount.
     pub mag_matrix: Matrix3<f64>,
 }
 
@@ -147,18 +151,19 @@ impl Correction {
     /// Changes nothing.
     pub const NONE: Self = Self {
         gyro_bias_rad_s: Vector3::new(0.0, 0.0, 0.0),
+        gyro_matrix: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
         acc_bias_m_s2: Vector3::new(0.0, 0.0, 0.0),
         acc_matrix: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
         mag_bias_ut: Vector3::new(0.0, 0.0, 0.0),
         mag_matrix: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
     };
 
-    /// The sample as an ideal sensor would have given it, still in the sensor's frame.
+    /// The sample as an ideal sensor in the tip's axes would have given it.
     #[must_use]
     pub fn apply(&self, raw: &ImuSample) -> ImuSample {
         ImuSample {
             t: raw.t,
-            gyro_rad_s: raw.gyro_rad_s - self.gyro_bias_rad_s,
+            gyro_rad_s: self.gyro_matrix * (raw.gyro_rad_s - self.gyro_bias_rad_s),
             acc_m_s2: self.acc_matrix * (raw.acc_m_s2 - self.acc_bias_m_s2),
             mag_ut: raw.mag_ut.map(|m| self.mag_matrix * (m - self.mag_bias_ut)),
         }
@@ -218,6 +223,17 @@ mod tests {
         assert_eq!(s.mag_ut, Some(Vector3::new(40.0, 5.5, 6.0)));
         assert_eq!(s.acc_m_s2, raw.acc_m_s2);
         assert!(toml::from_str::<ImuCalibration>("gyro_bias = [0,0,0]").is_err());
+    }
+
+    #[test]
+    fn a_mount_turns_all_three() {
+        let from = Pedigree { date: "2025-01-31", source: "bends.csv" };
+        let turned = ImuCalibration { mount_deg: Some(from.entry([0.0, 0.0, 90.0], [0.1; 3])), ..ImuCalibration::default() };
+        let raw = ImuSample { t: Seconds(0.0), gyro_rad_s: Vector3::x(), acc_m_s2: Vector3::x(), mag_ut: Some(Vector3::x()) };
+        let s = apply(&turned, &raw);
+        for v in [s.gyro_rad_s, s.acc_m_s2, s.mag_ut.unwrap_or_default()] {
+            assert!((v - Vector3::y()).norm() < 1e-12);
+        }
     }
 
     #[test]

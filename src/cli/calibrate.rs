@@ -233,7 +233,7 @@ fn motor_samples(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
         }
         last = steps;
         let still = moved_s.iter().all(|m| sample.t.0 - m > 0.5);
-        let told = Told { now: sample.t, tip: health::Outcome::from_world(Some(*sample)), base: None, still };
+        let told = Told { now: sample.t, tip: health::Outcome::from_world(Some(*sample)), base: None, coils_ut: Vector3::zeros(), still };
         fusion.update(&config, &told);
         if let (Some(felt), Some(mag)) = (fusion.felt(), sample.mag_ut) {
             let energised = moved_s.map(|m| sample.t.0 - m < idle_after_s);

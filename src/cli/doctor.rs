@@ -4,6 +4,7 @@
 use crate::cli::{Outcome, output};
 use crate::config::board::Board;
 use crate::config::source;
+use crate::io::machine::Sensor;
 use crate::io::rt::{self, Grant, RtWish};
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
@@ -88,6 +89,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
 #[must_use]
 pub fn examine(board: &Board) -> Vec<Finding> {
     let mut findings = vec![model(), kernel()];
+    findings.extend(devices(board));
     findings.extend(real_time(board));
     findings.extend([clock(), throttling(), disk(&board.service.state), folder("socket folder", board.service.socket.parent())]);
     findings
@@ -115,6 +117,58 @@ fn kernel() -> Finding {
         release,
         "not a PREEMPT_RT kernel: rare late steps, see `retroflex bench rt`; a latched fault guards against harm",
     )
+}
+
+/// Buses, chips and pins that the board names; the sensors are asked who they are, nothing is driven.
+fn devices(board: &Board) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for (what, section) in [("tip IMU", &board.imu), ("base IMU", &board.base_imu)] {
+        let Some(imu) = section else { continue };
+        findings.push(device(&format!("{what}, bus"), Path::new(&imu.bus), "enable I²C (`dtparam=i2c_arm=on`) and join group i2c"));
+        findings.extend(bus_speed(&imu.bus));
+    }
+    if let Some(pins) = &board.pins
+        && pins.chip.starts_with("/dev/")
+    {
+        findings.push(device(
+            "pins",
+            Path::new(&pins.chip),
+            "join group gpio; on a Raspberry Pi 5 with an older kernel the header is on /dev/gpiochip4",
+        ));
+    }
+    let Some(machine) = board.hardware() else { return findings };
+    for (what, sensor) in [("tip IMU", &machine.imu), ("base IMU", &machine.base_imu)] {
+        let Some(config) = sensor else { continue };
+        findings.push(match Sensor::start(config) {
+            Ok(s) => {
+                let i = s.identity();
+                Finding::new(what, Verdict::Pass, format!("{} at {:#04x}, {:.0} Hz", i.inertial.part, i.inertial.address, i.rate_hz), "")
+            }
+            Err(e) => Finding::new(what, Verdict::Fail, e.to_string(), "check plug, supply, address and part; see [imu] of the board file"),
+        });
+    }
+    findings
+}
+
+fn device(what: &str, path: &Path, mend: &str) -> Finding {
+    match std::fs::File::options().read(true).write(true).open(path) {
+        Ok(_) => Finding::new(what, Verdict::Pass, path.display().to_string(), ""),
+        Err(e) => Finding::new(what, Verdict::Fail, format!("{}: {e}", path.display()), mend),
+    }
+}
+
+/// Clock of a bus as the device tree has it, Hz, big-endian.
+fn bus_speed(bus: &str) -> Option<Finding> {
+    let name = Path::new(bus).file_name()?.to_str()?;
+    let bytes = std::fs::read(format!("/sys/class/i2c-adapter/{name}/of_node/clock-frequency")).ok()?;
+    let hz = u32::from_be_bytes(bytes.get(..4)?.try_into().ok()?);
+    let verdict = if hz >= 400_000 { Verdict::Pass } else { Verdict::Warn };
+    Some(Finding::new(
+        "bus speed",
+        verdict,
+        format!("{} kHz", hz / 1000),
+        "set `dtparam=i2c_arm_baudrate=400000` in config.txt and restart",
+    ))
 }
 
 /// What the kernel grants, asked for in a thread of its own that gives it back by ending.

@@ -31,6 +31,9 @@ pub struct Args {
     /// Leave out the faults of the process, which take real time.
     #[arg(long)]
     in_flight: bool,
+    /// Only the faults of the process.
+    #[arg(long, conflicts_with = "in_flight")]
+    process: bool,
     /// In place of the drill, hours of random commands and faults.
     #[arg(long)]
     soak: Option<f64>,
@@ -89,7 +92,7 @@ fn rows(args: &Args, make: &Make) -> Result<Vec<Row>> {
     let wanted = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
     let mut rows = Vec::new();
     let allowance = Allowance::new(make).into_diagnostic()?;
-    for spec in list::specs().iter().filter(|s| wanted(s.name)) {
+    for spec in list::specs().iter().filter(|s| wanted(s.name) && !args.process) {
         rows.push(fly(make, spec, &allowance).into_diagnostic()?);
     }
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {

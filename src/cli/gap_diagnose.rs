@@ -75,8 +75,8 @@ fn results<'a>(args: &'a DiagnoseArgs, observed: &Observed, done: &Diagnosed) ->
         out.push((path, page(&name, &done.document, &Evidence::new(observed, done))));
     }
     if let Some(path) = &args.save {
-        let model = SavedModel::new(&args.log.display().to_string(), &catalogue(), &done.found, &done.chosen);
-        let model = model.with_equivalent(&done.document.verdict.equivalent);
+        let equivalent = &done.document.verdict.equivalent;
+        let model = SavedModel::new(&args.log.display().to_string(), &catalogue(), &done.found, &done.chosen, equivalent);
         out.push((path, toml::to_string(&model).into_diagnostic()?));
     }
     Ok(out)

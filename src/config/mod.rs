@@ -37,5 +37,11 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Conf
         refine: gains.refine,
         fuse: gains.fuse,
         imu: calibration.imu.correction(),
+        motors: calibration.imu.motor_field.clone(),
+        motors_idle_after_s: MOTORS_IDLE_AFTER_S,
     }
 }
+
+/// A driver that has not stepped for this long runs at its idle current, s: the shortest setting of common
+/// drivers' standstill timers, and what `calibrate imu motors` takes unless it is told otherwise.
+const MOTORS_IDLE_AFTER_S: f64 = 0.35;

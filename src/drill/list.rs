@@ -38,7 +38,7 @@ pub enum Strike {
 pub enum Notice {
     /// One of these causes against the sensor.
     Senses(&'static [Cause]),
-    /// One of these suspicions, or a trip.
+    /// One of these suspicions, a trip, or a tip that was shaken.
     Words(&'static [Kind]),
     /// One of these trips.
     Trip(&'static [gate::Cause]),
@@ -81,6 +81,8 @@ pub struct Spec {
     pub zero: bool,
     /// A rack has to be put back to its mark by hand first.
     pub by_hand: bool,
+    /// Where the move goes that it strikes: bend and direction, degrees.
+    pub to: (f64, f64),
 }
 
 const TWO: Channel = Channel::Two;
@@ -92,12 +94,22 @@ const FAULT: &[&str] = &["faulted"];
 /// Every row that strikes in flight, in the order of the list of claims.
 #[must_use]
 pub fn specs() -> Vec<Spec> {
-    let row = |name, strike, notice, promise, states, zero| Spec { name, strike, notice, promise, states, zero, by_hand: false };
+    let row = |name, strike, notice, promise, states, zero| Spec {
+        name,
+        strike,
+        notice,
+        promise,
+        states,
+        zero,
+        by_hand: false,
+        to: (68.0, 80.0),
+    };
     let senses = |name, strike, causes, promise, states| row(name, strike, Notice::Senses(causes), promise, states, false);
     let words = |name, fault, kinds, zero| {
         row(name, Strike::Plant(fault, LASTS), Notice::Words(kinds), Promise::Copes, &["holding", "tracking", "faulted"], zero)
     };
     let by_hand = |spec: Spec| Spec { by_hand: true, ..spec };
+    let far_out = |spec: Spec| Spec { to: (78.0, 62.0), by_hand: true, ..spec };
     let blind = &[Cause::Nack, Cause::StuckBus, Cause::ShortRead, Cause::StaleTimestamp];
     let far = Command { bend: Bend::from_deg(170.0, 0.0), length: Mm(20.0) };
     let nan = Command { bend: Bend([f64::NAN, 0.1].into()), length: Mm(20.0) };
@@ -127,7 +139,7 @@ pub fn specs() -> Vec<Spec> {
         )),
         by_hand(words("dir_inverted", Fault::Inverted { channel: TWO }, &[Kind::Inverted, Kind::Deaf], true)),
         by_hand(words("en_stuck", Fault::Disabled { channel: TWO }, &[Kind::Deaf, Kind::Weak], true)),
-        by_hand(words("end_stop", Fault::EndStop { channel: TWO, at_mm: 18.0 }, &[Kind::Deaf, Kind::Weak], true)),
+        far_out(words("end_stop", Fault::EndStop { channel: TWO, at_mm: 11.5 }, &[Kind::Deaf, Kind::Weak], true)),
         words("leak", Fault::Leak { channel: TWO, rate_per_s: 0.1 }, &[Kind::Leak, Kind::Weak], true),
         words("burst", Fault::Burst { channel: TWO }, &[Kind::Burst, Kind::Deaf], true),
         words("air_bubble", Fault::AirBubble { channel: TWO, factor: 1.8 }, &[Kind::Weak, Kind::Leak], true),
@@ -177,10 +189,12 @@ pub fn specs() -> Vec<Spec> {
             &[Kind::Contact, Kind::Deaf, Kind::Weak, Kind::Strong, Kind::Burst],
             false,
         ),
-        words(
+        row(
             "pushed",
-            Fault::Push { bend_deg: 15.0, dir_deg: 0.0 },
-            &[Kind::Contact, Kind::Strong, Kind::Weak, Kind::LostSteps, Kind::Leak],
+            Strike::Plant(Fault::Push { bend_deg: 15.0, dir_deg: 0.0 }, LASTS),
+            Notice::Senses(&[Cause::AccelDisturbed, Cause::Spike]),
+            Promise::Copes,
+            &["holding", "tracking", "faulted"],
             true,
         ),
         senses(
@@ -242,7 +256,9 @@ impl Notice {
             }
             Self::Words(_) => match turned.suspicion.filter(|_| turned.suspects) {
                 Some(s) => Some(s.to_string()),
-                None => trip(&[]),
+                None => {
+                    trip(&[]).or_else(|| turned.raised.contains(Cause::AccelDisturbed).then(|| Cause::AccelDisturbed.advice().to_owned()))
+                }
             },
             Self::Trip(causes) => trip(causes),
             Self::LateTurn => (turned.dt_s > 0.0015).then(|| format!("a turn came {:.0} ms late", (turned.dt_s - 1e-3) * 1e3)),

@@ -11,14 +11,16 @@ use crate::world::WorldError;
 /// From the start of the move to the fault, s.
 const MID_MOTION_S: f64 = 0.22;
 /// How long a fault is watched, s.
-const WATCHED_S: f64 = 4.0;
+const WATCHED_S: f64 = 7.0;
 /// After how long the operator goes on with a fault that was not noticed, s.
-const GOES_ON_S: f64 = 1.5;
+const GOES_ON_S: f64 = 4.5;
 /// Where it was, where it was to go, where it goes on to, where it goes afterwards.
 const FROM: (f64, f64) = (45.0, 30.0);
 const TO: (f64, f64) = (68.0, 80.0);
 const FURTHER: (f64, f64) = (55.0, 230.0);
 const AFTER: (f64, f64) = (35.0, 150.0);
+/// How long a line is left to vent at rest before it is closed, s.
+const VENTS_S: f64 = 30.0;
 /// Largest error of the pose after it, degrees.
 const AFTER_MAX_DEG: f64 = 2.5;
 
@@ -91,7 +93,7 @@ pub fn fly(make: &Make, spec: &Spec, allowance: &Allowance) -> Result<Row, World
         row.fail("never aligned");
         return Ok(row);
     }
-    bench.turn(Some(bend(TO.0, TO.1)))?;
+    bench.turn(Some(bend(spec.to.0, spec.to.1)))?;
     let before = bench.run(MID_MOTION_S)?;
     row.demand(before.mode == Mode::Tracking, |_| format!("struck in mode {}", before.mode));
     let last = watch(&mut bench, spec, before, &mut row)?;
@@ -100,7 +102,11 @@ pub fn fly(make: &Make, spec: &Spec, allowance: &Allowance) -> Result<Row, World
     row.demand(spec.states.contains(&row.state.as_str()), |row| format!("came to {}", row.state));
     row.demand(spec.notice.names_it(&last), |_| format!("called `{}`", last.suspicion.map_or_else(String::new, |s| s.to_string())));
     row.error_deg_after = recover(&mut bench, spec, &mut row)?;
-    row.demand(row.error_deg_after <= AFTER_MAX_DEG, |row| format!("{:.1}° off after it was mended", row.error_deg_after));
+    let felt = bench.flight.pilot.state().fusion.felt().map_or(0.0, |f| f.bend.beta().to_degrees());
+    let truly = bench.true_bend().beta().to_degrees();
+    row.demand(row.error_deg_after <= AFTER_MAX_DEG, |row| {
+        format!("{:.1}° off after it was mended (felt {felt:.1}°, truly {truly:.1}°)", row.error_deg_after)
+    });
     Ok(row)
 }
 
@@ -141,11 +147,15 @@ fn watch(bench: &mut Bench, spec: &Spec, before: Turned, row: &mut Row) -> Resul
 /// The operator's way back: out of the fault, to rest, mended there, the rest found again where it was
 /// lost, and the next pose. The error of that pose, degrees.
 fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, WorldError> {
-    let stays = !spec.zero && bench.flight.pilot.mode().moves();
+    let mut stays = !spec.zero && bench.flight.pilot.mode().moves();
+    let mut zero = spec.zero;
     let mend_first = matches!(spec.strike, Strike::Press | Strike::Bus(..) | Strike::Clock(..)) || stays;
     if mend_first {
         bench.flight.machine.mend();
-        bench.run(0.3)?;
+        // what is let go of leaps, and then the base may seem to have moved: the rest is to be found again
+        bench.until(20.0, |t| t.frame.senses.in_force.is_empty())?;
+        let moved = bench.run(2.0)?.frame.base_moved;
+        (stays, zero) = (stays && !moved, zero || moved);
     }
     if bench.flight.pilot.mode() == Mode::Faulted {
         refuse_is_failure(bench, Order::Reset, row)?;
@@ -156,13 +166,15 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, WorldEr
     if !stays {
         let rested = bench.until(15.0, |t| matches!(t.mode, Mode::Disarmed | Mode::Aligning))?;
         row.demand(rested, |_| "did not come back to rest".to_owned());
+        // at rest a line that leaks comes to the pressure of the room, which is where it is to be closed
+        bench.run(if zero { VENTS_S } else { 1.0 })?;
         bench.flight.machine.mend();
         if spec.by_hand {
             bench.flight.machine.put_back();
         }
         bench.run(1.0)?;
     }
-    if spec.zero {
+    if zero {
         if bench.flight.pilot.mode() == Mode::Disarmed {
             refuse_is_failure(bench, Order::Zero, row)?;
         }

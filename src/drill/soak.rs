@@ -105,6 +105,9 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
                         bench.turn(Some(Order::Relax))?;
                         bench.until(15.0, |t| t.mode != Mode::Relaxing)?;
                     }
+                    // racks back to their marks, lines vented, and the rest found again
+                    bench.flight.machine.put_back();
+                    bench.run(10.0)?;
                     bench.turn(Some(Order::Zero))?;
                     bench.until(8.0, |t| t.mode != Mode::Aligning)?;
                     bench.call_straight();
@@ -117,8 +120,8 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
                 }
             }
             let k = bench.flight.pilot.state().lines().map(|l| l.k_epsilon);
-            for i in 0..3 {
-                soak.gain_range = soak.gain_range.max((k[i] - prior[i]).abs() / (1.0 + prior[i]));
+            for (k, prior) in k.iter().zip(&prior) {
+                soak.gain_range = soak.gain_range.max((k - prior).abs() / (1.0 + prior));
             }
         }
         let before = elapsed_s;

@@ -6,6 +6,7 @@
 //!
 //! Law: `q′_i = q_i [1 − s_i (1 − D_i)]`, `D_i = (1 − e^(−X_i/m₀)) (1 − κ (q_i/M_i)²)`. M_i is the largest stretch
 //! so far, of which a contraction counts the share σ, and `X_i = M_i + c ∫|dq_i|` what has worn the rubber: mostly the maximum, a little every stroke.
+//! Little strain pulls few chains: softening acts by the share `|q|/(|q| + t)`, t the toe of the curve.
 //! Near the past maximum the virgin curve is met again (pseudo-elastic Mullins law of Ogden and Roxburgh,
 //! *Proc. R. Soc. A* 1999), by the share κ. A fresh bellow moves less by the share s, a worn one as the
 //! gains say, so the re-identified gains are those of the worn bellow.
@@ -17,6 +18,7 @@
 //! | `rejoin` κ | – | 0 ± 0.4 | 0-1 |
 //! | `tiring` c | mm/mm | 0 ± 0.02 | 0-0.1 |
 //! | `contracted` σ | – | 1 ± 0.4 | 0-1 |
+//! | `toe` t | mm | 0 ± 0.4 | 0-1 |
 //!
 //! Signature: the curve changes only beyond the past maximum, and for good. Easily confused with
 //! `stiffening` (does not depend on the past), `thermal_drift` and `creep` (go on inside the past
@@ -52,11 +54,12 @@ impl Effect for Softening {
             Param::new("rejoin", "", 0.0, 0.4, (0.0, 1.0)),
             Param::new("tiring", "mm/mm", 0.0, 0.02, (0.0, 0.3)),
             Param::new("contracted", "", 1.0, 0.4, (0.0, 1.5)),
+            Param::new("toe", "mm", 0.0, 0.4, (0.0, 4.0)),
         ]);
         out
     }
     fn starts(&self) -> Starts {
-        [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)].map(|(reach, rejoin)| vec![0.15, 0.15, 0.15, reach, rejoin, 0.005, 0.8]).to_vec()
+        [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)].map(|(reach, rejoin)| vec![0.15, 0.15, 0.15, reach, rejoin, 0.005, 0.8, 0.1]).to_vec()
     }
     /// Memory holds each bellow's largest stretch, from 3 on its path, from 6 on where it was last.
     fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
@@ -68,7 +71,8 @@ impl Effect for Softening {
             m.0[6 + i] = q;
             let worn = -(-(m.0[i] + p[5] * m.0[3 + i]) / p[3]).exp_m1();
             let near = if m.0[i] > 0.0 { (strain / m.0[i]).powi(2) } else { 0.0 };
-            q_mm[i] *= 1.0 - p[i] * (1.0 - worn * (1.0 - p[4] * near));
+            let toe = if p[7] > 0.0 { q.abs() / (q.abs() + p[7]) } else { 1.0 };
+            q_mm[i] *= 1.0 - p[i] * (1.0 - worn * (1.0 - p[4] * near) * toe);
         }
     }
 }
@@ -85,7 +89,7 @@ mod tests {
 
     #[test]
     fn a_fit_finds_it_again() {
-        proof::explained(&Softening, &[0.4, 0.35, 0.4, 2.5, 0.3, 0.01, 0.9]);
+        proof::explained(&Softening, &[0.4, 0.35, 0.4, 2.5, 0.3, 0.01, 0.9, 0.2]);
     }
 
     #[test]

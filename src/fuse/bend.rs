@@ -335,9 +335,8 @@ impl BendFilter {
         let s = UnitQuaternion::from_scaled_axis(self.belief.block(0)) * self.s;
         let (twist, c) = (Twist::of(&s, &self.axis()), self.belief.x[TWIST]);
         let mut h = [0.0; N];
-        for j in 0..3 {
-            h[j] = twist.psi_by_theta[j] - c * twist.beta_by_theta[j];
-        }
+        let by_theta = twist.psi_by_theta - twist.beta_by_theta * c;
+        h[..GYRO].copy_from_slice(by_theta.as_slice());
         h[TWIST] = -twist.beta;
         (h[MOUNT], h[MOUNT + 1]) = (twist.psi_by_tilt.x, twist.psi_by_tilt.y);
         let sigma = TWIST_ALWAYS_RAD + self.config.twist_error * twist.beta;

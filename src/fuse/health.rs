@@ -43,6 +43,10 @@ struct Track {
     since: Option<f64>,
     good: u32,
     times: u32,
+    /// When it was over last, s.
+    over: Option<f64>,
+    /// Returns in a row, each soon after it was over.
+    returns: u32,
 }
 
 /// What the judge remembers. Fixed size; cloned for replay.
@@ -62,6 +66,11 @@ pub struct State {
     up: Option<Vector3<f64>>,
     known: Known,
 }
+
+/// A disturbance that comes back within this time is the same one, s.
+const RETURN_S: f64 = 60.0;
+/// Returns after which the wait grows no longer: 2¹⁰ times ten values at 100 Hz are 100 s.
+const RETURNS_MAX: u32 = 10;
 
 /// What is known of the sensor's own errors, so that they are not taken for disturbances.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -293,14 +302,16 @@ fn count(config: &Config, state: &mut State, now: f64, found: Found) -> (CauseSe
             if track.since.is_none() {
                 track.since = Some(now);
                 track.times = track.times.saturating_add(1);
+                let soon = track.over.is_some_and(|over| now - over < RETURN_S);
+                track.returns = if soon { track.returns.saturating_add(1) } else { 0 };
                 raised.insert(cause);
             }
         } else if let Some(since) = track.since
             && found.tested.contains(cause)
         {
             track.good += 1;
-            if track.good >= needed(config, cause) {
-                track.since = None;
+            if track.good >= needed(config, cause, track.returns) {
+                (track.since, track.over) = (None, Some(now));
                 cleared.insert(cause);
                 after_s = after_s.max(now - since);
             }
@@ -309,9 +320,12 @@ fn count(config: &Config, state: &mut State, now: f64, found: Found) -> (CauseSe
     (raised, (!cleared.is_empty()).then_some(Recovered { causes: cleared, after_s }))
 }
 
-fn needed(config: &Config, cause: Cause) -> u32 {
+/// Good readings that end a cause. A field that is disturbed time and again, as by motors that switch, looks
+/// right now and then by chance: every return doubles what it takes to be believed.
+fn needed(config: &Config, cause: Cause, returns: u32) -> u32 {
     match cause {
-        Cause::MagOverflow | Cause::MagSilent | Cause::FieldDisturbed => config.recover_mag_samples,
+        Cause::FieldDisturbed => config.recover_mag_samples.saturating_mul(1 << returns.min(RETURNS_MAX)),
+        Cause::MagOverflow | Cause::MagSilent => config.recover_mag_samples,
         Cause::AccelDisturbed => config.recover_acc_samples,
         _ => config.recover_samples,
     }

@@ -70,6 +70,8 @@ pub struct Told {
     pub tip: Outcome,
     /// A sample of the base's IMU, if there is one.
     pub base: Option<ImuSample>,
+    /// Field of the motors' coils in the base, µT; zero where it is not known.
+    pub coils_ut: Vector3<f64>,
     /// The pistons have rested for a while.
     pub still: bool,
 }
@@ -132,6 +134,7 @@ const BRIDGED_PERIODS: f64 = 6.0;
 impl Fusion {
     /// One tick.
     pub fn update(&mut self, config: &FuseConfig, told: &Told) {
+        let told = &Told { tip: self.without_coils(told), ..*told };
         let Self { judge, verdict, base, stage } = self;
         if let Some(sample) = &told.base {
             let up = if let Stage::Running(r) = stage { Some(r.rest.acc_rest_m_s2) } else { None };
@@ -157,6 +160,18 @@ impl Fusion {
                     judge.set_known(known, &running.rest.acc_rest_m_s2, running.rest.mag_rest_ut.as_ref());
                 }
             }
+        }
+    }
+
+    /// What came from the tip, its field without the motors' share of it.
+    fn without_coils(&self, told: &Told) -> Outcome {
+        let here = match &self.stage {
+            Stage::Aligning(_) => told.coils_ut,
+            Stage::Running(r) => r.estimator.r_base_tip().inverse().apply(&told.coils_ut),
+        };
+        match told.tip {
+            Outcome::Sample(s, quality) => Outcome::Sample(ImuSample { mag_ut: s.mag_ut.map(|m| m - here), ..s }, quality),
+            other => other,
         }
     }
 

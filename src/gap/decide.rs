@@ -5,8 +5,10 @@
 //! than the truth's always leaves something, and many a second effect feeds on that a little; a second
 //! *cause* takes most of it, and no other takes as much. What no set explains is unknown.
 
+use crate::effects::by_name;
 use crate::gap::observe::Observed;
 use crate::gap::search::{Candidate, Found, HeldOut};
+use crate::gap::structure::rates_foretold_deg_s;
 
 /// Least gain of any kind's RMSE that is claimed, degrees or °/s.
 pub const CLAIM_DEG: f64 = 0.3;
@@ -14,9 +16,12 @@ pub const CLAIM_DEG: f64 = 0.3;
 const SECOND_SHARE: f64 = 0.45;
 /// … and leave at most this part of what the next best second effect leaves.
 const SECOND_AHEAD: f64 = 0.75;
+/// A second effect that is easily taken for the first must besides be worth this share of the whole gap:
+/// a law of another form than the truth's leaves most of all what its kin would.
+const KIN_SHARE: f64 = 0.06;
 /// How much more a set must explain per parameter, as a share of what it leaves: of two sets that
 /// leave the same, the one with less freedom is meant.
-const PER_PARAMETER: f64 = 0.04;
+const PER_PARAMETER: f64 = 0.012;
 /// Parameters beyond which freedom counts no more.
 const PARAMETERS_MAX: usize = 6;
 /// What is left cannot be told from the floor below this part of it.
@@ -25,6 +30,15 @@ const FLOOR_SHARE: f64 = 0.1;
 /// Doubt: weights of a logistic law in the logarithms of the share of the gap that is left and of the
 /// worst kind's RMSE above the floor in degrees.
 const DOUBT: [f64; 3] = [4.2, 1.6, 1.6];
+
+/// Worst kind's RMSE above the floor at which an unexplained gap is more than units are without, degrees,
+/// and the width of the doubt in its logarithm.
+const NONE_DEG: f64 = 0.65;
+const NONE_WIDTH: f64 = 0.1;
+
+/// Residual rate that the reading itself foretells, at which doubt is even, and how sharply, °/s.
+const FORETOLD_DEG_S: f64 = 0.6;
+const FORETOLD_WIDTH_DEG_S: f64 = 0.1;
 
 /// The answer.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +51,8 @@ pub struct Verdict {
     pub left: f64,
     /// Probability that something outside the catalogue is at work.
     pub doubt: f64,
+    /// RMS of the gyroscope's residual that its own reading foretells, °/s.
+    pub foretold: f64,
 }
 
 /// Energy of pure noise in the same units as [`HeldOut::energy`], deg².
@@ -85,27 +101,47 @@ fn second_counts(found: &Found, single: &Candidate, pair: &Candidate, floor: f64
     let Some(first) = found.singles.iter().find(|s| pair.names.contains(&s.names[0])).map(|s| s.names[0]) else { return false };
     let rivals = found.pairs.iter().filter(|p| p.names.contains(&first) && p.names != pair.names);
     let next = rivals.map(|p| excess(p.energy(), floor)).fold(one, f64::min);
+    let gap = excess(found.nominal.energy(), floor);
+    if kin(&pair.names) && one - two < KIN_SHARE * gap {
+        return false;
+    }
     one - two >= SECOND_SHARE * one && gain(&single.held_out, &pair.held_out) >= CLAIM_DEG && two <= SECOND_AHEAD * next
+}
+
+/// Whether two effects are easily taken for each other.
+fn kin(names: &[&str]) -> bool {
+    let taken = |a: &str, b: &str| by_name(a).is_some_and(|e| e.confused_with().contains(&b));
+    matches!(names, [a, b] if taken(a, b) || taken(b, a))
 }
 
 /// Whether what a set leaves is worth a doubt.
 fn judged(log: &Observed, nominal: &Candidate, chosen: &Candidate, floor: f64) -> Verdict {
     let left = excess(chosen.energy(), floor) / excess(nominal.energy(), floor);
-    let doubt = doubt(log, left, &chosen.held_out);
+    let foretold = rates_foretold_deg_s(log, &chosen.held_out);
+    let doubt =
+        doubt(log, left, &chosen.held_out, chosen.names.is_empty()).max(logistic((foretold - FORETOLD_DEG_S) / FORETOLD_WIDTH_DEG_S));
     let kind = match (doubt > 0.5, chosen.names.is_empty()) {
         (true, _) => "unknown",
         (false, true) => "none",
         (false, false) => "effects",
     };
-    Verdict { kind, names: chosen.names.clone(), left: left.min(1.0), doubt }
+    Verdict { kind, names: chosen.names.clone(), left: left.min(1.0), doubt, foretold }
 }
 
 /// Probability that what is left has a cause of its own.
-fn doubt(log: &Observed, left: f64, h: &HeldOut) -> f64 {
+fn doubt(log: &Observed, left: f64, h: &HeldOut, none: bool) -> f64 {
+    let left = left.max(1e-3);
     let worst = (0..4)
         .filter(|&k| log.has[k])
         .map(|k| (h.rmse_deg[k].powi(2) - 3.0 * log.noise_deg[k].powi(2)).max(0.0).sqrt())
         .fold(0.05, f64::max);
-    let x = DOUBT[0] + DOUBT[1] * left.max(1e-3).ln() + DOUBT[2] * worst.ln();
+    if none {
+        // what no unit is without is a share of nothing
+        return logistic((worst / NONE_DEG).ln() / NONE_WIDTH);
+    }
+    logistic(DOUBT[0] + DOUBT[1] * left.ln() + DOUBT[2] * worst.ln())
+}
+
+fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
 }

@@ -132,6 +132,8 @@ pub struct UnknownEntry {
     pub probability: f64,
     /// RMSE left, degrees.
     pub rmse_deg: f64,
+    /// RMS of the gyroscope's residual that its own reading foretells, °/s.
+    pub foretold_deg_s: f64,
 }
 
 /// A whole diagnosis.
@@ -234,7 +236,11 @@ fn write(
                 .map(|(k, kind)| KindShare { name: kind.name(), rmse_deg: nominal.rmse_deg[k], explained_deg: after.rmse_deg[k] })
                 .collect(),
         },
-        unknown: UnknownEntry { probability: verdict.doubt, rmse_deg: rms((after.energy() - floor).max(0.0)) },
+        unknown: UnknownEntry {
+            probability: verdict.doubt,
+            foretold_deg_s: verdict.foretold,
+            rmse_deg: rms((after.energy() - floor).max(0.0)),
+        },
         verdict: VerdictEntry { kind: verdict.kind, names: verdict.names.clone(), equivalent },
         effects,
         rivals: rivals(found),

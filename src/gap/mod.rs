@@ -21,3 +21,4 @@ pub mod saved;
 pub mod search;
 pub mod sense;
 pub mod slope;
+pub mod structure;

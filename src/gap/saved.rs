@@ -82,7 +82,7 @@ fn key(p: &crate::effects::Param) -> String {
 impl SavedModel {
     /// From a diagnosis.
     #[must_use]
-    pub fn new(source: &str, catalogue: &[Box<dyn Effect>], found: &Found, chosen: &Candidate) -> Self {
+    pub fn new(source: &str, catalogue: &[Box<dyn Effect>], found: &Found, chosen: &Candidate, equivalent: &[Vec<&'static str>]) -> Self {
         let model = model_of(catalogue, &chosen.names);
         let effect = model
             .each(&chosen.fitted.theta)
@@ -93,15 +93,9 @@ impl SavedModel {
             source: source.to_owned(),
             nominal: gains(&found.nominal.fitted.theta),
             with_effects: gains(&chosen.fitted.theta),
-            equivalent: vec![],
+            equivalent: equivalent.iter().map(|g| g.iter().map(|n| (*n).to_owned()).collect()).collect(),
             effect,
         }
-    }
-
-    /// The same with the groups that its log could not tell apart.
-    #[must_use]
-    pub fn with_equivalent(self, groups: &[Vec<&'static str>]) -> Self {
-        Self { equivalent: groups.iter().map(|g| g.iter().map(|n| (*n).to_owned()).collect()).collect(), ..self }
     }
 
     /// Names of its effects.

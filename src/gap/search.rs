@@ -118,12 +118,15 @@ fn grown(log: &Observed, ground: &Ground<'_>, added: &dyn Effect, to: Option<Mod
 fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, known: &[Vec<&str>]) -> Vec<Candidate> {
     let (_, ground) = settled(log, model_of(catalogue, &seed.names), &seed.fitted.theta);
     let pair = |e: &dyn Effect| model_of(catalogue, &[seed.names[0], e.name()]);
-    let fresh = |e: &&Box<dyn Effect>| {
-        let names: Vec<&str> = pair(e.as_ref()).effects.iter().map(|e| e.name()).collect();
+    let fresh = |e: &dyn Effect| {
+        let names: Vec<&str> = pair(e).effects.iter().map(|e| e.name()).collect();
         names.len() == 2 && !known.contains(&names)
     };
-    let mut promising: Vec<_> =
-        catalogue.par_iter().filter(fresh).filter_map(|e| begin(log, &ground, &pair(e.as_ref()), e.as_ref()).map(|b| (e, b))).collect();
+    let mut promising: Vec<_> = catalogue
+        .par_iter()
+        .filter(|e| fresh(e.as_ref()))
+        .filter_map(|e| begin(log, &ground, &pair(e.as_ref()), e.as_ref()).map(|b| (e, b)))
+        .collect();
     promising.sort_by(|a, b| a.1.promise.total_cmp(&b.1.promise));
     promising.truncate(GROWN);
     promising.par_iter().map(|(e, b)| settled(log, pair(e.as_ref()), &b.theta).0).collect()

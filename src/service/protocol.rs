@@ -158,7 +158,6 @@ impl Failure {
 }
 
 /// Reads one line: the number to answer under, and the request or why it is none.
-#[must_use]
 pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
     let mut object = match serde_json::from_str::<Value>(line) {
         Ok(Value::Object(object)) => object,

@@ -34,8 +34,8 @@ pub struct ExplainConfig {
     pub share: f64,
     /// How long it must stand, s. Default 0.1. Larger overlooks knocks and says leaks later.
     pub for_s: f64,
-    /// A leap of the unexplained bend within 64 turns that is called sudden, degrees; as much as the
-    /// pistons led the tip meanwhile is allowed besides. Default 3.5. Larger overlooks larger bursts.
+    /// A leap of the unexplained bend within 64 turns that is called sudden, degrees; twice what the
+    /// pistons led the tip meanwhile is allowed besides: no way of theirs to turn explains more. Default 3.5. Larger overlooks larger bursts.
     pub leap_deg: f64,
 }
 
@@ -243,7 +243,7 @@ impl Explain {
         self.led_rad = led.max(self.led_rad * (-dt_s / LEAP_MEMORY_S).exp());
         self.leapt_s += dt_s;
         let leap = unexplained - then;
-        let leaps = self.filled > LATELY && leap.norm() > self.config.leap_deg.to_radians() + self.led_rad;
+        let leaps = self.filled > LATELY && leap.norm() > self.config.leap_deg.to_radians() + 2.0 * self.led_rad;
         if leaps && (self.leapt_s > LEAP_MEMORY_S || leap.norm() > self.leap.norm()) {
             (self.leap, self.leapt_s) = (leap, 0.0);
         }
@@ -259,8 +259,9 @@ impl Explain {
         if self.said.is_some() {
             // more of it tells more, for a while
             self.said_s += seen.dt_s;
-            if self.said_s < WEIGH_S && beyond {
-                self.said = Some(self.name(seen, moved, sudden));
+            let now = self.name(seen, moved, sudden);
+            if self.said_s < WEIGH_S && beyond && self.said.is_none_or(|before| now.deg > before.deg) {
+                self.said = Some(now);
             }
             return None;
         }
@@ -282,13 +283,16 @@ impl Explain {
         let (way_mm, all_mm) = (bellow(&(seen.given - self.base_given)), bellow(&seen.given));
         let deg = u.norm().to_degrees();
         let of = |kind, share| Suspicion { kind, channel: Some(j as u8 + 1), share, deg };
+        let led = !sudden && moved > u.norm() && way_mm.abs() > 0.8;
+        let share = x_mm / way_mm;
+        if led && share < -1.5 {
+            return of(Kind::Inverted, share);
+        }
         if seen.blocked && !sudden {
             return Suspicion { kind: Kind::Contact, channel: None, share: -1.0, deg };
         }
-        if !sudden && moved > u.norm() && way_mm.abs() > 0.8 {
-            let share = x_mm / way_mm;
+        if led {
             return match share {
-                s if s < -1.5 => of(Kind::Inverted, s),
                 s if s < -0.7 => of(Kind::Deaf, s),
                 s if s < 0.0 => of(Kind::Weak, s),
                 s => of(Kind::Strong, s),

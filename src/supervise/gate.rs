@@ -9,6 +9,8 @@
 //! goes out) and keeps its own speeds: the counts of the last window against those of the window before,
 //! `v = (n_k − n_{k−W})/W`, `a = (v_k − v_{k−W})/W`, each with the grain of one microstep allowed for.
 
+#![allow(clippy::neg_cmp_op_on_partial_ord, reason = "what is no number is beyond every limit")]
+
 use crate::units::Steps;
 use serde::{Deserialize, Serialize};
 
@@ -426,16 +428,15 @@ impl Gate {
         self.send(Steps(steps), dt_s);
     }
 
-    /// Pistons within half a step of zero and slow are at zero; true once all are, and released then.
+    /// Once no piston is a step from zero they are at zero; true then, and released.
     fn arrive(&mut self) -> bool {
-        let near = self.limits.step_mm / 2.0;
-        if self.at_mm.iter().all(|mm| mm.abs() < near) {
+        let there = self.sent[self.head] == Steps::default();
+        if there {
             self.speed_mm_s = [0.0; 3];
             self.at_mm = [0.0; 3];
             self.doing = Doing::Released;
-            return true;
         }
-        false
+        there
     }
 
     fn send(&mut self, steps: Steps, dt_s: f64) {
@@ -448,7 +449,6 @@ impl Gate {
     fn settle(&mut self, at: &Steps) {
         self.sent = [*at; 2 * WINDOW];
         self.took_s = [self.limits.tick_s; 2 * WINDOW];
-        self.at_mm = at.0.map(|n| f64::from(n) * self.limits.step_mm);
         self.speed_mm_s = [0.0; 3];
         (self.setpoint, self.recent_rad_s, self.astray_s) = (None, 0.0, 0.0);
     }

@@ -182,7 +182,8 @@ pub struct Config {
     pub recover_samples: u32,
 
     /// Good magnetometer values in a row after which a magnetic fault is over. Default 10 (0.1 s at
-    /// 100 Hz).
+    /// 100 Hz). A field that is disturbed again within a minute takes twice as long each time. A bigger
+    /// value leaves the field out for longer after a passing disturbance.
     pub recover_mag_samples: u32,
 
     /// Good accelerometer samples in a row after which a disturbance is over. Default 5. While the

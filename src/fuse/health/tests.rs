@@ -380,3 +380,36 @@ fn names_are_unique_and_match_serde() {
         assert!(!c.advice().is_empty());
     }
 }
+
+#[test]
+fn a_field_that_is_disturbed_time_and_again_takes_longer_to_be_believed() {
+    let (config, mut state) = (Config::default(), State::default());
+    let field = Vector3::new(20.0, 0.0, -45.0);
+    state.set_reference(FieldReference::from_rest(&Vector3::new(0.0, 0.0, 9.81), &field));
+    let mut t = 0.0;
+    let mut judge = |state: &mut State, times: f64| {
+        t += 0.01;
+        let sample = ImuSample {
+            t: Seconds(t),
+            gyro_rad_s: Vector3::new(t % 0.02, 0.0, 0.0),
+            acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
+            mag_ut: Some(field * times),
+        };
+        Health::judge(&config, state, Reading { now: Seconds(t), outcome: Outcome::Sample(sample, Quality::default()) })
+    };
+    let mut waits = Vec::new();
+    for _ in 0..5 {
+        judge(&mut state, 1.4);
+        let mut wait = 1;
+        while !judge(&mut state, 1.0).mag {
+            wait += 1;
+        }
+        waits.push(wait);
+    }
+    assert_eq!(waits, [10, 20, 40, 80, 160]);
+    for _ in 0..7000 {
+        judge(&mut state, 1.0);
+    }
+    judge(&mut state, 1.4);
+    assert!((0..10).any(|_| judge(&mut state, 1.0).mag), "a minute of peace is forgiven");
+}

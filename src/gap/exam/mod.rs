@@ -70,7 +70,7 @@ fn answer(n: usize, logs: &Logs, catalogue: &[Box<dyn Effect>], struck: Option<&
     let observe = |log| Observed::new(log).map_err(|e| ExamError::Unfit(n, e));
     let log = observe(&logs.log)?;
     let told = diagnose(&log, catalogue, &logs.lines, n as u64);
-    let saved = SavedModel::new("exam", catalogue, &told.found, &told.chosen);
+    let saved = SavedModel::new("exam", catalogue, &told.found, &told.chosen, &[]);
     let fresh_closed = saved.check_on(&observe(&logs.fresh)?, catalogue).closed;
     let left_out = struck.map(|name| {
         let rest: Vec<Box<dyn Effect>> = crate::effects::catalogue().into_iter().filter(|e| e.name() != name).collect();

@@ -22,9 +22,11 @@ pub mod lis2mdl;
 pub mod lsm6dso;
 mod port;
 mod raw;
+mod supervisor;
 
 pub use error::{ConfigError, ImuError};
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
+pub use supervisor::{Supervisor, SupervisorConfig};
 
 use crate::calib_imu::Correction;
 use crate::fuse::health::Outcome;

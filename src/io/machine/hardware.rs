@@ -10,6 +10,12 @@ use crate::sample::ImuSample;
 use crate::units::{Seconds, Steps};
 use crate::world::{Nature, WorldError};
 
+/// A queue that runs dry once is braked within the limits and taken up again: no step is lost and nothing
+/// needs to be done. This often …
+const STARVED_TIMES: usize = 4;
+/// … within this time, s, it is an alarm.
+const STARVED_WITHIN_S: f64 = 5.0;
+
 /// Pistons that are pulsed and sensors that are read.
 pub struct Hardware {
     drive: Drive,
@@ -18,7 +24,10 @@ pub struct Hardware {
     nature: Nature,
     /// Monotonic time at the loop's zero, ns; set by the first turn.
     zero_ns: Option<u64>,
+    /// How often the queue ran dry.
     dry: u32,
+    /// When it did so, the newest last, s.
+    dried_s: [f64; STARVED_TIMES],
     starved: bool,
 }
 
@@ -34,7 +43,7 @@ impl Hardware {
         let drive = Drive::start(pins, &config.stepper, &config.motion, config.step_mm, config.period_s)?;
         let nature =
             Nature { name: config.name.clone(), period_s: config.period_s, step_mm: config.step_mm, rest_length_mm: config.rest_length_mm };
-        Ok(Self { drive, imu, base_imu, nature, zero_ns: None, dry: 0, starved: false })
+        Ok(Self { drive, imu, base_imu, nature, zero_ns: None, dry: 0, dried_s: [f64::NEG_INFINITY; STARVED_TIMES], starved: false })
     }
 
     /// The motion side.
@@ -79,9 +88,12 @@ impl Machine for Hardware {
         let base_imu = self.base_imu.as_mut().and_then(stamped).and_then(|o| if let Outcome::Sample(s, _) = o { Some(s) } else { None });
         let imu = self.imu.as_mut().and_then(stamped).unwrap_or(Outcome::Nothing);
         let report = self.drive.report();
-        let dry = report.map_or(0, |r| r.dry);
-        self.starved |= dry > self.dry;
-        self.dry = dry;
+        if let Some(dry) = report.map(|r| r.dry).filter(|d| *d > self.dry) {
+            self.dry = dry;
+            self.dried_s.rotate_left(1);
+            self.dried_s[STARVED_TIMES - 1] = now.0;
+            self.starved |= now.0 - self.dried_s[0] < STARVED_WITHIN_S;
+        }
         let pressed = state == DriveState::Faulted(Fault::EmergencyStop);
         Ok(Sensed {
             t: now,
@@ -123,6 +135,13 @@ impl Machine for Hardware {
         }
         for (name, grant) in self.drive.stepper().status().rows() {
             remarks.push(format!("step thread, {name}: {grant}"));
+        }
+        if self.dry > 0 {
+            remarks.push(format!("the queue of motion ran dry {} times: the loop was kept from running", self.dry));
+        }
+        if let Some(r) = self.drive.report() {
+            let (p999_us, max_us) = (r.lateness.quantile_ns(0.999) as f64 * 1e-3, r.lateness.max_ns() as f64 * 1e-3);
+            remarks.push(format!("steps late by {p999_us:.0} µs at p99.9, {max_us:.0} µs at most"));
         }
         remarks.extend(self.drive.stepper().pin_words().map(|w| format!("pins: {w}")));
         remarks

@@ -171,7 +171,7 @@ mod tests {
     fn words_are_joined_as_people_do() {
         assert_eq!(listed(&["a_b"], "and"), "a b");
         assert_eq!(listed(&["a", "b", "c"], "or"), "a, b or c");
-        assert_eq!(listed(&[""; 0], "or"), "");
+        assert_eq!(listed(&[] as &[&str], "or"), "");
     }
 
     #[test]
