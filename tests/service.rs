@@ -32,8 +32,10 @@ fn a_day_in_its_life() {
     // recorded from rest, it can be replayed
     let (code, said) = cli(&daemon, &["record", "start", "day"]);
     assert!(code == 0 && said.contains("\"replayable\":true"), "{said}");
+    daemon.until(5.0, "the alignment that begins it", |s| s["mode"] == "aligning").unwrap();
     daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
-    assert_eq!(cli(&daemon, &["arm"]).0, 0);
+    let (code, said) = cli(&daemon, &["arm"]);
+    assert_eq!(code, 0, "{said}");
     let (code, said) = cli(&daemon, &["bend", "40", "--toward", "30", "--wait"]);
     assert!(code == 0 && said.contains("settled"), "{said}");
     let status = daemon.until(2.0, "status", |_| true).unwrap();

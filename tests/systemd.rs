@@ -124,6 +124,7 @@ fn boot(folder: &Path) -> Booted {
         std::fs::write(units.join(format!("{target}.target")), format!("[Unit]\nDescription={target}\nDefaultDependencies=no\n")).unwrap();
     }
     let log = std::fs::File::create(folder.join("boot.log")).unwrap();
+    #[allow(clippy::zombie_processes, reason = "waited for when `Booted` is dropped")]
     let outer = Command::new("unshare")
         .args(["--fork", "--pid", "--mount", "--cgroup", "--uts", "--ipc", "bash", "-c", BOOT, "boot"])
         .arg(folder)

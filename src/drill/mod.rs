@@ -6,7 +6,7 @@
 //! Then the cause is mended, the operator's way back is gone, and the error of the next pose is
 //! measured against the plant's truth. Faults of the process are put into real child processes.
 //!
-//! * [`bench`]: a pilot on a machine that can be broken; [`list`]: the rows; [`run`]: one flight.
+//! * [`mod@bench`]: a pilot on a machine that can be broken; [`list`]: the rows; [`run`]: one flight.
 //! * [`process`]: kills, stops, disks, clients. [`soak`]: hours of random commands and faults.
 
 pub mod bench;

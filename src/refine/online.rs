@@ -27,8 +27,8 @@ use std::f64::consts::TAU;
 pub struct RefineConfig {
     /// Learn at all. Default true.
     pub enabled: bool,
-    /// Share of a sector's information kept per accepted pose there. Default 0.95 (a memory of about
-    /// twenty poses a sector, 240 in all). Larger remembers longer and follows a changing tip later.
+    /// Share of a sector's information kept per accepted pose there. Default 0.9 (a memory of about
+    /// ten poses a sector, 120 in all). Larger remembers longer and follows a changing tip later.
     pub forgetting: f64,
     /// Worth of the calibrated prior in poses of full strain. Default 1. Larger holds the gains
     /// closer to the calibration.
@@ -52,7 +52,7 @@ impl Default for RefineConfig {
     fn default() -> Self {
         Self {
             enabled: true,
-            forgetting: 0.95,
+            forgetting: 0.9,
             prior_poses: 1.0,
             pose_step_deg: 5.0,
             strain_min_mm: 1.0,

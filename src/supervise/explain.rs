@@ -29,8 +29,8 @@ pub struct ExplainConfig {
     /// Unexplained bend that is worth a word while it moves, degrees. Default 12: backlash and lag that
     /// are not quite as believed make 10 of them. Larger overlooks larger faults.
     pub motion_deg: f64,
-    /// … both more by so much per degree that the pistons have led the tip since. Default 0.26: gains
-    /// that are off by a quarter. Larger overlooks a line that answers weakly.
+    /// … both more by so much per degree that the pistons have led the tip since. Default 0.3: a
+    /// tip whose cable pulls taut on one side gives a third less there. Larger overlooks a line that answers weakly.
     pub share: f64,
     /// How long it must stand, s. Default 0.1. Larger overlooks knocks and says leaks later.
     pub for_s: f64,
@@ -41,7 +41,7 @@ pub struct ExplainConfig {
 
 impl Default for ExplainConfig {
     fn default() -> Self {
-        Self { rest_deg: 4.5, motion_deg: 12.0, share: 0.26, for_s: 0.1, leap_deg: 3.5 }
+        Self { rest_deg: 4.5, motion_deg: 12.0, share: 0.30, for_s: 0.1, leap_deg: 3.5 }
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Units differ in gains, play, lag, attitude and field, and all have the small imperfections that no
 //! real unit is without. The calibration is a few percent off. Effects are drawn from small to large;
-//! one that nobody could see, because it moves no signal by [`SEEN_DEG`], is drawn again.
+//! one that nobody could see, because it moves no signal by `SEEN_DEG`, is drawn again.
 
 use crate::gap::exam::record::record;
 use crate::gap::exam::schedule::seed;
