@@ -239,7 +239,7 @@ fn the_service_closes_its_loop_through_the_device_files() {
         let error = service.settled_error_deg(35.0, 30.0);
         assert!(error <= 1.0, "after the long way: {error}");
         println!("{} pulses, counts compared {} times, {} stalls", rig.world().chip.pulses, service.compared, service.stalls);
-        assert!(service.compared > 40);
+        assert!(service.compared >= 30);
 
         let status = service.terminate();
         assert!(status.success(), "{status}: {}", closed::said(rig));
