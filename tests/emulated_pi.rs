@@ -190,6 +190,7 @@ fn a_machine_that_is_no_raspberry_pi_is_told_so() {
 /// The whole of it: boot, align, bend to within 1.0° of the truth, three kinds of trouble with the sensor,
 /// 100,000 pulses counted alike on both sides, and a tip that is straight and without current at the end.
 #[test]
+#[ignore = "two minutes in real time, on a machine with nothing else to do: .ci/emulated-pi runs it"]
 fn the_service_closes_its_loop_through_the_device_files() {
     on_a_pi(world("linux-gpiochip"), |rig| {
         let board = repo("boards/linux-gpiochip.toml").to_str().unwrap().to_owned();
