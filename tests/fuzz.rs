@@ -5,6 +5,8 @@
 mod common;
 
 use common::repo;
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
@@ -19,19 +21,9 @@ fn times() -> u64 {
     std::env::var("RETROFLEX_FUZZ").ok().and_then(|n| n.parse().ok()).unwrap_or(4_000)
 }
 
-/// A seeded stream of numbers (xorshift64).
-struct Dice(u64);
-
-impl Dice {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
-    }
-    fn below(&mut self, n: usize) -> usize {
-        if n == 0 { 0 } else { (self.next() % n as u64) as usize }
-    }
+/// An index below `n`; 0 when there is none.
+fn below(dice: &mut StdRng, n: usize) -> usize {
+    if n == 0 { 0 } else { dice.random_range(0..n) }
 }
 
 /// Pieces that parsers trip over.
@@ -67,43 +59,43 @@ const PIECES: [&str; 28] = [
 ];
 
 /// A seed with some of it changed, cut, doubled or crossed with another.
-fn mutate(dice: &mut Dice, seeds: &[Vec<u8>]) -> Vec<u8> {
-    let mut text = seeds[dice.below(seeds.len())].clone();
-    for _ in 0..1 + dice.below(6) {
-        let at = dice.below(text.len() + 1);
-        match dice.below(8) {
+fn mutate(dice: &mut StdRng, seeds: &[Vec<u8>]) -> Vec<u8> {
+    let mut text = seeds[below(dice, seeds.len())].clone();
+    for _ in 0..1 + below(dice, 6) {
+        let at = below(dice, text.len() + 1);
+        match below(dice, 8) {
             0 if !text.is_empty() => {
                 let at = at.min(text.len() - 1);
-                text[at] ^= 1 << dice.below(8);
+                text[at] ^= 1 << below(dice, 8);
             }
             1 => text.truncate(at),
             2 => {
-                text.insert(at, dice.next() as u8);
+                text.insert(at, dice.random::<u8>());
             }
             3 => {
-                let piece = PIECES[dice.below(PIECES.len())];
+                let piece = PIECES[below(dice, PIECES.len())];
                 text.splice(at..at, piece.bytes());
             }
             4 => {
-                let to = (at + dice.below(24)).min(text.len());
+                let to = (at + below(dice, 24)).min(text.len());
                 text.drain(at..to);
             }
             5 => {
-                let to = (at + dice.below(40)).min(text.len());
+                let to = (at + below(dice, 40)).min(text.len());
                 let part = text[at..to].to_vec();
-                let into = dice.below(text.len() + 1);
+                let into = below(dice, text.len() + 1);
                 text.splice(into..into, part);
             }
             6 => {
-                let other = &seeds[dice.below(seeds.len())];
-                let from = dice.below(other.len() + 1);
+                let other = &seeds[below(dice, seeds.len())];
+                let from = below(dice, other.len() + 1);
                 let cut = at.min(text.len());
                 text.truncate(cut);
                 text.extend_from_slice(&other[from..]);
             }
             _ => {
-                let to = (at + 1 + dice.below(3)).min(text.len());
-                let piece = PIECES[dice.below(PIECES.len())];
+                let to = (at + 1 + below(dice, 3)).min(text.len());
+                let piece = PIECES[below(dice, PIECES.len())];
                 text.splice(at..to, piece.bytes());
             }
         }
@@ -124,7 +116,7 @@ fn corpus(name: &str, own: &[&str]) -> Vec<Vec<u8>> {
 /// Every seed as it is, then mutations; how many were taken.
 fn beset(name: &str, seeds: &[Vec<u8>], times: u64, parse: impl Fn(&[u8]) -> bool) -> (u64, u64) {
     let (mut taken, mut refused) = (0, 0);
-    let mut dice = Dice(0x9e37_79b9_7f4a_7c15 ^ name.len() as u64);
+    let mut dice = StdRng::seed_from_u64(name.len() as u64);
     let mut feed = |text: &[u8]| {
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| parse(text)));
         match outcome {
