@@ -25,7 +25,7 @@ pub enum Calibrate {
     /// The inertial sensor at the tip.
     Imu(Args),
     /// The transmission of a running service: Algorithm 1, or its short form.
-    Transmission(crate::cli::client::TransmissionArgs),
+    Transmission(crate::cli::client::args::TransmissionArgs),
 }
 
 /// Arguments of `calibrate imu`.
@@ -81,7 +81,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 pub fn run(command: &Calibrate) -> Result<Outcome> {
     let args = match command {
         Calibrate::Imu(args) => args,
-        Calibrate::Transmission(args) => return crate::cli::client::transmission(args),
+        Calibrate::Transmission(args) => return crate::cli::client::follow::transmission(args),
     };
     let date = args.date.clone().unwrap_or_else(today);
     let source = args.file.as_ref().or(args.live.as_ref()).map_or_else(String::new, |p| p.display().to_string());
