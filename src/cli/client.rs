@@ -241,7 +241,7 @@ fn bend(args: &BendArgs) -> Result<Outcome> {
                 eprintln!(
                     "{}{line}{}",
                     if live { "\r" } else { "" },
-                    if s["blocked"] == true { ": held by something" } else { ": settled" }
+                    s["short"].as_str().map_or_else(|| ": settled".to_owned(), |why| format!(": {why}"))
                 );
                 return Ok(if s["blocked"] == true { Outcome::NotGoodEnough } else { Outcome::Good });
             }
@@ -289,7 +289,8 @@ fn readable(s: &Value) -> String {
             s["turns"], s["late_turns"], s["latest_us"], s["lost_frames"]
         ),
     ];
-    for (name, key) in [("fault", "fault"), ("suspected", "suspicion"), ("alarm", "alarm"), ("running", "calibrating")] {
+    for (name, key) in [("fault", "fault"), ("short", "short"), ("suspected", "suspicion"), ("alarm", "alarm"), ("running", "calibrating")]
+    {
         if !s[key].is_null() {
             lines.push(format!("{name:<9} {}", text(&s[key])));
         }

@@ -336,14 +336,7 @@ fn needed(config: &Config, cause: Cause, returns: u32) -> u32 {
     }
 }
 
-fn decide(
-    config: &Config,
-    state: &mut State,
-    reading: Reading,
-    found: Found,
-    raised: CauseSet,
-    recovered: Option<Recovered>,
-) -> Verdict {
+fn decide(config: &Config, state: &mut State, reading: Reading, found: Found, raised: CauseSet, recovered: Option<Recovered>) -> Verdict {
     let Found { faults, confirmed, .. } = found;
     let now = reading.now.0;
     let sample = if let Outcome::Sample(sample, _) = reading.outcome { Some(sample) } else { None };

@@ -377,9 +377,7 @@ impl Running {
     /// what they said.
     fn bridging(&self, sample: &ImuSample, gap_s: f64, confirmed: bool) -> ImuSample {
         let gyro_rad_s = match (&self.last, self.refused.until_s) {
-            (Some(_), Some(until_s)) if confirmed => {
-                (self.refused.turn_rad + sample.gyro_rad_s * (sample.t.0 - until_s)) / gap_s
-            }
+            (Some(_), Some(until_s)) if confirmed => (self.refused.turn_rad + sample.gyro_rad_s * (sample.t.0 - until_s)) / gap_s,
             (Some(last), _) if gap_s > 1.5 * self.rest.periods_s().0 => (sample.gyro_rad_s + last.gyro_rad_s) / 2.0,
             _ => sample.gyro_rad_s,
         };

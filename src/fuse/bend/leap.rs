@@ -107,7 +107,11 @@ impl BendFilter {
     fn locate(&mut self, turn: &Turn) {
         // what was read, on the mean
         let acc = self.acc.mean() + turn.expected(&self.rest.acc_rest_m_s2, &self.belief.block(ACC));
-        let mag = self.rest.mag_rest_ut.filter(|_| self.mag.n > 0).map(|rest| (rest, self.mag.mean() + turn.expected(&rest, &self.belief.block(MAG))));
+        let mag = self
+            .rest
+            .mag_rest_ut
+            .filter(|_| self.mag.n > 0)
+            .map(|rest| (rest, self.mag.mean() + turn.expected(&rest, &self.belief.block(MAG))));
         let mut covariance = Matrix3::identity() * (LEAP_RAD * LEAP_RAD);
         for _ in 0..STEPS {
             let here = Turn { s: self.s.to_rotation_matrix().into_inner(), ..*turn };
