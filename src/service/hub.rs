@@ -64,6 +64,8 @@ pub struct Parts {
     pub grants: RtStatus,
     /// Damaged memory.
     pub set_aside: Vec<String>,
+    /// Nothing that was remembered could be believed when the first pilot took off.
+    pub doubted: bool,
     /// What the pilot began with.
     pub pilot: PilotConfig,
     /// The clock is not waited for.
@@ -323,6 +325,6 @@ impl Hub {
 
     /// The tip is where it was told, or will not get any nearer.
     fn is_settled(&self) -> bool {
-        self.last.as_ref().is_some_and(|t| t.mode == Mode::Holding && (t.frame.at_rest || t.frame.blocked))
+        self.last.as_ref().is_some_and(|t| t.mode == Mode::Holding && (t.frame.at_rest || super::status::blocked(&t.frame)))
     }
 }

@@ -40,7 +40,7 @@ pub fn bend(args: &BendArgs) -> Result<Outcome> {
                 eprintln!(
                     "{}{line}{}",
                     if live { "\r" } else { "" },
-                    if s["blocked"] == true { ": held by something" } else { ": settled" }
+                    s["short"].as_str().map_or_else(|| ": settled".to_owned(), |why| format!(": {why}"))
                 );
                 return Ok(if s["blocked"] == true { Outcome::NotGoodEnough } else { Outcome::Good });
             }

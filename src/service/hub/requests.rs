@@ -176,7 +176,7 @@ impl Hub {
             lines: self.first_lines(),
             dynamics: self.first_dynamics(),
             kept: self.first_kept(at_boot),
-            doubted: false,
+            doubted: at_boot && self.parts.doubted,
         };
         let recording = Recording::begin(path, p.gate.step_mm, fresh.then_some(&header))?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.has_tape(), "recording begins");
