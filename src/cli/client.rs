@@ -3,7 +3,7 @@
 use crate::cli::{Outcome, Unreachable};
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{Failure, RecordAction, Request};
-use args::{Action, BendArgs, RecordArgs, StatusArgs, SubscribeArgs};
+use args::{Action, BendArgs, PlayArgs, RecordArgs, StatusArgs, SubscribeArgs};
 use miette::{Report, Result, miette};
 use serde_json::Value;
 use std::io::Write;
@@ -11,6 +11,7 @@ use std::path::PathBuf;
 
 pub mod args;
 pub mod follow;
+pub mod play;
 pub mod status;
 
 /// Where the service is.
@@ -51,6 +52,8 @@ pub enum Client {
     Reload(Plain),
     /// Begin or end a recording.
     Record(RecordArgs),
+    /// Run a schedule of `gap excite`: its poses, speeds and holds.
+    Play(PlayArgs),
     /// Set-points from stdin, `BEND DIR` a line; when they stop, the tip stops.
     Stream(Plain),
     /// Frames as JSON lines.
@@ -88,6 +91,7 @@ pub fn run(command: &Client) -> Result<Outcome> {
                 Action::Stop => plain(&args.at, &request(RecordAction::Stop)),
             }
         }
+        Client::Play(args) => play::play(args),
         Client::Stream(p) => status::stream(&p.at),
         Client::Subscribe(args) => status::subscribe(args),
     }

@@ -1,6 +1,7 @@
 //! Arguments of the commands to a running service.
 
 use super::At;
+use std::path::PathBuf;
 
 /// Arguments of `bend`.
 #[derive(Debug, clap::Args)]
@@ -58,6 +59,20 @@ pub enum Action {
     Start,
     /// End.
     Stop,
+}
+
+/// Arguments of `play`.
+#[derive(Debug, clap::Args)]
+pub struct PlayArgs {
+    /// Where the service is.
+    #[command(flatten)]
+    pub(super) at: At,
+    /// Rows `bend_deg,dir_deg,len_mm,hold_s,speed_mm_s`.
+    #[arg(value_name = "SCHEDULE.csv")]
+    pub(super) schedule: PathBuf,
+    /// Record it under this name.
+    #[arg(long)]
+    pub(super) record: Option<String>,
 }
 
 /// Arguments of `subscribe`.
