@@ -45,6 +45,10 @@ pub trait Files: Send {
     fn ioctl(&mut self, call: &Ioctl<'_>) -> Answer;
     /// The last descriptor of a file is closed.
     fn released(&mut self, node: u64);
+    /// The name of the one character device, where this is served through CUSE.
+    fn device(&self) -> Option<&'static str> {
+        None
+    }
 }
 
 /// Mounts an empty FUSE file system; the returned file is the server's end of it.
@@ -102,6 +106,15 @@ const ACCESS: u32 = 34;
 const INTERRUPT: u32 = 36;
 const IOCTL: u32 = 39;
 const BATCH_FORGET: u32 = 42;
+const CUSE_INIT: u32 = 4096;
+
+/// Answer to CUSE_INIT: version, unrestricted ioctls, sizes, any device number, the name.
+fn character_device(name: &str) -> Vec<u8> {
+    let mut out: Vec<u8> = [7_u32, 31, 0, 1, 65536, 65536, 0, 0].into_iter().flat_map(u32::to_le_bytes).collect();
+    out.extend([0_u8; 40]);
+    out.extend(format!("DEVNAME={name}\0").bytes());
+    out
+}
 
 /// Attributes of a node: a folder or a file anyone may use.
 fn attributes(node: u64) -> Vec<u8> {
@@ -182,6 +195,7 @@ pub fn serve<F: Files>(file: &File, lock: &std::sync::Mutex<F>) {
                 continue;
             }
             FORGET | BATCH_FORGET => continue,
+            CUSE_INIT => files.device().map(character_device).ok_or(libc::ENOSYS),
             _ => Err(libc::ENOSYS),
         };
         drop(files);

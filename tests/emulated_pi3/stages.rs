@@ -1,0 +1,146 @@
+//! What is asked of the machine, in this order.
+
+use crate::chips;
+use crate::service::Scene;
+
+/// Kernel, systemd and the files that the project installs.
+pub fn machine(scene: &mut Scene) {
+    let took_s = scene.guest.ready(300.0);
+    let about = scene.guest.run("udevadm settle; uname -r; systemctl --version | head -1; tr -d '\\0' </proc/device-tree/model");
+    scene.verdicts.say(&format!("booted in {took_s:.0} s of the host's: {}", about.text.replace('\n', ", ")));
+    scene.verdicts.says("it is a Raspberry Pi 3", &about.text, &["arm64", "systemd 2", "Raspberry Pi 3 Model B"]);
+    let user = scene.guest.run("id retroflex; stat -c '%n %G %a' /dev/gpiochip0 /dev/i2c-1; stat -c '%n %a' /etc/retroflex").text;
+    let words = ["retroflex", "(i2c)", "(gpio)", "/dev/gpiochip0 gpio 660", "/dev/i2c-1 i2c 660", "/etc/retroflex 755"];
+    scene.verdicts.says("user, groups and permissions are as sysusers, udev rules and tmpfiles say", &user, &words);
+    let loaded = scene.guest.run("systemd-analyze verify /etc/systemd/system/retroflex.service && echo sound").text;
+    scene.verdicts.hold("the unit is sound", loaded == "sound", &loaded);
+}
+
+/// A board file of the guest with another sensor section.
+fn sensor(scene: &mut Scene, name: &str, chip: &str, more: &str) -> String {
+    let path = format!("/run/{name}.toml");
+    let cut = format!("sed '/^\\[imu\\]/,$d' /etc/retroflex/board.toml >{path}; printf '[imu]\\n{more}[imu.chip]\\n{chip}\\n' >>{path}");
+    assert_eq!(scene.guest.run(&cut).code, 0);
+    path
+}
+
+/// The real I²C controller, i2c-bcm2835: who answers, who does not, and a sensor that is read and judged.
+pub fn controller(scene: &mut Scene) {
+    let driver = scene.guest.run("readlink /sys/class/i2c-adapter/i2c-1/device/driver").text;
+    scene.verdicts.says("/dev/i2c-1 is the controller of the chip", &driver, &["i2c-bcm2835"]);
+    let st = format!("part = \"lsm6dso_lis2mdl\"\\naddress = {}\\nrate_hz = 50.0", chips::LSM6DSO);
+    let cases = [
+        ("nobody", format!("part = \"icm20948\"\\naddress = {}", 0x68), "ICM-20948 at 0x68 does not answer"),
+        ("nobody", st.replace(&chips::LSM6DSO.to_string(), &chips::NOBODY.to_string()), "LSM6DSO at 0x6b does not answer"),
+        ("impostor", format!("part = \"icm20948\"\\naddress = {}", chips::IMPOSTOR), "WHO_AM_I at 0x69 is 0x71"),
+    ];
+    for (name, chip, words) in cases {
+        let board = sensor(scene, name, &chip, "");
+        let done = scene.retroflex(&format!("run --board {board}"));
+        let what = format!("exit code 3 and words: {words}");
+        scene.verdicts.hold(&what, done.code == 3 && done.flat().contains(words), &format!("exit {}: {}", done.code, done.flat()));
+    }
+    for backend in ["linux", "rppal"] {
+        let board = sensor(scene, "static", &st, &format!("backend = \"{backend}\"\\n"));
+        let done = scene.retroflex(&format!("doctor --board {board}"));
+        scene.verdicts.says(&format!("doctor finds the sensor through the controller ({backend})"), &done.flat(), &["LSM6DSO at 0x6a, 52 Hz"]);
+    }
+    // a sensor whose numbers never change is read, and not believed
+    let own = "mkdir -p /run/systemd/system/retroflex.service.d && printf '[Service]\\nExecStart=\\nExecStart=/usr/bin/retroflex run --board /run/static.toml\\n' >/run/systemd/system/retroflex.service.d/static.conf && systemctl daemon-reload && systemctl start retroflex";
+    let started = scene.guest.run(own);
+    scene.verdicts.hold("the service starts on the controller", started.code == 0, &format!("{} {}", started.code, started.text));
+    let status = scene.until(60.0, |s| s["senses"]["in_force"].to_string().contains("frozen"));
+    let found = format!("mode {}, in force {}", status["mode"], status["senses"]["in_force"]);
+    let holds = status["mode"] == "aligning" && status["senses"]["in_force"].to_string().contains("frozen");
+    scene.verdicts.hold("a sensor whose numbers never change is called frozen, and nothing is aligned on it", holds, &found);
+    scene.guest.run("systemctl stop retroflex; rm /run/systemd/system/retroflex.service.d/static.conf; systemctl daemon-reload");
+}
+
+/// One piston by hand, and the registers.
+pub fn pins(scene: &mut Scene) {
+    let before = scene.tip.lines_at_rest();
+    let done = scene.retroflex("jog --board /etc/retroflex/board.toml --channel 2 --mm -2 --speed 4 --hold 0.2");
+    let lines = scene.tip.lines_at_rest();
+    let made: Vec<u64> = lines.pulses.iter().zip(before.pulses).map(|(a, b)| a - b).collect();
+    scene.verdicts.hold("a jog of 68 steps and back is 136 pulses on its line", made == [0, 136, 0], &format!("{made:?}, exit {}", done.code));
+    scene.verdicts.says("and the program says so", &done.flat(), &["(-68 steps)", "(0 steps)"]);
+    let outputs = lines.named().into_iter().all(|l| lines.is_output(l));
+    scene.verdicts.hold("all lines of the board are outputs", outputs, &format!("GPFSEL {:#x?}", lines.select));
+    let counts = (lines.counted, lines.lost, lines.torn, lines.energised());
+    scene.verdicts.hold("no step without current, none torn, no current left", counts == ([0; 3], 0, 0, false), &format!("{counts:?}"));
+}
+
+/// The unit as shipped, on registers, with the tip closed around it.
+pub fn service(scene: &mut Scene) {
+    let bus = scene.guest.run("systemctl start bus && udevadm settle && sleep 2 && ls -l /dev/i2c-1");
+    scene.verdicts.says("a bus with a sensor that moves", &bus.text, &["i2c", "/dev/i2c-1"]);
+    let started = scene.guest.run_for("systemctl start retroflex", 240.0);
+    scene.verdicts.hold("the unit starts: READY=1 came", started.code == 0, &format!("exit {} {}", started.code, started.text));
+    let kind = (scene.show("Type"), scene.show("ActiveState"), scene.show("User"));
+    scene.verdicts.hold("Type=notify, active, as its own user", kind == ("notify".into(), "active".into(), "retroflex".into()), &format!("{kind:?}"));
+    scene.reaches("rest is found", "disarmed", 120.0);
+    let text = scene.show("StatusText");
+    scene.verdicts.says("STATUS= is shown", &text, &["disarmed"]);
+    let granted = scene.status()["real_time"].to_string();
+    scene.verdicts.says("real time is granted", &granted, &["SCHED_FIFO"]);
+    let armed = scene.retroflex("arm");
+    scene.verdicts.hold("arms", armed.code == 0, &armed.flat());
+    scene.bend(30.0, 40.0);
+    scene.bend(45.0, -120.0);
+    let held = scene.retroflex("hold");
+    scene.verdicts.hold("holds", held.code == 0, &held.flat());
+    scene.counts_agree("while holding");
+}
+
+/// The first process stops: systemd kills it, starts it anew, and the count is remembered.
+pub fn watchdog(scene: &mut Scene) {
+    let (before, pid) = (scene.status()["counted"].clone(), scene.show("MainPID"));
+    let lines = scene.tip.lines_at_rest();
+    scene.guest.run(&format!("kill -STOP {pid}"));
+    let waits = "for i in $(seq 120); do [ \"$(systemctl show retroflex -p NRestarts --value)\" = 1 ] && break; sleep 1; done; systemctl show retroflex -p NRestarts --value";
+    let restarts = scene.guest.run_for(waits, 300.0).text;
+    scene.verdicts.hold("the watchdog restarts a service that hangs", restarts == "1", &format!("NRestarts={restarts}"));
+    let journal = scene.guest.run("journalctl -u retroflex -o cat --no-pager | grep -i watchdog").text;
+    scene.verdicts.says("and the journal says so", &journal, &["Watchdog timeout", "result 'watchdog'"]);
+    let status = scene.until(120.0, |s| matches!(s["mode"].as_str(), Some("disarmed" | "lost")));
+    let after = scene.tip.lines_at_rest();
+    let found = format!("before {before}, after {}, mode {}, energised {}", status["counted"], status["mode"], after.energised());
+    let holds = before == status["counted"] && before != serde_json::json!([0, 0, 0]) && after.pulses == lines.pulses;
+    scene.verdicts.hold("the count is remembered, and nothing was pulsed", holds, &found);
+    scene.verdicts.hold("gravity proves that the tip is where it was", status["mode"] == "disarmed", &status["mode"].to_string());
+    scene.retroflex("arm");
+    scene.bend(20.0, 60.0);
+}
+
+/// A tip that does not come: the gate notices, holds, and every pulse is accounted for.
+pub fn caught(scene: &mut Scene) {
+    scene.tip.catch(true);
+    scene.retroflex("bend 70 --toward 60");
+    let status = scene.reaches("a tip that does not follow is a fault", "faulted", 120.0);
+    scene.verdicts.hold("its name is `following`", status["latched"] == "following", &status["latched"].to_string());
+    scene.counts_agree("after the fault");
+    let lines = scene.tip.lines_at_rest();
+    scene.verdicts.hold("it holds, with current", lines.energised(), &format!("energised: {}", lines.energised()));
+    scene.tip.catch(false);
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    let (reset, armed) = (scene.retroflex("reset-fault"), scene.retroflex("arm"));
+    scene.verdicts.hold("reset and armed again", reset.code == 0 && armed.code == 0, &format!("{} {}", reset.flat(), armed.flat()));
+    scene.bend(25.0, 60.0);
+}
+
+/// SIGTERM while bent: back to rest, then without current.
+pub fn stop(scene: &mut Scene) {
+    let stopped = scene.guest.run_for("systemctl stop retroflex", 240.0);
+    let ended = (scene.show("Result"), scene.show("ActiveState"));
+    let found = format!("exit {}, {ended:?}", stopped.code);
+    scene.verdicts.hold("systemctl stop ends it well", stopped.code == 0 && ended == ("success".into(), "inactive".into()), &found);
+    let lines = scene.tip.lines_at_rest();
+    let counts = (lines.counted, lines.lost, lines.torn, lines.energised());
+    scene.verdicts.hold("relaxed: every step taken back, no current", counts == ([0; 3], 0, 0, false), &format!("{counts:?} after {:?}", lines.pulses));
+    let kept = scene.guest.run("retroflex drill --recall /var/lib/retroflex").text;
+    scene.verdicts.says("and remembered so", &kept, &["recalled 0 0 0 0 ."]);
+    let left = scene.tip.bend().beta().to_degrees();
+    scene.verdicts.hold("the tip is nearly straight", left < 8.0, &format!("{left:.1}°"));
+    let journal = scene.guest.run_for("journalctl -u retroflex -o short-monotonic --no-pager | tail -60", 240.0);
+    scene.verdicts.say(&format!("{} lines of journal in the transcript", journal.text.lines().count()));
+}
