@@ -42,7 +42,7 @@ fn a_whole_pi_3_runs_the_service() {
     let guest = guest::Guest::start(&folder, &words);
     let tip = tip::TheTip::start(&guest, &board(), &common::plant().make());
     let verdicts = verdicts::Verdicts::new(&folder.join("verdicts.txt"));
-    let mut scene = Scene { guest, tip, verdicts };
+    let mut scene = Scene { guest, tip, verdicts, zero: [0; 3], stalls: 0 };
     stages::machine(&mut scene);
     stages::controller(&mut scene);
     stages::pins(&mut scene);

@@ -3,6 +3,7 @@
 # Sourced by .ci/emulated-pi3. Uses the target's standard library of the toolchain in use where it has one,
 # else Debian's compiler for its web browsers, which is new enough, unpacked and not installed.
 # shellcheck shell=bash
+: "${work:?}" "${root:?}"
 
 TARGET=aarch64-unknown-linux-gnu
 
@@ -34,9 +35,11 @@ EOF
         cargo build --release --target "$TARGET" "$@"
 }
 
-# The program, and the bus of the guest in a package of its own made from the same parts.
-cross_build() {
-    cross_cargo --bin retroflex
+# The program: every input is as it is released.
+cross_build() { cross_cargo --bin retroflex; }
+
+# The bus of the guest, a package of its own made from the same parts; its library need not be fast.
+bus_build() {
     local bus=$work/bus
     mkdir -p "$bus"
     {
@@ -45,7 +48,14 @@ cross_build() {
         printf '[dependencies]\nretroflex = { path = "%s" }\n' "$root"
         sed -n '/^libc = /p; /^nalgebra = /p' "$root/Cargo.toml"
         sed -n '/^\[profile.release\]/,/^$/p' "$root/Cargo.toml"
+        printf '\n[profile.release.package.retroflex]\nopt-level = 1\n'
     } >"$bus/Cargo.toml"
     cp "$root/Cargo.lock" "$bus/Cargo.lock"
     cross_cargo --manifest-path "$bus/Cargo.toml"
+}
+
+# What the bus is made from.
+bus_inputs() {
+    find "$root"/src/io/imu "$root"/src/io/rt.rs "$root"/tests/emulated_pi/{fuse,i2c}.rs "$root"/tests/emulated_pi3/{bus/main,wire}.rs \
+        "$root/Cargo.lock" "$work/packages.key" -type f -exec sha256sum {} + | sort
 }

@@ -48,8 +48,9 @@ impl Guest {
         }
         assert!(Command::new("mkfifo").arg(folder.join("trace")).status().expect("mkfifo").success());
         let path = |name: &str| folder.join(name).display().to_string();
-        let mut qemu = Command::new("qemu-system-aarch64");
-        qemu.args(["-M", "raspi3b", "-display", "none", "-monitor", "none", "-no-reboot"]);
+        let mut qemu = Command::new("timeout");
+        // whatever happens, it does not stay
+        qemu.args(["-k", "10", "1200", "qemu-system-aarch64", "-M", "raspi3b", "-display", "none", "-monitor", "none", "-no-reboot"]);
         qemu.args(["-kernel", &path("vmlinuz"), "-dtb", &path("pi3.dtb"), "-initrd", &path("initrd")]);
         // the registers may be mapped; no unit's progress between the marks
         qemu.args(["-append", "console=ttyAMA0,115200 iomem=relaxed panic=-1 loglevel=3 systemd.show_status=false"]);
@@ -154,8 +155,10 @@ impl Guest {
 
 impl Drop for Guest {
     fn drop(&mut self) {
-        // gone already, if it was shut down
-        let _ = self.qemu.kill();
-        let _ = self.qemu.wait();
+        // gone already, if it was shut down; else `timeout` hands the signal on
+        if matches!(self.qemu.try_wait(), Ok(None)) {
+            let _ = Command::new("kill").arg(self.qemu.id().to_string()).status();
+            let _ = self.qemu.wait();
+        }
     }
 }

@@ -4,8 +4,10 @@
 # units, rules and board file that the project ships, with the changes that `board_of_the_guest` and
 # guest/drop-in.conf name.
 # shellcheck shell=bash
+: "${work:?}" "${root:?}"
 
 # What the guest's Debian is made of.
+# shellcheck disable=SC2034 # used by packages.sh
 USERLAND=(systemd systemd-sysv udev dbus kmod procps util-linux bash coreutils passwd login mount sed grep base-files base-passwd dash
     libc-bin busybox)
 
@@ -55,10 +57,6 @@ change() {
 board_of_the_guest() {
     cp "$root/boards/pi3.toml" "$1"
     change "$1" "period_s = 0.002" "period_s = 0.02"
-    change "$1" "speed_max_mm_s = 30.0" "speed_max_mm_s = 6.0"
-    change "$1" "acceleration_max_mm_s2 = 600.0" "acceleration_max_mm_s2 = 60.0"
-    change "$1" "jerk_max_mm_s3 = 30000.0" "jerk_max_mm_s3 = 600.0"
-    change "$1" "relax_mm_s = 8.0" "relax_mm_s = 4.0"
     change "$1" "late_s = 0.05" "late_s = 1.0"
     change "$1" "stale_s = 0.5" "stale_s = 5.0"
     change "$1" "following_for_s = 0.5" "following_for_s = 5.0"

@@ -5,6 +5,7 @@
 # changes. QEMU, the cross linker, cpio, depmod and fdtput are installed, everything else is unpacked into
 # the work folder.
 # shellcheck shell=bash
+: "${work:?}" "${codename:?}"
 
 # The first QEMU whose raspi3b has I²C controllers.
 QEMU_MIN=1:9

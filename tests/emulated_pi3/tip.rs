@@ -21,12 +21,18 @@ const PLANT_NS: u64 = 1_000_000;
 /// From one frame to the next, in steps of the plant.
 const FRAME_EVERY: u64 = 20;
 
+/// Steps that a piston which was caught makes up for in one step of the plant; no drive is as fast.
+const FREED_STEPS: i32 = 2;
+/// Without current the air pushes a piston back to here, steps: 5 kPa at 1.4 kPa/mm, see [power] of the board.
+const DETENT_STEPS: i32 = 121;
+
 /// What both threads and the test share.
 #[derive(Debug)]
 struct Shared {
     lines: Mutex<Lines>,
     truth: Mutex<Option<Truth>>,
-    stuck: AtomicBool,
+    caught: AtomicBool,
+    vented: AtomicBool,
     last_store_ns: AtomicU64,
 }
 
@@ -49,7 +55,8 @@ impl TheTip {
         let shared = Arc::new(Shared {
             lines: Mutex::new(lines),
             truth: Mutex::new(None),
-            stuck: AtomicBool::new(false),
+            caught: AtomicBool::new(false),
+            vented: AtomicBool::new(false),
             last_store_ns: AtomicU64::new(monotonic_ns()),
         });
         let trace = guest.trace();
@@ -82,25 +89,56 @@ impl TheTip {
         held(&self.shared.truth).map_or(Bend::STRAIGHT, |t| Bend::from_rotation(&t.r_base_tip))
     }
 
-    /// The tip is caught, and stays where it is whatever the pistons do; or no more.
+    /// A person lets the air out: pistons back at rest.
+    pub fn vent(&self) {
+        self.shared.vented.store(true, Relaxed);
+    }
+
+    /// The pistons are caught, and stay where they are whatever is pulsed; or no more.
     pub fn catch(&self, caught: bool) {
-        self.shared.stuck.store(caught, Relaxed);
+        self.shared.caught.store(caught, Relaxed);
+    }
+}
+
+/// Where the pistons are: what was counted, unless they are caught, pushed back or vented.
+#[derive(Debug, Default)]
+struct Pistons {
+    at: [i32; 3],
+    counted: [i32; 3],
+    owed: [i32; 3],
+}
+
+impl Pistons {
+    fn step(&mut self, lines: &Lines, caught: bool) {
+        for i in 0..3 {
+            self.owed[i] += lines.counted[i] - self.counted[i];
+            if !caught {
+                let moved = self.owed[i].clamp(-FREED_STEPS, FREED_STEPS);
+                self.owed[i] -= moved;
+                self.at[i] += moved;
+            }
+            if !lines.energised() && self.at[i].abs() > DETENT_STEPS {
+                self.at[i] -= self.at[i].signum();
+            }
+        }
+        self.counted = lines.counted;
     }
 }
 
 /// Moves the plant and sends its motion until the guest is gone.
 fn follow(mut plant: Plant, shared: &Shared, mut to: UnixStream) {
-    let (mut reached_ns, mut steps, mut counted) = (monotonic_ns(), 0_u64, [0; 3]);
+    let (mut reached_ns, mut steps, mut pistons) = (monotonic_ns(), 0_u64, Pistons::default());
     let mut motion = Motion::default();
     loop {
         let now_ns = monotonic_ns();
         while reached_ns + PLANT_NS <= now_ns {
             reached_ns += PLANT_NS;
             steps += 1;
-            if !shared.stuck.load(Relaxed) {
-                counted = held(&shared.lines).counted;
+            pistons.step(&held(&shared.lines), shared.caught.load(Relaxed));
+            if shared.vented.swap(false, Relaxed) {
+                pistons.at = [0; 3];
             }
-            let out = plant.step(&Steps(counted), PLANT_NS as f64 * 1e-9);
+            let out = plant.step(&Steps(pistons.at), PLANT_NS as f64 * 1e-9);
             *held(&shared.truth) = Some(out.truth);
             if let Some(s) = out.imu {
                 (motion.acc_m_s2, motion.gyro_rad_s) = (s.acc_m_s2, s.gyro_rad_s);
