@@ -51,7 +51,8 @@ fn impostor() -> [u8; 256] {
 /// Writes the images and says how QEMU is told of them.
 pub fn on_the_controller(folder: &Path) -> io::Result<Vec<String>> {
     let mut words = Vec::new();
-    for (name, address, registers) in [("impostor", IMPOSTOR, impostor()), ("lsm6dso", LSM6DSO, lsm6dso()), ("lis2mdl", LIS2MDL, lis2mdl())] {
+    for (name, address, registers) in [("impostor", IMPOSTOR, impostor()), ("lsm6dso", LSM6DSO, lsm6dso()), ("lis2mdl", LIS2MDL, lis2mdl())]
+    {
         let path: PathBuf = folder.join(format!("{name}.bin"));
         // a drive has whole sectors: the registers twice
         std::fs::write(&path, [registers, registers].concat())?;

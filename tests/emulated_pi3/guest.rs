@@ -110,7 +110,9 @@ impl Guest {
                     self.transcript.write_all(&[b]).expect("the transcript");
                 }
                 Err(RecvTimeoutError::Timeout) if began.elapsed().as_secs_f64() < limit_s => {}
-                Err(why) => panic!("{why}: the guest did not say `{}` within {limit_s} s, but {}", mark.trim(), String::from_utf8_lossy(&bytes)),
+                Err(why) => {
+                    panic!("{why}: the guest did not say `{}` within {limit_s} s, but {}", mark.trim(), String::from_utf8_lossy(&bytes))
+                }
             }
         }
         let all = String::from_utf8_lossy(&bytes).into_owned();

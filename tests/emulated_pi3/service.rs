@@ -89,7 +89,8 @@ impl Scene {
     pub fn resumed(&mut self) -> bool {
         let status = self.status();
         let alarm = status["alarm"].as_str().unwrap_or("").to_owned();
-        let stalled = status["latched"] == "late" || (status["latched"] == "step_generator" && (alarm.contains("late") || alarm.contains("ran out")));
+        let stalled =
+            status["latched"] == "late" || (status["latched"] == "step_generator" && (alarm.contains("late") || alarm.contains("ran out")));
         if !stalled || self.stalls >= STALLS_MAX {
             return false;
         }
@@ -114,7 +115,11 @@ impl Scene {
         if self.zero == [0; 3] {
             // zeroed elsewhere, rest is another one than the truth's
             let off_deg = (self.tip.bend().beta().to_degrees() - bend_deg).abs();
-            self.verdicts.hold(&format!("the true bend followed, within {NEAR_DEG}°"), off_deg < NEAR_DEG, &format!("off by {off_deg:.1}°"));
+            self.verdicts.hold(
+                &format!("the true bend followed, within {NEAR_DEG}°"),
+                off_deg < NEAR_DEG,
+                &format!("off by {off_deg:.1}°"),
+            );
         }
     }
 }

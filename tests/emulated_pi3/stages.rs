@@ -43,7 +43,11 @@ pub fn controller(scene: &mut Scene) {
     for backend in ["linux", "rppal"] {
         let board = sensor(scene, "static", &st, &format!("backend = \"{backend}\"\\n"));
         let done = scene.retroflex(&format!("doctor --board {board}"));
-        scene.verdicts.says(&format!("doctor finds the sensor through the controller ({backend})"), &done.flat(), &["LSM6DSO at 0x6a, 52 Hz"]);
+        scene.verdicts.says(
+            &format!("doctor finds the sensor through the controller ({backend})"),
+            &done.flat(),
+            &["LSM6DSO at 0x6a, 52 Hz"],
+        );
     }
     // a sensor whose numbers never change is read, and not believed
     let own = "mkdir -p /run/systemd/system/retroflex.service.d && printf '[Service]\\nExecStart=\\nExecStart=/usr/bin/retroflex run --board /run/static.toml\\n' >/run/systemd/system/retroflex.service.d/static.conf && systemctl daemon-reload && systemctl start retroflex";
@@ -62,7 +66,11 @@ pub fn pins(scene: &mut Scene) {
     let done = scene.retroflex("jog --board /etc/retroflex/board.toml --channel 2 --mm -2 --speed 4 --hold 0.2");
     let lines = scene.tip.lines_at_rest();
     let made: Vec<u64> = lines.pulses.iter().zip(before.pulses).map(|(a, b)| a - b).collect();
-    scene.verdicts.hold("a jog of 68 steps and back is 136 pulses on its line", made == [0, 136, 0], &format!("{made:?}, exit {}", done.code));
+    scene.verdicts.hold(
+        "a jog of 68 steps and back is 136 pulses on its line",
+        made == [0, 136, 0],
+        &format!("{made:?}, exit {}", done.code),
+    );
     scene.verdicts.says("and the program says so", &done.flat(), &["(-68 steps)", "(0 steps)"]);
     let outputs = lines.named().into_iter().all(|l| lines.is_output(l));
     scene.verdicts.hold("all lines of the board are outputs", outputs, &format!("GPFSEL {:#x?}", lines.select));
@@ -77,7 +85,11 @@ pub fn service(scene: &mut Scene) {
     let started = scene.guest.run_for("systemctl start retroflex", 240.0);
     scene.verdicts.hold("the unit starts: READY=1 came", started.code == 0, &format!("exit {} {}", started.code, started.text));
     let kind = (scene.show("Type"), scene.show("ActiveState"), scene.show("User"));
-    scene.verdicts.hold("Type=notify, active, as its own user", kind == ("notify".into(), "active".into(), "retroflex".into()), &format!("{kind:?}"));
+    scene.verdicts.hold(
+        "Type=notify, active, as its own user",
+        kind == ("notify".into(), "active".into(), "retroflex".into()),
+        &format!("{kind:?}"),
+    );
     scene.reaches("rest is found", "disarmed", 120.0);
     let text = scene.show("StatusText");
     scene.verdicts.says("STATUS= is shown", &text, &["disarmed"]);
@@ -169,7 +181,11 @@ pub fn stop(scene: &mut Scene) {
     let lines = scene.tip.lines_at_rest();
     let counted: [i32; 3] = std::array::from_fn(|i| lines.counted[i] - scene.zero[i]);
     let counts = (counted, lines.lost, lines.torn, lines.energised());
-    scene.verdicts.hold("relaxed: every step taken back, no current", counts == ([0; 3], 0, 0, false), &format!("{counts:?} after {:?}", lines.pulses));
+    scene.verdicts.hold(
+        "relaxed: every step taken back, no current",
+        counts == ([0; 3], 0, 0, false),
+        &format!("{counts:?} after {:?}", lines.pulses),
+    );
     let kept = scene.guest.run("retroflex drill --recall /var/lib/retroflex").text;
     scene.verdicts.says("and remembered so", &kept, &["recalled 0 0 0 0 ."]);
     let left = scene.tip.bend().beta().to_degrees();

@@ -144,7 +144,10 @@ fn follow(mut plant: Plant, shared: &Shared, mut to: UnixStream) {
                 (motion.acc_m_s2, motion.gyro_rad_s) = (s.acc_m_s2, s.gyro_rad_s);
                 motion.mag_ut = s.mag_ut.unwrap_or(motion.mag_ut);
             }
-            if steps.is_multiple_of(FRAME_EVERY) && reached_ns + FRAME_EVERY * PLANT_NS > now_ns && to.write_all(&wire::encode(&motion)).is_err() {
+            if steps.is_multiple_of(FRAME_EVERY)
+                && reached_ns + FRAME_EVERY * PLANT_NS > now_ns
+                && to.write_all(&wire::encode(&motion)).is_err()
+            {
                 return;
             }
         }

@@ -92,7 +92,10 @@ impl Lines {
 fn stores_become_steps() {
     let mut lines = Lines::new(crate::board().pins.as_ref().unwrap());
     let mut store = |register: u64, value: u32| {
-        lines.take(&format!("memory_region_ops_write cpu 3 mr 0x7f0a addr {:#x} value {value:#x} size 4 name 'bcm2835_gpio'", GPIO + register));
+        lines.take(&format!(
+            "memory_region_ops_write cpu 3 mr 0x7f0a addr {:#x} value {value:#x} size 4 name 'bcm2835_gpio'",
+            GPIO + register
+        ));
         lines.clone()
     };
     // GPIO 17 an output, EN (5) low as from reset; DIR (23) high, two pulses, DIR low, one pulse, EN off, one pulse
