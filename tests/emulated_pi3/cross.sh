@@ -9,6 +9,7 @@ TARGET=aarch64-unknown-linux-gnu
 
 # Debian's rustc with the standard libraries of both architectures, unless the toolchain has the target.
 fetch_rust() {
+    rm -f "$work/rustc"
     [ ! -d "$(rustc --print target-libdir --target "$TARGET")" ] || return 0
     local names
     names=$(apt_in tools -s install --no-install-recommends rustc-web libstd-rust-web-dev 2>/dev/null | awk '$1 == "Inst" { print $2 }')
@@ -17,20 +18,23 @@ fetch_rust() {
     # shellcheck disable=SC2086 # a list of names
     (cd "$work/apt/cache-rust" && apt_in tools download -qq $names libstd-rust-web-dev:arm64) || skip "a compiler for $TARGET cannot be had"
     unpack "$work/rust" rust
+    debian_rustc
+    local have need
+    have=$("$work/rustc" --version | cut -d' ' -f2)
+    need=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' "$root/Cargo.toml")
+    dpkg --compare-versions "$have" ge "$need" || skip "Debian's compiler for $TARGET is $have, $need is needed"
+}
+
+# Debian's compiler, with its own libraries for it alone.
+debian_rustc() {
+    local rust=$work/rust/usr
+    printf '#!/bin/sh\nLD_LIBRARY_PATH="%s" exec "%s" "$@"\n' "$rust/lib/x86_64-linux-gnu:$rust/lib" "$rust/bin/rustc" >"$work/rustc"
+    chmod +x "$work/rustc"
 }
 
 # Runs cargo for the target.
 cross_cargo() {
-    local rust=$work/rust/usr
-    if [ -x "$rust/bin/rustc" ]; then
-        # a wrapper, so that its libraries are seen by it alone
-        cat >"$work/rustc" <<EOF
-#!/bin/sh
-LD_LIBRARY_PATH="$rust/lib/x86_64-linux-gnu:$rust/lib" exec "$rust/bin/rustc" "\$@"
-EOF
-        chmod +x "$work/rustc"
-        export RUSTC=$work/rustc
-    fi
+    [ ! -x "$work/rustc" ] || export RUSTC=$work/rustc
     CARGO_TARGET_DIR=$work/cross CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
         cargo build --release --target "$TARGET" "$@"
 }

@@ -77,7 +77,7 @@ install_tools() {
 # Everything that comes from outside. Each part is fetched once.
 fetch() {
     apt_sources
-    apt_in tools update -qq >"$work/update.log" 2>&1 || { tail -5 "$work/update.log"; skip "the package lists cannot be had"; }
+    apt_in tools update -qq -o APT::Update::Error-Mode=any >"$work/update.log" 2>&1 || { tail -5 "$work/update.log"; skip "the package lists cannot be had"; }
     install_tools
     local kernel
     kernel=$(apt_knows depends linux-image-arm64:arm64 | sed -n 's/^ *Depends: \(linux-image-[0-9][^ ]*\)$/\1/p' | head -1)
