@@ -26,7 +26,7 @@ use crate::supervise::gate::{self, Following, Gate, Told};
 use crate::supervise::mode::{Event, Mode, Modes};
 use crate::tick::{self, Command, Config, FeedbackConfig, Frame, Input, Kept, State, tick};
 use crate::units::{Mm, Seconds, Steps};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 /// Everything that does not change while the pilot flies, but by `reload`.
 #[derive(Debug, Clone, PartialEq)]
@@ -255,7 +255,7 @@ impl Pilot {
         self.follow_alignment(&frame);
         let tripped = self.pass(&frame, sensed, dt_s);
         self.follow_motion(&frame, sensed);
-        let fresh = self.watch_motion(&frame, paced_s);
+        let fresh = self.watch_motion(&frame, sensed, paced_s);
         let mode = self.modes.now();
         Turned {
             frame,
@@ -408,19 +408,27 @@ impl Pilot {
         }
     }
 
-    fn watch_motion(&mut self, frame: &Frame, dt_s: f64) -> bool {
+    fn watch_motion(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> bool {
         let Some(felt) = frame.felt.filter(|_| self.modes.now().moves() && !self.handing_over) else {
             return false;
         };
         let seen = Seen {
             dt_s,
             given: frame.pistons_give.0,
+            gapless: self.gapless(sensed),
             felt: felt.bend.0,
             answer_s: frame.dynamics.lag_s + frame.dynamics.delay_s,
             moving: frame.mode == tick::Mode::Tracking,
             blocked: frame.blocked,
         };
         self.explain.step(&seen).is_some()
+    }
+
+    /// Bend that the pistons would give if there were no play, rad.
+    fn gapless(&self, sensed: &Sensed) -> Vector2<f64> {
+        let (config, lines) = (&self.config.tick, self.state.lines());
+        let piston_mm = config.drive.piston_mm(&sensed.counted);
+        config.geometry.shape(&Vector3::from_fn(|i, _| lines[i].bellow_mm(piston_mm[i]))).bend.0
     }
 
     /// Held torque keeps a bent tip where it is; at zero, and before anything is known, none is needed.

@@ -17,6 +17,7 @@ use crate::control::limit::{Cut, Limits};
 use crate::control::pi::{Dynamics, PiGains, PiState, ReferenceModel};
 use crate::control::reach::{Patience, Reach};
 use crate::control::rest::{RestConfig, RestState};
+use crate::control::spent::{Spent, SpentState};
 use crate::control::wall::{WallConfig, WallState};
 use crate::fuse::health::{Action, CauseSet, Outcome as Reading};
 use crate::fuse::tip::{Felt, FuseConfig, Fusion, Told};
@@ -180,6 +181,8 @@ pub struct Frame {
     pub at_rest: bool,
     /// Pushed without coming.
     pub blocked: bool,
+    /// The controller has done what it may, and the tip is still off.
+    pub spent: Spent,
     /// How the sensors are.
     pub senses: Senses,
     /// The base has turned: the integrator is frozen until a re-alignment.
@@ -205,6 +208,9 @@ pub struct State {
     rest: RestState,
     rested_s: f64,
     wall: WallState,
+    /// The integrator is at its bound.
+    full: bool,
+    spent: SpentState,
     reach: Reach,
     refine: RefineState,
     bank: DynamicsBank,
@@ -291,6 +297,8 @@ impl State {
             rest: RestState::default(),
             rested_s: 0.0,
             wall: WallState::default(),
+            full: false,
+            spent: SpentState::default(),
             reach: Reach::default(),
             refine: RefineState::new(&config.lines),
             bank: DynamicsBank::default(),
@@ -339,6 +347,7 @@ impl State {
         self.pi = PiState { integral: feedback, feedback };
         self.model = ReferenceModel::resting(at.0);
         (self.rest, self.rested_s, self.wall) = (RestState::default(), 0.0, WallState::default());
+        (self.full, self.spent) = (false, SpentState::default());
         (self.held, self.ease_mm, self.easing) = (None, Vector3::zeros(), false);
         self.last_steps = *steps;
         self.reach.forget();
@@ -347,6 +356,7 @@ impl State {
     /// Takes the feedback out of the command, as an open loop needs it.
     pub fn forget_feedback(&mut self) {
         self.pi = PiState::default();
+        (self.full, self.spent) = (false, SpentState::default());
     }
 
     /// What is worth keeping over a restart, with the pistons at these counts.
@@ -400,6 +410,10 @@ pub fn tick(config: &Config, state: &mut State, input: &Input) -> Frame {
     }
     let mut outcome = command_pistons(config, state, felt_bend, moving, input.dt_s);
     outcome.error = error;
+    if let Some(f) = &config.feedback {
+        let off = !state.rest.closed && (state.target.bend.0 - felt_bend.0).norm() > f.wall.error_rad;
+        state.spent.step(moving || holding, off, state.full, outcome.cut, input.dt_s);
+    }
     if outcome.cut == Cut::None {
         outcome.cut = cut_setpoint;
     }
@@ -531,7 +545,7 @@ fn feed_back(config: &Config, state: &mut State, should: Vector2<f64>, felt: Ben
     state.wall.step(&f.wall, moving, &feedback, &felt.0, &to_go);
     if !state.rest.closed && !state.wall.blocked && state.held.is_none() {
         let gains = PiGains::skogestad(&state.dynamics, f.tau_c_s, f.kp_max);
-        state.pi.step(error, &gains, f.integral_max_rad, dt_s);
+        state.full = state.pi.step(error, &gains, f.integral_max_rad, dt_s);
     }
     error
 }
@@ -665,6 +679,7 @@ fn frame(config: &Config, state: &State, input: &Input, felt: Option<Felt>, give
         cut: outcome.cut,
         at_rest: state.rest.closed,
         blocked: state.wall.blocked,
+        spent: state.spent.now(),
         senses: Senses {
             action: state.fusion.verdict().map_or(Action::Use, |v| v.action()),
             in_force: state.fusion.in_force(),

@@ -9,6 +9,8 @@
 #[path = "emulated_pi3/chips.rs"]
 mod chips;
 mod common;
+#[path = "emulated_pi3/flight.rs"]
+mod flight;
 #[path = "emulated_pi3/guest.rs"]
 mod guest;
 #[path = "emulated_pi3/service.rs"]
@@ -49,10 +51,10 @@ fn a_whole_pi_3_runs_the_service() {
     stages::machine(&mut scene);
     stages::controller(&mut scene);
     stages::pins(&mut scene);
-    stages::service(&mut scene);
-    stages::watchdog(&mut scene);
-    stages::caught(&mut scene);
-    stages::stop(&mut scene);
+    flight::service(&mut scene);
+    flight::watchdog(&mut scene);
+    flight::caught(&mut scene);
+    flight::stop(&mut scene);
     let Scene { guest, mut verdicts, .. } = scene;
     verdicts.hold("the guest shuts down", guest.end(), "QEMU has ended");
     assert!(verdicts.end());

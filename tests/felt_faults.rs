@@ -243,3 +243,44 @@ fn every_fault_is_seen_answered_and_survived() {
         assert!(s.felt_jump_deg < 1.0 && s.target_jump_mm < 0.2, "{}: {s:?}", c.name);
     }
 }
+
+/// How far off the felt bend is at the most from `after_s` to 2 s after the tip leapt by `leap_deg` within
+/// `over_s`, with a sensor that is well; degrees.
+fn leap(chip: &mut Chip, leap_deg: f64, over_s: f64, after_s: f64) -> f64 {
+    let from = chip.plant.aside;
+    let way = Bend::from_deg(leap_deg, 80.0).0;
+    let start = chip.plant.t_s;
+    let mut worst = 0.0_f64;
+    while chip.plant.t_s - start < 2.0 {
+        // a smooth step: its rate rises and falls
+        let x = ((chip.plant.t_s - start) / over_s).clamp(0.0, 1.0);
+        chip.plant.aside = from + way * (x * x * (3.0 - 2.0 * x));
+        let frame = chip.tick();
+        if chip.plant.t_s - start > after_s {
+            worst = worst.max((frame.felt.unwrap().bend.0 - chip.plant.bend().0).norm().to_degrees());
+        }
+    }
+    worst
+}
+
+#[test]
+fn a_tip_that_leaps_is_felt_where_it_went() {
+    for (leap_deg, over_s) in [(40.0, 0.002), (25.0, 0.02), (5.0, 0.02), (9.0, 0.04), (20.0, 0.1)] {
+        for tilt in [20.0, 50.0, 90.0] {
+            let mut chip = Chip::new();
+            chip.plant = TipPlant::new(7, tilt, DT_S);
+            chip.config.lines = chip.plant.lines;
+            chip.state = State::new(&chip.config);
+            while chip.tick().felt.is_none() {}
+            for (bend, dir) in [(30.0, 0.0), (50.0, 90.0), (20.0, 200.0), (45.0, 130.0)] {
+                chip.command(bend, dir);
+                for _ in 0..750 {
+                    chip.tick();
+                }
+            }
+            let off = leap(&mut chip, leap_deg, over_s, 1.5);
+            println!("base at {tilt}°: {leap_deg}° in {over_s} s: off by at most {off:.2}° from 1.5 s on");
+            assert!(off < 0.8, "{off}");
+        }
+    }
+}

@@ -8,12 +8,14 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::pilot::assemble;
 use retroflex::config::source;
+use retroflex::control::spent::Spent;
 use retroflex::machine::{Alarm, Lockstep};
 use retroflex::model::bend::Bend;
 use retroflex::pilot::flight::Flight;
 use retroflex::pilot::order::Order;
 use retroflex::pilot::{Pilot, Turned};
 use retroflex::plant::{Channel, Fault};
+use retroflex::service::status;
 use retroflex::sim::Sim;
 use retroflex::supervise::gate::Cause;
 use retroflex::supervise::mode::Mode;
@@ -91,16 +93,16 @@ fn healthy_tips_are_never_tripped_and_seldom_suspected() {
         }
     }
     println!("{suspected:#?}");
-    assert!(suspected.len() <= 2, "a word too many in more than 2 of 144 poses: {suspected:#?}");
+    assert!(suspected.len() <= 1, "a word too many in more than 1 of 144 poses: {suspected:#?}");
 }
 
 /// Injects a fault into a held pose; what is said of it five seconds later.
-fn named(fault: Fault) -> (String, Option<u8>) {
+fn named(fault: Fault, at: (f64, f64)) -> (String, Option<u8>) {
     let mut f = Fly::new(None, None);
     f.run(2.5);
     f.order(Order::Arm);
     f.run(0.1);
-    f.bend(65.0, 70.0);
+    f.bend(at.0, at.1);
     f.run(2.5);
     f.flight.machine.world.plant_mut().inject(fault);
     let t = f.run(5.0);
@@ -117,14 +119,56 @@ fn a_fault_of_one_line_is_named_with_its_channel() {
         (Fault::Leak { channel: Channel::Two, rate_per_s: 0.1 }, "Leak"),
     ];
     for (fault, kind) in cases {
-        assert_eq!(named(fault), (kind.to_owned(), Some(2)), "{fault:?}");
+        assert_eq!(named(fault, (65.0, 70.0)), (kind.to_owned(), Some(2)), "{fault:?}");
     }
 }
 
 #[test]
-#[ignore = "falls short: a line that suddenly gives 40 % is called a tip that something pushes"]
 fn a_line_that_turns_weak_is_named_with_its_channel() {
-    assert_eq!(named(Fault::Gain { channel: Channel::Two, factor: 0.4 }), ("Weak".to_owned(), Some(2)));
+    // in poses in which the line has something to give
+    let cases =
+        [(Channel::One, (65.0, 70.0)), (Channel::Two, (65.0, 70.0)), (Channel::Three, (60.0, 300.0)), (Channel::Two, (55.0, 200.0))];
+    for (channel, at) in cases {
+        let number = Some(channel.index() as u8 + 1);
+        assert_eq!(named(Fault::Gain { channel, factor: 0.4 }, at), ("Weak".to_owned(), number), "{channel:?} at {at:?}");
+        assert_eq!(named(Fault::Burst { channel }, at), ("Burst".to_owned(), number), "{channel:?} at {at:?}");
+    }
+}
+
+#[test]
+fn a_weak_line_is_made_good_and_not_taken_for_a_wall() {
+    let mut f = Fly::new(None, None);
+    f.run(2.5);
+    f.order(Order::Arm);
+    f.run(0.1);
+    f.bend(50.0, 70.0);
+    f.run(2.5);
+    f.flight.machine.world.plant_mut().inject(Fault::Gain { channel: Channel::Two, factor: 0.6 });
+    let t = f.run(5.0);
+    let off = (t.frame.felt.unwrap().bend.0 - t.frame.target.bend.0).norm().to_degrees();
+    assert!(!t.frame.blocked && t.frame.spent == Spent::No && off < 1.0, "{off}° off, {:?}", t.frame.spent);
+}
+
+#[test]
+fn a_controller_that_has_done_what_it_may_says_so() {
+    let mut f = Fly::new(None, None);
+    f.run(2.5);
+    f.order(Order::Arm);
+    f.run(0.1);
+    let mut next = f.flight.pilot.config().clone();
+    next.tick.feedback.as_mut().unwrap().integral_max_rad = 0.05;
+    f.flight.pilot.reload(&mut next);
+    f.bend(65.0, 70.0);
+    f.run(2.5);
+    f.flight.machine.world.plant_mut().inject(Fault::Gain { channel: Channel::Two, factor: 0.7 });
+    let t = f.run(5.0);
+    assert_eq!((t.frame.spent, t.mode), (Spent::Feedback, Mode::Holding), "{:?}", t.tripped);
+    let words = status::short(&t.frame).unwrap();
+    assert!(status::blocked(&t.frame) && words.contains("integral_max_deg"), "{words}");
+    // and takes it back where it can come
+    f.bend(10.0, 70.0);
+    let t = f.run(4.0);
+    assert!(!status::blocked(&t.frame) && status::short(&t.frame).is_none(), "{:?}", t.frame.spent);
 }
 
 #[test]

@@ -5,4 +5,5 @@ pub mod limit;
 pub mod pi;
 pub mod reach;
 pub mod rest;
+pub mod spent;
 pub mod wall;

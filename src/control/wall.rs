@@ -2,7 +2,9 @@
 //!
 //! While the set-point rests, the feedback grows until the tip answers. If it has grown by a good
 //! deal and the tip has followed by less than a fraction of it, more pressure is not the remedy: the
-//! integrator is told to stop and the loop says so. A new target starts the watch again.
+//! integrator is told to stop and the loop says so. A new target starts the watch again, and so does a
+//! tip that goes back against the push: a line that has weakened lets it sink, a thing that comes pushes
+//! it, and whether pushing helps against either is to be seen from where it came to rest.
 
 use nalgebra::Vector2;
 
@@ -35,7 +37,9 @@ impl WallState {
         let (feedback0, felt0) = *self.begun.get_or_insert((*feedback, *felt));
         let push = feedback - feedback0;
         let size = push.norm();
-        if size > config.push_rad && error.norm() > config.error_rad {
+        if (felt - felt0).dot(&push) < -size * BACK_RAD {
+            self.begun = Some((*feedback, *felt));
+        } else if size > config.push_rad && error.norm() > config.error_rad {
             let followed = (felt - felt0).dot(&push) / (size * size);
             self.blocked |= followed < config.follow_min;
         } else if error.norm() < config.error_rad {
@@ -43,6 +47,9 @@ impl WallState {
         }
     }
 }
+
+/// Way back that is more than noise, rad (0.2°).
+const BACK_RAD: f64 = 0.0035;
 
 #[cfg(test)]
 mod tests {
@@ -64,6 +71,23 @@ mod tests {
     fn a_wall_is_told_from_a_soft_line() {
         assert!(push(0.05));
         assert!(!push(0.5));
+    }
+
+    #[test]
+    fn a_line_that_weakens_lets_the_tip_sink_and_is_pushed_on() {
+        // sinks by 20° while feedback grows as much, then follows with 0.6, or not at all
+        let after = |compliance: f64| {
+            let mut s = WallState::default();
+            for i in 0..200 {
+                let f = Vector2::new(0.005 * f64::from(i), 0.0);
+                let sunk = Vector2::new(-0.005 * f64::from(i.min(70)), 0.0);
+                let felt = sunk + f.map(|f| (f - 0.35).max(0.0) * compliance);
+                s.step(&CONFIG, false, &f, &felt, &(Vector2::new(0.4, 0.0) - felt));
+            }
+            s.blocked
+        };
+        assert!(!after(0.6), "sinking is not standing still");
+        assert!(after(0.05), "it sank and then stands");
     }
 
     #[test]

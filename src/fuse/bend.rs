@@ -37,6 +37,7 @@
 mod config;
 mod kalman;
 mod laws;
+mod leap;
 #[cfg(test)]
 mod tests;
 
@@ -50,6 +51,7 @@ use crate::model::bend::Bend;
 use crate::sample::ImuSample;
 use kalman::{ACC, Belief, GYRO, Innovation, MAG, MOUNT, N, State, TWIST};
 use laws::{Turn, Twist, bend_by_turn, velocity};
+use leap::Leap;
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
 /// Time over which the surprise of gravity decides whether the gyroscope drifts, s.
@@ -79,6 +81,7 @@ pub struct BendFilter {
     /// Velocity of the sensor by the bend's rate, now and at the last correction, m/s, rest axes.
     velocity_m_s: [Vector3<f64>; 2],
     corrected: Vector2<f64>,
+    leap: Leap,
 }
 
 /// Which parts of a sample may be believed, and whether the pistons rest.
@@ -118,6 +121,7 @@ impl BendFilter {
             doubt: 1.0,
             velocity_m_s: [Vector3::zeros(); 2],
             corrected: Vector2::zeros(),
+            leap: Leap::default(),
         }
     }
 
@@ -135,12 +139,17 @@ impl BendFilter {
         self.forget_innovations();
     }
 
-    /// Nothing was seen for a while in which the tip may have turned by `turn_rad` (1 σ).
-    pub fn lost(&mut self, turn_rad: f64) {
+    /// The tip may have turned by `turn_rad` (1 σ) more than the gyroscope says.
+    pub fn unseen(&mut self, turn_rad: f64) {
         for i in 0..GYRO {
             self.belief.p[(i, i)] += turn_rad * turn_rad;
         }
-        self.forget_innovations();
+    }
+
+    /// Nothing was seen for a while in which the tip may have turned by `turn_rad` (1 σ).
+    pub fn lost(&mut self, turn_rad: f64) {
+        self.unseen(turn_rad);
+        (self.mag.surprise, self.doubt) = (1.0, 1.0);
     }
 
     fn forget_innovations(&mut self) {
@@ -275,6 +284,10 @@ impl BendFilter {
     /// Gravity, field, stillness, mechanism; then the error goes into the turn.
     fn correct(&mut self, turn: &Turn) {
         let before = self.belief.x;
+        if self.asked(turn) {
+            self.used_up();
+            return;
+        }
         if self.acc.n > 0 {
             self.correct_gravity(turn, &before);
         }
@@ -287,6 +300,11 @@ impl BendFilter {
         self.correct_twist();
         let theta = self.belief.take_turn();
         self.s = UnitQuaternion::from_scaled_axis(theta) * self.s;
+        self.used_up();
+    }
+
+    /// What was gathered has been heard.
+    fn used_up(&mut self) {
         self.velocity_m_s[1] = self.velocity_m_s[0];
         self.acc.empty();
         self.mag.empty();

@@ -96,13 +96,32 @@ impl Estimator {
         }
     }
 
+    /// Samples are missing for `gap_s`, and the rate between its ends is taken for their mean. A rate that
+    /// changes by α_max at the most goes by up to `α_max gap²/4` besides: three standard deviations.
+    pub fn unseen(&mut self, acceleration_max_rad_s2: f64, gap_s: f64) {
+        if let Self::Bend(f) = self {
+            f.unseen((acceleration_max_rad_s2 * gap_s * gap_s / 12.0).min(gap_s * DARK_RAD_S));
+        }
+    }
+
     /// The first sample after `gap_s` in which nothing could be used.
     pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, heed: Heed, base: &BaseTurn) {
         match self {
-            // a hand may have turned it by 60 °/s in the dark, or a piston's last push
-            Self::Bend(f) => f.lost((gap_s * 1.0).min(0.3)),
+            Self::Bend(f) => f.lost((gap_s * DARK_RAD_S).min(DARK_RAD)),
             Self::Generic(f) => f.relevel(sample, heed, base),
         }
+    }
+
+    /// A rate was refused that may have been true. A generic filter knows no covariance to open: it levels
+    /// itself as it always does.
+    pub fn may_have_leapt(&mut self) {
+        if let Self::Bend(f) = self {
+            f.may_have_leapt();
+        }
+    }
+    /// True once after gravity and field have shown that the tip leapt.
+    pub fn leapt(&mut self) -> bool {
+        if let Self::Bend(f) = self { f.leapt() } else { false }
     }
 
     /// Estimated bend: the one nearest to the turn since the rest.
@@ -155,3 +174,6 @@ impl Estimator {
 
 /// Surprise of the field from which the bend filter's readings count as disturbed.
 const FIELD_SURPRISE_MAX: f64 = 4.0;
+/// What a hand, or a piston's last push, may turn the tip by in the dark, rad/s (60 °/s), and at the most, rad.
+const DARK_RAD_S: f64 = 1.0;
+const DARK_RAD: f64 = 0.3;

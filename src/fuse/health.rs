@@ -147,7 +147,7 @@ impl Health {
         };
         state.last_outcome_was_sample = matches!(reading.outcome, Outcome::Sample(..));
         let (raised, recovered) = count(config, state, now, found);
-        decide(config, state, reading, found.faults, raised, recovered)
+        decide(config, state, reading, found, raised, recovered)
     }
 }
 
@@ -156,6 +156,7 @@ impl Health {
 struct Found {
     faults: CauseSet,
     tested: CauseSet,
+    confirmed: bool,
 }
 
 impl Found {
@@ -211,6 +212,9 @@ fn inspect(config: &Config, state: &mut State, now: f64, sample: &ImuSample, qua
     let shaken = (force - gravity).abs() > config.acc_norm_tolerance_m_s2 + state.known.acc_slack_m_s2;
     found.test(Cause::AccelDisturbed, shaken || quality.acc_load >= config.saturated_at);
     let calm = !shaken && state.since(Cause::AccelDisturbed).is_none();
+    if found.faults.contains(Cause::Spike) || found.faults.contains(Cause::Saturated) {
+        state.up = None; // it may have turned by more than the gyroscope says
+    }
     vertical(config, state, sample, calm);
     magnet(config, state, now, sample, quality, &mut found);
     state.seen = Some(*sample);
@@ -239,6 +243,7 @@ fn spike(config: &Config, state: &mut State, sample: &ImuSample, found: &mut Fou
     if wild {
         state.agree = if near(&state.seen) { state.agree + 1 } else { 0 };
         wild = state.agree < config.spike_confirm;
+        found.confirmed = !wild;
     }
     if !wild {
         state.agree = 0;
@@ -331,14 +336,8 @@ fn needed(config: &Config, cause: Cause, returns: u32) -> u32 {
     }
 }
 
-fn decide(
-    config: &Config,
-    state: &mut State,
-    reading: Reading,
-    faults: CauseSet,
-    raised: CauseSet,
-    recovered: Option<Recovered>,
-) -> Verdict {
+fn decide(config: &Config, state: &mut State, reading: Reading, found: Found, raised: CauseSet, recovered: Option<Recovered>) -> Verdict {
+    let Found { faults, confirmed, .. } = found;
     let now = reading.now.0;
     let sample = if let Outcome::Sample(sample, _) = reading.outcome { Some(sample) } else { None };
     let (mut gyro, mut acc, mut mag) = (sample.is_some(), sample.is_some(), sample.is_some_and(|s| s.mag_ut.is_some()));
@@ -365,5 +364,5 @@ fn decide(
     if gyro {
         state.used_s = Some(now);
     }
-    Verdict { gyro, acc: acc && gyro, mag: mag && gyro, hold: hold || blind, blind, faults, in_force, raised, recovered }
+    Verdict { gyro, acc: acc && gyro, mag: mag && gyro, hold: hold || blind, blind, faults, in_force, raised, confirmed, recovered }
 }

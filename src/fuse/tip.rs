@@ -85,6 +85,15 @@ enum Stage {
     Running(Running),
 }
 
+/// Rates that were refused for leaping: true after all if what follows bears them out.
+#[derive(Debug, Clone, Copy, Default)]
+struct Refused {
+    /// What they turned by, rad.
+    turn_rad: Vector3<f64>,
+    /// Stamp of the last of them, s.
+    until_s: Option<f64>,
+}
+
 #[derive(Debug, Clone)]
 struct Running {
     rest: Alignment,
@@ -95,6 +104,8 @@ struct Running {
     second: Second,
     ease: Ease,
     last: Option<ImuSample>,
+    /// What was refused since for leaping.
+    refused: Refused,
     /// How fast the bend went at the last sample, by the gyroscope, rad/s.
     bend_rate: Vector2<f64>,
     /// What it has gone on by since, rad.
@@ -294,6 +305,7 @@ impl Running {
             second: Second::new(second),
             ease: Ease::default(),
             last: None,
+            refused: Refused::default(),
             bend_rate: Vector2::zeros(),
             ahead: Vector2::zeros(),
             saved: None,
@@ -321,6 +333,7 @@ impl Running {
             // between samples, and over the first moments of a hole, the tip goes on as it went
             let age_s = self.last.map_or(0.0, |last| told.now.0 - last.t.0);
             self.ahead = self.bend_rate * age_s.clamp(0.0, self.limits.blind_max_s);
+            self.refuse(said, &told.tip);
             return;
         };
         let heed = Heed { acc: said.acc, mag: said.mag, still: told.still && !said.hold };
@@ -330,7 +343,12 @@ impl Running {
             return;
         }
         if gap_s <= (BRIDGED_PERIODS * self.rest.periods_s().0).max(self.limits.jump_max_s) {
-            self.step(config, &self.bridging(sample, gap_s), gap_s, heed, &turn);
+            let hole_s = gap_s - self.rest.periods_s().0;
+            if hole_s > 0.5 * self.rest.periods_s().0 && !said.confirmed {
+                self.estimator.unseen(self.limits.angular_acceleration_max_rad_s2, gap_s);
+                self.ease.arm();
+            }
+            self.step(config, &self.bridging(sample, gap_s, said.confirmed), gap_s, heed, &turn);
         } else {
             let before = self.estimator.bend().0 + self.ahead;
             self.estimator.recover(sample, gap_s, heed, &turn);
@@ -338,23 +356,41 @@ impl Running {
             self.ease.arm();
             self.ease.step(&(self.estimator.bend().0 - before), 0.0);
         }
-        (self.last, self.ahead) = (Some(*sample), Vector2::zeros());
+        (self.last, self.ahead, self.refused) = (Some(*sample), Vector2::zeros(), Refused::default());
         self.align_again(config, sample, said);
     }
 
-    /// Over a lost sample or two the rate is the mean of its ends.
-    fn bridging(&self, sample: &ImuSample, gap_s: f64) -> ImuSample {
-        match &self.last {
-            Some(last) if gap_s > 1.5 * self.rest.periods_s().0 => {
-                ImuSample { gyro_rad_s: (sample.gyro_rad_s + last.gyro_rad_s) / 2.0, ..*sample }
-            }
-            _ => *sample,
+    /// A rate that was refused for leaping, or for being beyond the range, may have been true.
+    fn refuse(&mut self, said: &Verdict, tip: &Outcome) {
+        let (leaps, beyond) = (said.faults.contains(Cause::Spike), said.faults.contains(Cause::Saturated));
+        if leaps || beyond {
+            self.estimator.may_have_leapt();
         }
+        if let (true, false, Outcome::Sample(sample, _)) = (leaps, beyond, tip) {
+            let since_s = self.refused.until_s.or(self.last.map(|last| last.t.0)).map_or(0.0, |before| sample.t.0 - before);
+            self.refused.turn_rad += sample.gyro_rad_s * since_s;
+            self.refused.until_s = Some(sample.t.0);
+        }
+    }
+
+    /// Over a lost sample or two the rate is the mean of its ends; over refused ones that were true it is
+    /// what they said.
+    fn bridging(&self, sample: &ImuSample, gap_s: f64, confirmed: bool) -> ImuSample {
+        let gyro_rad_s = match (&self.last, self.refused.until_s) {
+            (Some(_), Some(until_s)) if confirmed => (self.refused.turn_rad + sample.gyro_rad_s * (sample.t.0 - until_s)) / gap_s,
+            (Some(last), _) if gap_s > 1.5 * self.rest.periods_s().0 => (sample.gyro_rad_s + last.gyro_rad_s) / 2.0,
+            _ => sample.gyro_rad_s,
+        };
+        ImuSample { gyro_rad_s, ..*sample }
     }
 
     fn step(&mut self, config: &FuseConfig, sample: &ImuSample, dt_s: f64, heed: Heed, turn: &BaseTurn) {
         let before = self.estimator.bend().0;
         self.estimator.update(sample, dt_s, heed, turn);
+        if self.estimator.leapt() {
+            self.ease.arm();
+            self.second.recover(sample, dt_s, heed, turn);
+        }
         let corrected = self.estimator.corrected();
         self.bend_rate = (self.estimator.bend().0 - before - corrected) / dt_s;
         self.ease.step(&corrected, dt_s);

@@ -153,6 +153,7 @@ pub fn serve(setup: Setup) -> Result<(), ServiceError> {
         remarks,
         grants,
         set_aside: recall.set_aside,
+        doubted: recall.unknown,
         pilot: setup.pilot,
         fast: setup.fast,
     });

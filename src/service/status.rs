@@ -1,8 +1,10 @@
 //! The status: everything worth knowing, as one JSON object; and what of a turn a subscriber gets.
 
+use crate::control::spent::Spent;
 use crate::pilot::Turned;
 use crate::service::protocol::VERSION;
 use crate::supervise::gate::Cause;
+use crate::tick::Frame;
 use serde_json::{Value, json};
 
 /// A cause in words, with the mend.
@@ -29,6 +31,19 @@ pub fn name(cause: Cause) -> String {
     serde_json::to_value(cause).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
+/// The tip will not get any nearer to its target.
+#[must_use]
+pub fn blocked(f: &Frame) -> bool {
+    f.blocked || f.spent != Spent::No
+}
+
+/// Why it will not, in words.
+#[must_use]
+pub fn short(f: &Frame) -> Option<&'static str> {
+    let held = "the tip is pushed and does not come: something holds it; move it away, or give another target";
+    f.spent.words().or_else(|| f.blocked.then_some(held))
+}
+
 /// What the turn says of tip and pistons.
 #[must_use]
 pub fn turn(turned: &Turned, step_mm: f64) -> Value {
@@ -46,7 +61,8 @@ pub fn turn(turned: &Turned, step_mm: f64) -> Value {
         "counted": turned.counted.0,
         "energised": turned.sensed.energised,
         "at_rest": f.at_rest,
-        "blocked": f.blocked,
+        "blocked": blocked(f),
+        "short": short(f),
         "base_moved": f.base_moved,
         "latched": turned.latched.map(name),
         "suspicion": turned.suspicion.map(|s| s.to_string()),
@@ -75,5 +91,5 @@ pub fn frame_line(turned: &Turned, step_mm: f64) -> String {
 }
 
 fn round(x: f64) -> f64 {
-    (x * 1e4).round() * 1e-4
+    (x * 1e4).round() / 1e4
 }

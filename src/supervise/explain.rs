@@ -104,6 +104,8 @@ pub struct Seen {
     pub dt_s: f64,
     /// Bend that the pistons as they stand should give, rad.
     pub given: Vector2<f64>,
+    /// Bend that they should give if there were no play, rad: a gap is never quite where it is believed.
+    pub gapless: Vector2<f64>,
     /// Felt bend, rad.
     pub felt: Vector2<f64>,
     /// Lag and dead time of the line together, s.
@@ -129,6 +131,7 @@ pub struct Explain {
     settled: bool,
     path_rad: f64,
     last_given: Vector2<f64>,
+    last_gapless: Option<Vector2<f64>>,
     /// Unexplained bend since, smoothed.
     smooth: Vector2<f64>,
     /// The last turns: unexplained bend and how far the pistons led the tip.
@@ -142,6 +145,10 @@ pub struct Explain {
     led_rad: f64,
     said_s: f64,
     beyond_s: f64,
+    /// For how long it has been half of what is worth a word, s.
+    rising_s: f64,
+    /// What is said began all at once.
+    abrupt: bool,
     said: Option<Suspicion>,
 }
 
@@ -151,8 +158,14 @@ const SETTLE_S: f64 = 0.6;
 const LATELY: usize = 64;
 /// How long a leap, and what the pistons did before it, is remembered, s.
 const LEAP_MEMORY_S: f64 = 0.3;
+/// Share of all it did that a line has lost which lost its pressure: half of what is left is the line's answer, still
+/// under way when it is weighed.
+const LOST: f64 = -0.7;
 /// How long a new suspicion is weighed on, s.
 const WEIGH_S: f64 = 0.4;
+/// What comes from half a word to a word within this, and the line's answer, is no leak: one that is slow
+/// takes seconds, s.
+const ABRUPT_S: f64 = 0.25;
 /// Smoothing of the unexplained bend, s.
 const SMOOTH_S: f64 = 0.03;
 
@@ -171,6 +184,7 @@ impl Explain {
             settled: false,
             path_rad: 0.0,
             last_given: zero,
+            last_gapless: None,
             smooth: zero,
             lately: [(zero, 0.0); LATELY],
             head: 0,
@@ -180,6 +194,8 @@ impl Explain {
             led_rad: 0.0,
             said_s: 0.0,
             beyond_s: 0.0,
+            rising_s: 0.0,
+            abrupt: false,
             said: None,
         }
     }
@@ -209,6 +225,7 @@ impl Explain {
         let given = (seen.given - self.last_given).norm();
         self.path_rad += given;
         self.last_given = seen.given;
+        let gapless = (seen.gapless - self.last_gapless.replace(seen.gapless).unwrap_or(seen.gapless)).norm();
         self.rested_s = if seen.moving { 0.0 } else { self.rested_s + seen.dt_s };
         let moves_off = seen.moving && self.settled;
         let comes_to_rest = !self.settled && self.rested_s > SETTLE_S + 4.0 * seen.answer_s;
@@ -221,7 +238,7 @@ impl Explain {
         let keep = (-seen.dt_s / SMOOTH_S).exp();
         let before = self.smooth;
         self.smooth = since + (before - since) * keep;
-        self.watch_leap(unexplained, given, seen.dt_s);
+        self.watch_leap(unexplained, given.max(gapless), seen.dt_s);
         self.judge(seen)
     }
 
@@ -234,12 +251,12 @@ impl Explain {
     }
 
     /// A change of the unexplained bend that is quicker than any motion of the pistons explains.
-    fn watch_leap(&mut self, unexplained: Vector2<f64>, given: f64, dt_s: f64) {
+    fn watch_leap(&mut self, unexplained: Vector2<f64>, led: f64, dt_s: f64) {
         let (then, _) = self.lately[self.head];
-        self.lately[self.head] = (unexplained, given);
+        self.lately[self.head] = (unexplained, led);
         self.head = (self.head + 1) % LATELY;
         self.filled = (self.filled + 1).min(LATELY + 1);
-        let led: f64 = self.lately.iter().map(|(_, given)| given).sum();
+        let led: f64 = self.lately.iter().map(|(_, led)| led).sum();
         self.led_rad = led.max(self.led_rad * (-dt_s / LEAP_MEMORY_S).exp());
         self.leapt_s += dt_s;
         let leap = unexplained - then;
@@ -256,6 +273,7 @@ impl Explain {
         let sudden = self.leapt_s < LEAP_MEMORY_S;
         let beyond = self.smooth.norm() > allowed;
         self.beyond_s = if beyond || sudden { self.beyond_s + seen.dt_s } else { 0.0 };
+        self.rising_s = if self.smooth.norm() > 0.5 * allowed { self.rising_s + seen.dt_s } else { 0.0 };
         if self.said.is_some() {
             // more of it tells more, for a while
             self.said_s += seen.dt_s;
@@ -269,6 +287,7 @@ impl Explain {
             return None;
         }
         self.said_s = 0.0;
+        self.abrupt = sudden || self.rising_s - self.beyond_s < ABRUPT_S + seen.answer_s;
         self.said = Some(self.name(seen, moved, sudden));
         self.said
     }
@@ -290,7 +309,7 @@ impl Explain {
         if led && of_one_line && share < -0.7 {
             return of(if share < -1.5 { Kind::Inverted } else { Kind::Deaf }, share);
         }
-        if self.settled && of_one_line && all_mm.abs() > 0.5 && x_mm / all_mm < -0.6 {
+        if self.settled && of_one_line && all_mm.abs() > 0.5 && x_mm / all_mm < LOST {
             return of(Kind::Burst, x_mm / all_mm);
         }
         if seen.blocked && !sudden {
@@ -307,7 +326,7 @@ impl Explain {
             // a channel near its own rest has nothing to lose: what moves it came from outside or the drive
             return if sudden { of(Kind::LostSteps, 0.0) } else { Suspicion { kind: Kind::Contact, channel: None, share: 0.0, deg } };
         }
-        match (x_mm / all_mm, sudden) {
+        match (x_mm / all_mm, sudden || self.abrupt) {
             (s, true) if s < -0.75 => of(Kind::Burst, s),
             (s, true) if s < 0.0 => of(Kind::Weak, s),
             (s, false) if s < 0.0 => of(Kind::Leak, s),

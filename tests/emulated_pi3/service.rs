@@ -102,13 +102,20 @@ impl Scene {
         true
     }
 
+    /// A command, again after every stall that got in its way.
+    pub fn insist(&mut self, words: &str) -> Done {
+        loop {
+            let done = self.retroflex(words);
+            if done.code == 0 || !self.resumed() {
+                return done;
+            }
+        }
+    }
+
     /// Bends, waits until settled, compares counts.
     pub fn bend(&mut self, bend_deg: f64, dir_deg: f64) {
         let words = format!("bend {bend_deg} --toward {dir_deg} --speed {SLOW_DEG_S} --wait");
-        let mut done = self.retroflex(&words);
-        while done.code != 0 && self.resumed() {
-            done = self.retroflex(&words);
-        }
+        let done = self.insist(&words);
         let what = format!("bend {bend_deg}° toward {dir_deg}°");
         self.verdicts.hold(&format!("{what} settles"), done.code == 0, &format!("exit {}, {}", done.code, last(&done)));
         self.counts_agree(&format!("after {what}"));

@@ -51,6 +51,8 @@ pub struct TipPlant {
     pub base_rate: Vector3<f64>,
     /// A push on the accelerometer, m/s², tip axes.
     pub push: Vector3<f64>,
+    /// What something outside bends it by besides, rad.
+    pub aside: nalgebra::Vector2<f64>,
     slack: Vector3<f64>,
     bellow: Vector3<f64>,
     bend: Bend,
@@ -98,6 +100,7 @@ impl TipPlant {
             gyro_bias,
             base_rate: Vector3::zeros(),
             push: Vector3::zeros(),
+            aside: nalgebra::Vector2::zeros(),
             slack: Vector3::zeros(),
             bellow: Vector3::zeros(),
             bend: Bend::STRAIGHT,
@@ -119,7 +122,7 @@ impl TipPlant {
             self.bellow[i] = q + (self.bellow[i] - q) * keep;
         }
         self.before = self.base * self.bend.rotation().quat();
-        self.bend = self.geometry.shape(&self.bellow).bend;
+        self.bend = Bend(self.geometry.shape(&self.bellow).bend.0 + self.aside);
         self.places = [place(&self.bend), self.places[0], self.places[1]];
         self.base = UnitQuaternion::from_scaled_axis(self.base_rate * self.dt_s) * self.base;
         (self.steps, self.n, self.t_s) = (*steps, self.n + 1, self.t_s + self.dt_s);

@@ -45,6 +45,8 @@ pub struct Verdict {
     pub in_force: CauseSet,
     /// Causes that came into force with this reading.
     pub raised: CauseSet,
+    /// The leaps that were refused just before were true: enough readings in a row have said the same.
+    pub confirmed: bool,
     /// Causes that this reading cleared, if any.
     pub recovered: Option<Recovered>,
 }
