@@ -104,8 +104,8 @@ pub fn transmission(args: &TransmissionArgs) -> Result<Outcome> {
             }
             continue;
         }
-        if s["proposed"].is_null() {
-            eprintln!("nothing was found: {}", s["calibration_failed"].as_str().unwrap_or("see the service's log"));
+        if let Some(why) = s["calibration_failed"].as_str() {
+            eprintln!("nothing was found: {why}");
             return Ok(Outcome::NotGoodEnough);
         }
         say(&format!("{}\n", s["proposed"]));
