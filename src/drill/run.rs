@@ -10,8 +10,8 @@ use crate::world::WorldError;
 
 /// From the start of the move to the fault, s.
 const MID_MOTION_S: f64 = 0.22;
-/// From the start of the move to a fault that strikes a held pose, s.
-const HELD_S: f64 = 5.0;
+/// From the start of the move to a fault that strikes a held pose, s: the last nudge of the pistons is over.
+const HELD_S: f64 = 8.0;
 /// How long a fault is watched, s.
 const WATCHED_S: f64 = 7.0;
 /// After how long the operator goes on with a fault that was not noticed, s.

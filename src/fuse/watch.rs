@@ -235,6 +235,33 @@ mod tests {
     }
 
     #[test]
+    fn a_tip_that_has_shown_that_it_twists_little_is_allowed_little() {
+        let flags = |twists: Option<f64>| {
+            let mut watch = Watch::default();
+            (0..200).any(|k| {
+                let t = f64::from(k) * DT_S;
+                let bend = Vector2::new(0.2 + t.min(1.0), 0.0);
+                let twisting = if t < 0.5 { 0.4 } else { 0.0 };
+                let rate_rad_s = Vector3::new(0.0, 1.0, twisting);
+                let still = Seen {
+                    rate_rad_s,
+                    felt: bend,
+                    model: bend,
+                    setpoint: bend,
+                    to_go: bend,
+                    still_s: 0.0,
+                    answer_s: 0.04,
+                    twists,
+                    dt_s: DT_S,
+                };
+                watch.step(&WatchConfig::default(), &still)
+            })
+        };
+        assert!(!flags(None), "any tip may make 11° of twist over half a radian");
+        assert!(flags(Some(0.1)) && !flags(Some(3.0)), "this one may not; and none may make more than the configured");
+    }
+
+    #[test]
     fn motion_that_was_asked_for_is_not_the_base() {
         // 60° in a second, with a fifth of it in twist and half of it not in the model
         let asked = |t: f64| Vector2::new((t - 1.0).clamp(0.0, 1.0) * 1.05, 0.0);
