@@ -221,13 +221,19 @@ fn compose(seq: u64, memory: &Memory) -> Result<Vec<u8>, MemoryError> {
     if serde_json::from_str::<Memory>(&body).ok().as_ref() != Some(memory) {
         return Err(MemoryError::NotFinite);
     }
-    let head = format!("{MAGIC} {VERSION} {seq} {} ", body.len());
-    let mut slot = format!("{head}{:08x}\n{body}", checksum(&head, &body)).into_bytes();
+    let mut slot = sealed(seq, &body).into_bytes();
     if slot.len() > SLOT {
         return Err(MemoryError::TooLarge(slot.len()));
     }
     slot.resize(SLOT, b' ');
     Ok(slot)
+}
+
+/// A body under its header, as [`parse`] reads it.
+#[must_use]
+pub fn sealed(seq: u64, body: &str) -> String {
+    let head = format!("{MAGIC} {VERSION} {seq} {} ", body.len());
+    format!("{head}{:08x}\n{body}", checksum(&head, body))
 }
 
 fn checksum(head: &str, body: &str) -> u32 {

@@ -204,8 +204,10 @@ impl Pilot {
     /// What a restart needs to know.
     #[must_use]
     pub fn keep(&self) -> Kept {
-        // before the proof, what was kept is still the best there is
-        self.kept.unwrap_or_else(|| self.state.keep(&self.sent))
+        // before the proof, what was kept is still the best there is; then what was pulsed, which is less
+        // than what was sent while steps are queued, and for good after they stopped short
+        let pulsed = self.last.map_or(self.sent, |sensed| sensed.counted);
+        self.kept.unwrap_or_else(|| self.state.keep(&pulsed))
     }
 
     /// True when the next restart has nothing to prove: the pistons are at zero.

@@ -6,6 +6,7 @@ mod common;
 
 use common::repo;
 use retroflex::config::board::Board;
+use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::io::pins::{self, Backend};
 use std::process::Command;
@@ -50,7 +51,7 @@ fn boards_state_the_defaults_except_where_they_say_so() {
 #[test]
 fn every_key_has_its_paragraph() {
     let mut keys = 0;
-    for name in HARDWARE {
+    for name in HARDWARE.iter().chain(&["sim", "gains"]) {
         let text = text(name);
         let mut paragraph = 0;
         for (n, line) in text.lines().enumerate() {
@@ -70,7 +71,28 @@ fn every_key_has_its_paragraph() {
             }
         }
     }
-    assert!(keys > 5 * 60, "{keys}");
+    assert!(keys > 5 * 60 + 150, "{keys}");
+}
+
+/// The gains file states every key there is, at its default: a stranger in each of its tables is answered
+/// with the keys that belong there.
+#[test]
+fn the_gains_file_states_every_key_at_its_default() {
+    let whole = text("gains");
+    assert_eq!(source::parse::<Gains>("gains", &whole).unwrap(), Gains::default());
+    let headers: Vec<&str> = whole.lines().filter(|l| l.starts_with('[')).collect();
+    for header in headers {
+        let with_stranger = whole.replacen(header, &format!("{header}\nstranger = 1"), 1);
+        let answer = source::parse::<Gains>("gains", &with_stranger).unwrap_err().to_string();
+        let known: Vec<&str> = answer.split('`').skip(1).step_by(2).filter(|k| *k != "stranger").collect();
+        let table = whole.split_once(&format!("{header}\n")).unwrap().1.split("\n[").next().unwrap();
+        let under = header.trim_matches(|c| c == '[' || c == ']');
+        for key in known.iter().filter(|k| k.chars().all(|c| c.is_ascii_lowercase() || c == '_' || c.is_ascii_digit())) {
+            let stated = table.lines().any(|l| l.starts_with(&format!("{key} = "))) || whole.contains(&format!("\n[{under}.{key}]"));
+            assert!(stated, "boards/gains.toml does not state {under}.{key}");
+        }
+        assert!(known.len() > 1, "{header}: {answer}");
+    }
 }
 
 /// The board with one line replaced, and the number of that line.

@@ -142,6 +142,28 @@ fn hardware_that_is_not_there_is_exit_code_3_with_words() {
 }
 
 #[test]
+fn a_user_without_permission_is_told_the_device_and_its_group() {
+    on_a_pi(world("linux-gpiochip"), |rig| {
+        let stranger = |command: &str, board: &str, more: &[&str], words: &[&str]| {
+            let text = std::fs::read_to_string(repo(&format!("boards/{board}.toml"))).unwrap();
+            let out = rig.command_of_a_stranger(command, &text).unwrap().args(more).output().unwrap();
+            let said = flat(&String::from_utf8_lossy(&out.stderr));
+            println!("{said}");
+            assert_eq!(out.status.code(), Some(3), "{said}");
+            words.iter().for_each(|w| assert!(said.contains(w), "`{w}` is not in: {said}"));
+        };
+        let jog = ["--channel", "1", "--mm", "1"];
+        rig.world().guarded = Some("i2c-1");
+        stranger("run", "linux-gpiochip", &[], &["no permission for /dev/i2c-1", "group i2c", "usermod -aG i2c"]);
+        rig.world().guarded = Some("gpiochip0");
+        stranger("jog", "linux-gpiochip", &jog, &["no permission for /dev/gpiochip0", "group gpio", "usermod -aG gpio"]);
+        rig.world().guarded = None;
+        std::fs::set_permissions("/dev/gpiomem", std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
+        stranger("jog", "pi3", &jog, &["no permission for /dev/gpiomem", "group gpio"]);
+    });
+}
+
+#[test]
 fn commissioning_finds_this_machine_wired_right() {
     on_a_pi(world("linux-gpiochip"), |rig| {
         let path = repo("boards/linux-gpiochip.toml");

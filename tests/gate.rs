@@ -125,6 +125,21 @@ fn a_slow_window_is_judged_by_the_time_it_took() {
     assert!(first.is_some());
 }
 
+/// A tick that took long, at an unchanged speed, is no acceleration: neither within the two windows that are
+/// compared nor once it has left them.
+#[test]
+fn a_long_tick_at_a_steady_speed_is_no_acceleration() {
+    let mut gate = Gate::new(&Limits { acceleration_mm_s2: 300.0, ..limits() }, &Steps([0; 3]));
+    let (mut mm, mut v) = (0.0, 0.0f64);
+    for tick in 0..400 {
+        let dt_s = if tick == 250 { 0.045 } else { DT };
+        v = (v + 200.0 * dt_s).min(30.0);
+        mm += v * dt_s;
+        let t = Told { dt_s, ..told([(mm / 0.03f64).round() as i32, 0, 0]) };
+        assert_eq!(trips(&mut gate, &t), None, "tick {tick}");
+    }
+}
+
 #[test]
 fn acceleration_trips_on_a_push_and_on_a_reversal() {
     // from rest: n steps within a window is n·0.03/0.016² mm/s², less two steps of grain

@@ -9,7 +9,7 @@ use retroflex::config::gains::Gains;
 use retroflex::config::pilot::assemble;
 use retroflex::config::source;
 use retroflex::control::spent::Spent;
-use retroflex::machine::Lockstep;
+use retroflex::machine::{Alarm, Lockstep};
 use retroflex::model::bend::Bend;
 use retroflex::pilot::flight::Flight;
 use retroflex::pilot::order::Order;
@@ -17,9 +17,10 @@ use retroflex::pilot::{Pilot, Turned};
 use retroflex::plant::{Channel, Fault};
 use retroflex::service::status;
 use retroflex::sim::Sim;
+use retroflex::supervise::gate::Cause;
 use retroflex::supervise::mode::Mode;
 use retroflex::tick::{Command, Kept};
-use retroflex::units::{Mm, Seconds};
+use retroflex::units::{Mm, Seconds, Steps};
 use retroflex::world::World;
 
 /// An order to bend, degrees.
@@ -234,4 +235,25 @@ fn a_reload_moves_nothing() {
         let t = f.turn(None);
         assert!((0..3).all(|i| (t.steps.0[i] - before.0[i]).abs() <= 8), "{:?} {before:?}", t.steps);
     }
+}
+
+#[test]
+fn what_is_kept_for_a_restart_is_what_was_pulsed() {
+    let mut fly = Fly::new(None, None);
+    fly.run(3.0);
+    fly.order(Order::Arm);
+    fly.bend(50.0, 30.0);
+    let mut sensed = fly.run(0.2).sensed;
+    // the step thread came late and stopped where it was, short of what it had been sent
+    let stopped = sensed.counted;
+    let mut sent = stopped;
+    for _ in 0..500 {
+        sensed.t.0 += 1e-3;
+        (sensed.counted, sensed.alarm) = (stopped, Some(Alarm::Late { late_s: 0.1 }));
+        sent = fly.flight.pilot.turn(&sensed, None).steps;
+    }
+    let pilot = &fly.flight.pilot;
+    assert_eq!((pilot.mode(), pilot.latched()), (Mode::Faulted, Some(Cause::StepGenerator)));
+    assert!(stopped != Steps::default() && sent != stopped, "{stopped:?} {sent:?}");
+    assert_eq!(pilot.keep().steps, stopped);
 }

@@ -8,14 +8,13 @@ use crate::cli::Outcome;
 use crate::cli::output;
 use crate::fuse::health;
 use crate::fuse::tip::{FuseConfig, Fusion, Told};
-use crate::io::imu::{self, Imu, ImuConfig};
+use crate::io::imu::Imu;
 use crate::log::bend_log::{self, BendLog};
 use crate::log::recording;
 use crate::model::drive::Drive;
 use crate::sample::ImuSample;
 use crate::units::{Seconds, Steps};
 use embedded_hal::delay::DelayNs;
-use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result, miette};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
@@ -26,7 +25,7 @@ pub enum Calibrate {
     /// The inertial sensor at the tip.
     Imu(Args),
     /// The transmission of a running service: Algorithm 1, or its short form.
-    Transmission(crate::cli::client::TransmissionArgs),
+    Transmission(crate::cli::client::args::TransmissionArgs),
 }
 
 /// Arguments of `calibrate imu`.
@@ -82,7 +81,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 pub fn run(command: &Calibrate) -> Result<Outcome> {
     let args = match command {
         Calibrate::Imu(args) => args,
-        Calibrate::Transmission(args) => return crate::cli::client::transmission(args),
+        Calibrate::Transmission(args) => return crate::cli::client::follow::transmission(args),
     };
     let date = args.date.clone().unwrap_or_else(today);
     let source = args.file.as_ref().or(args.live.as_ref()).map_or_else(String::new, |p| p.display().to_string());
@@ -294,6 +293,8 @@ pub fn record(sensor: &mut dyn Imu, delay: &mut dyn DelayNs, seconds: f64, progr
 
 #[cfg(feature = "hw")]
 fn live(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
+    use crate::io::imu::{self, ImuConfig};
+    use indicatif::{ProgressBar, ProgressStyle};
     use linux_embedded_hal::{Delay, I2cdev};
     let open = I2cdev::new(bus).map_err(|e| miette!("{}: {e}; name an I²C bus that exists and may be opened", bus.display()))?;
     let mut sensor = imu::open(&ImuConfig::default(), imu::linux::Classified(open)).into_diagnostic()?;
@@ -311,17 +312,9 @@ fn live(bus: &Path, _: f64) -> Result<Vec<ImuSample>> {
     Err(miette!("{}: this program was built without hardware; build it with the feature `hw`", bus.display()))
 }
 
-/// Today in UTC (civil date from days, Hinnant 2013).
+/// Today in UTC, as in `2026-01-31`.
 fn today() -> String {
-    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    let z = (since / 86_400) as i64 + 719_468;
-    let era = z.div_euclid(146_097);
-    let day_of_era = z.rem_euclid(146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let m = (5 * day_of_year + 2) / 153;
-    let (day, month) = (day_of_year - (153 * m + 2) / 5 + 1, if m < 10 { m + 3 } else { m - 9 });
-    format!("{:04}-{month:02}-{day:02}", year_of_era + era * 400 + i64::from(month <= 2))
+    time::OffsetDateTime::now_utc().date().to_string()
 }
 
 #[cfg(test)]

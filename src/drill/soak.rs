@@ -5,6 +5,8 @@ use crate::drill::list::{Strike, specs};
 use crate::pilot::order::Order;
 use crate::supervise::mode::Mode;
 use crate::world::WorldError;
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 use serde::Serialize;
 
 /// What a soak came to.
@@ -32,28 +34,12 @@ pub struct Soak {
     pub why: Vec<String>,
 }
 
-/// A seeded stream of numbers.
-struct Dice(u64);
-
-impl Dice {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
-    }
-    /// Between 0 and 1.
-    fn roll(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
-
 /// Runs for so many simulated hours.
 ///
 /// # Errors
 /// The plant's.
 pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) -> Result<Soak, WorldError> {
-    let mut dice = Dice(seed | 1);
+    let mut dice = StdRng::seed_from_u64(seed);
     let specs = specs();
     let refine = make.gains.refine;
     let prior = make.calibration.transmission.k_epsilon;
@@ -83,19 +69,19 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
                 soak.why.push(format!("session {session}: stuck in {}", bench.flight.pilot.mode()));
                 break;
             }
-            let (angle, dir) = (75.0 * dice.roll().sqrt(), 360.0 * dice.roll());
+            let (angle, dir) = (75.0 * dice.random::<f64>().sqrt(), 360.0 * dice.random::<f64>());
             let wanted = crate::model::bend::Bend::from_deg(angle, dir);
             bench.turn(Some(bend(angle, dir)))?;
             soak.poses += 1;
-            let strikes = dice.roll() < 0.15;
+            let strikes = dice.random::<f64>() < 0.15;
             if strikes {
-                let spec = &specs[(dice.next() % specs.len() as u64) as usize];
-                bench.run(0.05 + 0.4 * dice.roll())?;
+                let spec = &specs[dice.random_range(0..specs.len())];
+                bench.run(0.05 + 0.4 * dice.random::<f64>())?;
                 soak.faults += 1;
                 let (first, second) = spec.strike.strike(&mut bench);
                 bench.turn(first)?;
                 bench.turn(second)?;
-                let turned = bench.run(1.0 + 3.0 * dice.roll())?;
+                let turned = bench.run(1.0 + 3.0 * dice.random::<f64>())?;
                 soak.trips += u64::from(turned.latched.is_some());
                 bench.flight.machine.mend();
                 if matches!(spec.strike, Strike::Plant(..)) {
@@ -113,7 +99,7 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
                     bench.call_straight();
                 }
             } else {
-                let turned = bench.run(2.0 + 3.0 * dice.roll())?;
+                let turned = bench.run(2.0 + 3.0 * dice.random::<f64>())?;
                 soak.trips += u64::from(turned.tripped.is_some());
                 if turned.mode == Mode::Holding && !turned.frame.blocked {
                     errors.push((bench.true_bend().0 - wanted.0).norm().to_degrees());

@@ -18,7 +18,7 @@
 //!
 //! The error surface is flat in an event's time but for the event itself: a fit has to search `t1_s`
 //! and `t2_s`. Orientation does not see the part that lengthens all bellows alike; the physical
-//! answer among those that look the same is the one with the fewest channels, [`fewest_channels`].
+//! answer among those that look the same is the one with the fewest channels, and that one is reported.
 
 use crate::effects::smooth::onset;
 use crate::effects::{Effect, Memory, Moment, Param, Stage, Starts};
@@ -71,12 +71,17 @@ impl Effect for MissedSteps {
             }
         }
     }
+    fn canonical(&self, p: &mut [f64], k_epsilon: &Vector3<f64>) {
+        for event in p.chunks_exact_mut(4) {
+            let least = fewest_channels(&Vector3::new(event[1], event[2], event[3]), k_epsilon);
+            event[1..].copy_from_slice(least.as_slice());
+        }
+    }
 }
 
 /// Of all offsets (mm) that bend the tip as these do, the one of least sum, which leaves at most two
 /// channels off and one if one explains it: a common length, in proportion to 1 + k_ε, is free.
-#[must_use]
-pub fn fewest_channels(offset_mm: &Vector3<f64>, k_epsilon: &Vector3<f64>) -> Vector3<f64> {
+fn fewest_channels(offset_mm: &Vector3<f64>, k_epsilon: &Vector3<f64>) -> Vector3<f64> {
     let length = k_epsilon.add_scalar(1.0);
     let common = offset_mm.component_div(&length);
     let without = |i: usize| offset_mm - length * common[i];

@@ -188,6 +188,9 @@ pub trait Effect: Send + Sync {
     fn mount(&self, _p: &[f64]) -> Option<UnitQuaternion<f64>> {
         None
     }
+    /// Of all parameters that leave the same orientations, the one a report should name, in place;
+    /// `k_epsilon` are the nominal gains.
+    fn canonical(&self, _p: &mut [f64], _k_epsilon: &Vector3<f64>) {}
     /// What the sensor makes of the truth.
     fn sensor(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _reading: &mut Reading) {}
     /// Dead time from command to motion, s.

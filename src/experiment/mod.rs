@@ -3,5 +3,6 @@
 pub mod arm;
 pub mod evaluation;
 pub mod identify;
+pub mod pose;
 pub mod rig;
 pub mod schedule;

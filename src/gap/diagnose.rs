@@ -1,7 +1,7 @@
 //! The diagnosis as a document: gap, where, which, how much.
 
 use crate::effects::Effect;
-use crate::gap::chain::{Model, NOMINAL, run};
+use crate::gap::chain::{Model, lines, run};
 pub use crate::gap::credit::StageShare;
 use crate::gap::credit::{credits, stages};
 use crate::gap::decide::{Verdict, decide, floor};
@@ -11,6 +11,7 @@ use crate::gap::observe::{Kind, Observed};
 use crate::gap::search::{Candidate, Found, HeldOut, model_of, score, search};
 use crate::gap::sense::sense;
 use crate::model::transmission::Line;
+use nalgebra::Vector3;
 use serde::Serialize;
 
 /// The gap in figures, degrees RMS over all kinds of observation.
@@ -346,12 +347,14 @@ fn params(log: &Observed, catalogue: &[Box<dyn Effect>], e: &dyn Effect, c: &Can
     let kinds = log.has.iter().filter(|&&h| h).count() as f64;
     let variance = c.fitted.cost / (independent * 3.0 * kinds) / (log.bins.len() as f64 / independent);
     let inflation = variance * log.bins.len() as f64 / independent;
+    let mut named = model.of(&c.fitted.theta, i).to_vec();
+    e.canonical(&mut named, &Vector3::from(lines(&c.fitted.theta).map(|l| l.k_epsilon)));
     e.params()
         .iter()
         .enumerate()
         .map(|(k, p)| {
             let at = model.at[i] + k;
-            let (value, half) = (c.fitted.theta[at], 1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt());
+            let (value, half) = (named[k], 1.96 * (c.fitted.covariance[(at, at)].max(0.0) * inflation).sqrt());
             let shown = |x: f64| p.shown(x).0;
             ParamValue {
                 name: p.name,
@@ -446,10 +449,4 @@ fn when(log: &Observed, nominal: &HeldOut, after: &HeldOut) -> Vec<When> {
             pooled(log, nominal, after, inside).map(|(rmse_deg, explained_deg)| When { from_s, to_s, rmse_deg, explained_deg })
         })
         .collect()
-}
-
-/// Nominal parameters of a fitted candidate.
-#[must_use]
-pub fn nominal_of(c: &Candidate) -> &[f64] {
-    &c.fitted.theta[..NOMINAL]
 }

@@ -275,7 +275,7 @@ impl RtBench {
         let total = HEIGHT * rows.len() as f64;
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {total}\" font-family=\"sans-serif\" font-size=\"11\">",
-            LEFT + WIDTH + 12.0
+            LEFT + WIDTH + 32.0
         );
         for (i, (name, h)) in rows.iter().enumerate() {
             panel(&mut svg, name, h, [LEFT, HEIGHT * i as f64, WIDTH, HEIGHT], self.config.stepper.late_max_us);
@@ -312,9 +312,13 @@ fn panel(svg: &mut String, name: &str, h: &Histogram, frame: [f64; 4], late_max_
         let x = left + width * decade as f64 / 6.0;
         let _ = write!(svg, "<text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{label}</text>", floor + 14.0);
     }
-    let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{most}</text>", left - 4.0, floor - room + 8.0);
+    for n in (0..).map(|k| 10u32.pow(k)).take_while(|n| *n <= most && *n < 1_000_000_000) {
+        let y = floor - up(n);
+        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{n}</text>", left - 4.0, y + 4.0);
+    }
     let x = left + width * across(late_max_us * 1e3);
     let _ = write!(svg, "<path d=\"M{x:.1} {floor}v{:.1}\" stroke=\"#cc3311\" stroke-dasharray=\"4 3\"/>", -room);
+    let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" fill=\"#cc3311\">a fault beyond</text>", x + 4.0, floor - room + 8.0);
 }
 
 #[cfg(test)]

@@ -44,9 +44,4 @@ impl<M: Machine> Flight<M> {
         self.wanted = turned.steps;
         Ok(turned)
     }
-
-    /// What the machine knows of the truth, for judges.
-    pub fn machine_mut(&mut self) -> &mut M {
-        &mut self.machine
-    }
 }

@@ -6,25 +6,16 @@
 //! one pass with the calibration in use as prior.
 
 use crate::control::pi::Dynamics;
-use crate::experiment::identify::{CONVERGED, PASSES_MAX};
-use crate::experiment::schedule::{self, HOLD_S, Pose, SCORED_S};
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
+use crate::experiment::identify::{CONVERGED, IdentifyError, PASSES_MAX, plausible};
+use crate::experiment::pose::{Round, Step};
+use crate::experiment::schedule;
+use crate::model::arc::Geometry;
 use crate::model::transmission::Line;
 use crate::pilot::Turned;
-use crate::refine::batch::{Measurement, Prior, relative_step, solve};
-use crate::refine::dynamics::DynamicsBank;
+use crate::refine::batch::{Prior, relative_step, solve};
 use crate::supervise::mode::Mode;
-use crate::tick::{self, Command};
-use crate::units::Mm;
-use nalgebra::{Vector2, Vector3};
-
-/// Rest of the set-point before a pose is measured, s.
-const RESTED_S: f64 = 0.7;
-/// Longest way that is waited for, s.
-const WAY_MAX_S: f64 = 15.0;
-/// Travel after which the side of the gap is certain, mm.
-const SIDE_TRAVEL_MM: f64 = 2.4;
+use crate::tick::Command;
+use nalgebra::Vector3;
 
 /// What the loop is to do next.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,24 +42,24 @@ pub struct Found {
 /// A calibration that runs.
 #[derive(Debug, Clone)]
 pub struct Session {
-    geometry: Geometry,
     step_mm: f64,
-    poses: Vec<Pose>,
     prior: Option<[Prior; 3]>,
     lines: [Line; 3],
     before: Found,
     pass: usize,
-    at: usize,
-    /// Turns since the pose was ordered, s.
-    since_s: f64,
-    rested_s: f64,
-    sum: Vector2<f64>,
-    seen: u32,
-    seen_s: f64,
-    pushes: Pushes,
-    bank: DynamicsBank,
-    data: Vec<Measurement>,
-    started: bool,
+    round: Round,
+    state: State,
+}
+
+/// What the session waits for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum State {
+    /// The mode.
+    Mode,
+    /// A turn with the gains of this pass, to order a pose.
+    Pose,
+    /// The pose to be held.
+    Hold,
 }
 
 impl Session {
@@ -76,35 +67,17 @@ impl Session {
     #[must_use]
     pub fn full(geometry: Geometry, step_mm: f64, before: Found) -> Self {
         let none = Line { k_epsilon: 0.0, k_lambda_mm: 0.0 };
-        Self::new(geometry, step_mm, schedule::paper(), None, [none; 3], before)
+        Self::new(Round::new(geometry, schedule::paper()), step_mm, None, [none; 3], before)
     }
 
     /// One pass of 24 poses with a prior.
     #[must_use]
     pub fn short(geometry: Geometry, step_mm: f64, prior: [Prior; 3], before: Found) -> Self {
-        Self::new(geometry, step_mm, schedule::short(), Some(prior), prior.map(|p| p.line), before)
+        Self::new(Round::new(geometry, schedule::short()), step_mm, Some(prior), prior.map(|p| p.line), before)
     }
 
-    fn new(geometry: Geometry, step_mm: f64, poses: Vec<Pose>, prior: Option<[Prior; 3]>, lines: [Line; 3], before: Found) -> Self {
-        Self {
-            geometry,
-            step_mm,
-            poses,
-            prior,
-            lines,
-            before,
-            pass: 1,
-            at: 0,
-            since_s: 0.0,
-            rested_s: 0.0,
-            sum: Vector2::zeros(),
-            seen: 0,
-            seen_s: 0.0,
-            pushes: Pushes::default(),
-            bank: DynamicsBank::default(),
-            data: Vec::new(),
-            started: false,
-        }
+    fn new(round: Round, step_mm: f64, prior: Option<[Prior; 3]>, lines: [Line; 3], before: Found) -> Self {
+        Self { step_mm, prior, lines, before, pass: 1, round, state: State::Mode }
     }
 
     /// What was in use before, to go back to.
@@ -116,107 +89,52 @@ impl Session {
     /// How far it is, in words.
     #[must_use]
     pub fn progress(&self) -> String {
-        format!("pass {}, pose {} of {}", self.pass, self.at + 1, self.poses.len())
+        let (at, of) = self.round.at();
+        format!("pass {}, pose {} of {of}", self.pass, at + 1)
     }
 
     /// One turn of the loop.
     pub fn step(&mut self, turned: &Turned) -> Next {
         if turned.mode != Mode::Calibrating {
-            return if self.started { Next::Done(Err(format!("the calibration was ended by mode {}", turned.mode))) } else { Next::Wait };
+            let begun = self.state != State::Mode;
+            return if begun { Next::Done(Err(format!("the calibration was ended by mode {}", turned.mode))) } else { Next::Wait };
         }
-        if !self.started {
-            self.started = true;
-            return Next::Lines(self.lines);
+        let piston_mm = Vector3::from(turned.counted.0.map(|n| f64::from(n) * self.step_mm));
+        match self.state {
+            State::Mode => {
+                self.state = State::Pose;
+                Next::Lines(self.lines)
+            }
+            State::Pose => {
+                self.round.follow(&piston_mm);
+                self.state = State::Hold;
+                Next::Drive(self.round.command())
+            }
+            State::Hold => match self.round.step(&turned.frame, &piston_mm, turned.dt_s) {
+                Step::Waiting => Next::Wait,
+                Step::Next => Next::Drive(self.round.command()),
+                Step::Over => self.conclude(),
+            },
         }
-        let frame = &turned.frame;
-        self.pushes.follow(&Vector3::from(turned.counted.0.map(|n| f64::from(n) * self.step_mm)));
-        let Some(felt) = frame.felt else { return Next::Wait };
-        self.bank.step(frame.pistons_give.0, felt.bend.0, turned.input.dt_s);
-        if self.since_s == 0.0 {
-            self.since_s = turned.dt_s;
-            return Next::Drive(self.command());
-        }
-        self.since_s += turned.dt_s;
-        self.rested_s = if frame.mode == tick::Mode::Holding { self.rested_s + turned.dt_s } else { 0.0 };
-        if self.since_s > HOLD_S - SCORED_S && self.rested_s > RESTED_S {
-            self.sum += felt.bend.0;
-            self.seen += 1;
-            self.seen_s += turned.dt_s;
-        }
-        if self.seen_s >= SCORED_S {
-            self.measure();
-        } else if self.since_s < WAY_MAX_S {
-            return Next::Wait;
-        }
-        self.go_on()
     }
 
-    fn command(&self) -> Command {
-        let pose = self.poses[self.at.min(self.poses.len() - 1)];
-        Command { bend: pose.bend(), length: Mm(self.geometry.rest_length_mm) }
-    }
-
-    fn measure(&mut self) {
-        let bend = Bend(self.sum / f64::from(self.seen.max(1)));
-        let bellow_mm = self.geometry.lengths(&Shape { bend, length: Mm(self.geometry.rest_length_mm) });
-        let Pushes { last_mm, side, .. } = self.pushes;
-        self.data.push(Measurement { piston_mm: last_mm, bellow_mm, side, weight: self.pushes.weight() });
-    }
-
-    fn go_on(&mut self) -> Next {
-        (self.since_s, self.rested_s, self.sum, self.seen, self.seen_s) = (0.0, 0.0, Vector2::zeros(), 0, 0.0);
-        self.at += 1;
-        if self.at < self.poses.len() {
-            return Next::Wait;
-        }
-        let channels = match solve(&self.data, self.prior.as_ref()) {
-            Ok(channels) => channels,
+    fn conclude(&mut self) -> Next {
+        let found = solve(&self.round.data, self.prior.as_ref()).map_err(IdentifyError::from);
+        let next = match found.and_then(|channels| plausible(&channels)) {
+            Ok(next) => next,
             Err(why) => return Next::Done(Err(why.to_string())),
         };
-        let next = channels.map(|e| Line { k_lambda_mm: e.line.k_lambda_mm.max(0.0), ..e.line });
-        if let Some(i) = next.iter().position(|l| !(0.0..=10.0).contains(&l.k_epsilon) || l.k_lambda_mm > 3.0) {
-            let Line { k_epsilon, k_lambda_mm } = next[i];
-            return Next::Done(Err(format!(
-                "channel {} came to k_ε = {k_epsilon:.2}, k_λ = {k_lambda_mm:.2} mm, which no line has: check that line {0} reaches bellow {0} and that the motor turns the right way",
-                i + 1
-            )));
-        }
         let converged = self.prior.is_some() || relative_step(&next, &self.lines) < CONVERGED;
         self.lines = next;
         if converged {
-            let dynamics = self.bank.best(&self.before.dynamics).unwrap_or(self.before.dynamics);
-            return Next::Done(Ok(Found { lines: next, dynamics }));
+            return Next::Done(Ok(Found { lines: next, dynamics: self.round.dynamics(&self.before.dynamics) }));
         }
         if self.pass >= PASSES_MAX {
             return Next::Done(Err(format!("Algorithm 1 did not converge in {PASSES_MAX} passes; use the short form, or look for a leak")));
         }
         self.pass += 1;
-        self.at = 0;
-        self.data.clear();
+        self.round.again();
+        self.state = State::Pose;
         Next::Lines(next)
-    }
-}
-
-/// Which way each piston pushes and how far it has since it turned.
-#[derive(Debug, Clone, Copy, Default)]
-struct Pushes {
-    last_mm: Vector3<f64>,
-    side: Vector3<f64>,
-    travel_mm: Vector3<f64>,
-}
-
-impl Pushes {
-    fn follow(&mut self, piston_mm: &Vector3<f64>) {
-        for i in 0..3 {
-            let step = piston_mm[i] - self.last_mm[i];
-            if step * self.side[i] < 0.0 || (self.side[i] == 0.0 && step != 0.0) {
-                (self.side[i], self.travel_mm[i]) = (step.signum(), 0.0);
-            }
-            self.travel_mm[i] += step.abs();
-        }
-        self.last_mm = *piston_mm;
-    }
-    fn weight(&self) -> Vector3<f64> {
-        self.travel_mm.map(|t| if t >= SIDE_TRAVEL_MM { 1.0 } else { 0.0 })
     }
 }

@@ -101,6 +101,10 @@ pub struct Hub {
     last: Option<Turned>,
     recording: Option<Recording>,
     calibration: Option<Session>,
+    /// Why the last calibration found nothing.
+    calibration_failed: Option<String>,
+    /// What was accepted before the calibration that is being put on the disk.
+    accepted_before: Option<crate::memory::Gains>,
     memory_error: Option<String>,
     /// What the disk has for certain: drivers may be armed.
     armed_on_disk: bool,
@@ -132,6 +136,8 @@ impl Hub {
             last: None,
             recording: None,
             calibration: None,
+            calibration_failed: None,
+            accepted_before: None,
             memory_error: None,
             armed_on_disk: false,
             last_checkpoint: now,
@@ -298,6 +304,7 @@ impl Hub {
             "fault": self.last.as_ref().and_then(|t| t.latched).map(super::status::words),
             "calibration": memory.accepted.as_ref().map_or_else(|| self.parts.calibration.transmission.source.clone(), |g| g.source.clone()),
             "calibrating": self.calibration.as_ref().map(Session::progress),
+            "calibration_failed": self.calibration_failed,
             "proposed": memory.proposed,
             "recording": self.recording.as_ref().map(|r| json!({"path": r.path(), "rows": r.rows, "replayable": r.has_tape()})),
             "clients": self.parts.server.clients(),

@@ -100,5 +100,5 @@ pub fn frame_line(turned: &Turned, step_mm: f64) -> String {
 }
 
 fn round(x: f64) -> f64 {
-    (x * 1e4).round() * 1e-4
+    (x * 1e4).round() / 1e4
 }

@@ -43,14 +43,22 @@ pub trait Files: Send {
     fn find(&mut self, name: &str) -> Option<u64>;
     /// An ioctl.
     fn ioctl(&mut self, call: &Ioctl<'_>) -> Answer;
+    /// Permission bits of a file that belongs to root; the kernel holds callers to them.
+    fn mode(&self, _node: u64) -> u32 {
+        0o666
+    }
     /// The last descriptor of a file is closed.
     fn released(&mut self, node: u64);
+    /// The name of the one character device, where this is served through CUSE.
+    fn device(&self) -> Option<&'static str> {
+        None
+    }
 }
 
 /// Mounts an empty FUSE file system; the returned file is the server's end of it.
 pub fn mount(at: &Path) -> io::Result<File> {
     let file = File::options().read(true).write(true).open("/dev/fuse")?;
-    let options = text(&format!("fd={},rootmode=40000,user_id=0,group_id=0,allow_other", file.as_raw_fd()));
+    let options = text(&format!("fd={},rootmode=40000,user_id=0,group_id=0,allow_other,default_permissions", file.as_raw_fd()));
     let (source, target, kind) = (text("emulated-pi"), text(&at.display().to_string()), text("fuse"));
     // SAFETY: all five pointers are to live C strings, and mount(2) only reads them.
     let done = unsafe { libc::mount(source.as_ptr(), target.as_ptr(), kind.as_ptr(), 0, options.as_ptr().cast()) };
@@ -102,10 +110,19 @@ const ACCESS: u32 = 34;
 const INTERRUPT: u32 = 36;
 const IOCTL: u32 = 39;
 const BATCH_FORGET: u32 = 42;
+const CUSE_INIT: u32 = 4096;
 
-/// Attributes of a node: a folder or a file anyone may use.
-fn attributes(node: u64) -> Vec<u8> {
-    let mode: u32 = if node == 1 { 0o40755 } else { 0o100_666 };
+/// Answer to CUSE_INIT: version, unrestricted ioctls, sizes, any device number, the name.
+fn character_device(name: &str) -> Vec<u8> {
+    let mut out: Vec<u8> = [7_u32, 31, 0, 1, 65536, 65536, 0, 0].into_iter().flat_map(u32::to_le_bytes).collect();
+    out.extend([0_u8; 40]);
+    out.extend(format!("DEVNAME={name}\0").bytes());
+    out
+}
+
+/// Attributes of a node: a folder or a file.
+fn attributes(node: u64, bits: u32) -> Vec<u8> {
+    let mode: u32 = if node == 1 { 0o40755 } else { 0o100_000 | bits };
     let mut a = vec![0_u8; 88];
     a[0..8].copy_from_slice(&node.to_le_bytes());
     a[60..64].copy_from_slice(&mode.to_le_bytes());
@@ -157,11 +174,11 @@ pub fn serve<F: Files>(file: &File, lock: &std::sync::Mutex<F>) {
                 files.find(&name).map_or(Err(libc::ENOENT), |node| {
                     let mut out = node.to_le_bytes().to_vec();
                     out.extend([0_u8; 32]);
-                    out.extend(attributes(node));
+                    out.extend(attributes(node, files.mode(node)));
                     Ok(out)
                 })
             }
-            GETATTR => Ok([vec![0_u8; 16], attributes(node)].concat()),
+            GETATTR => Ok([vec![0_u8; 16], attributes(node, files.mode(node))].concat()),
             OPEN | OPENDIR => Ok(vec![0_u8; 16]),
             RELEASE => {
                 files.released(node);
@@ -182,6 +199,7 @@ pub fn serve<F: Files>(file: &File, lock: &std::sync::Mutex<F>) {
                 continue;
             }
             FORGET | BATCH_FORGET => continue,
+            CUSE_INIT => files.device().map(character_device).ok_or(libc::ENOSYS),
             _ => Err(libc::ENOSYS),
         };
         drop(files);

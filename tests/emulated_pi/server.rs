@@ -27,6 +27,8 @@ pub struct World {
     pub chip: Chip,
     /// Sensor bus.
     pub bus: Bus,
+    /// Name of a file that root alone may open.
+    pub guarded: Option<&'static str>,
     plant: Plant,
     reached_ns: u64,
     truth: Option<Truth>,
@@ -47,6 +49,7 @@ impl World {
         Self {
             chip: Chip::new(wiring, "pinctrl-bcm2835"),
             bus,
+            guarded: None,
             plant: Plant::new(&make, seed).expect("the board's plant"),
             reached_ns: monotonic_ns(),
             truth: None,
@@ -108,6 +111,15 @@ impl Files for World {
                 self.chip.on_handle((node - FIRST_HANDLE) as usize, call)
             }
         }
+    }
+
+    fn mode(&self, node: u64) -> u32 {
+        let guarded = match self.guarded {
+            Some("i2c-1") => node == BUS,
+            Some("gpiochip0") => node == CHIP,
+            _ => false,
+        };
+        if guarded { 0o600 } else { 0o666 }
     }
 
     fn released(&mut self, node: u64) {

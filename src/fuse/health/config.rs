@@ -1,4 +1,4 @@
-//! Limits of a believable reading and what to do beyond them: the `[health]` table of a board file.
+//! Limits of a believable reading and what to do beyond them: the `[fuse.health]` table of a gains file.
 
 use super::cause::Cause;
 use serde::{Deserialize, Serialize};
@@ -221,9 +221,9 @@ impl Default for Config {
     }
 }
 
-/// A limit of the `[health]` table that cannot be.
+/// A limit of the `[fuse.health]` table that cannot be.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("`health.{field}` = {value} is out of range: allowed is {allowed}; leave it out for the default")]
+#[error("`fuse.health.{field}` = {value} is out of range: allowed is {allowed}; leave it out for the default")]
 pub struct ConfigError {
     /// Name of the field.
     pub field: &'static str,

@@ -130,11 +130,6 @@ impl Mekf {
     pub fn gyro_scale(&self) -> SVector<f64, 6> {
         self.estimate.scale
     }
-    /// Standard deviations of the attitude about the world's x, y and z, rad.
-    #[must_use]
-    pub fn attitude_sigma_rad(&self) -> Vector3<f64> {
-        Vector3::from_fn(|k, _| self.covariance.sigma(ATTITUDE + k))
-    }
 
     /// Levels on a force; what was learnt of the sensor stays. A sensor in motion is levelled badly.
     fn level_on(&mut self, acc: &Vector3<f64>, gyro: Option<Vector3<f64>>) {

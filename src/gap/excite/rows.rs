@@ -9,10 +9,14 @@ use crate::model::bend::Bend;
 use crate::model::transmission::{Line, Side, SideState, Wanted};
 use crate::units::Mm;
 use nalgebra::Vector3;
+use serde::Deserialize;
 use std::fmt::Write as _;
+use std::path::Path;
+use thiserror::Error;
 
 /// One pose of a schedule.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Row {
     /// Bend β, degrees.
     pub bend_deg: f64,
@@ -145,6 +149,43 @@ pub fn csv(rows: &[Row]) -> String {
     out
 }
 
+/// A schedule that cannot be read.
+#[derive(Debug, Error)]
+#[error("{file}, line {line}: {why}; `retroflex gap excite` writes schedules")]
+pub struct ScheduleError {
+    file: String,
+    line: u64,
+    why: String,
+}
+
+/// Reads a schedule as [`csv`] writes it; poses that the machine cannot reach are for it to refuse.
+///
+/// # Errors
+/// [`ScheduleError`] with the line.
+pub fn read(path: &Path) -> Result<Vec<Row>, ScheduleError> {
+    let fail = |line, why| ScheduleError { file: path.display().to_string(), line, why };
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|e| fail(0, e.to_string()))?;
+    let mut rows = Vec::new();
+    for row in reader.deserialize::<Row>() {
+        let line = rows.len() as u64 + 2;
+        let row = row.map_err(|e| fail(e.position().map_or(line, csv::Position::line), e.to_string()))?;
+        let values = [
+            ("bend_deg", row.bend_deg, 0.0..=180.0),
+            ("dir_deg", row.dir_deg, -360.0..=360.0),
+            ("len_mm", row.len_mm, 1.0..=200.0),
+            ("hold_s", row.hold_s, 0.0..=3600.0),
+            ("speed_mm_s", row.speed_mm_s, 0.1..=1000.0),
+        ];
+        for (name, value, allowed) in values {
+            if !allowed.contains(&value) {
+                return Err(fail(line, format!("{name} = {value}, allowed is {} to {}", allowed.start(), allowed.end())));
+            }
+        }
+        rows.push(row);
+    }
+    if rows.is_empty() { Err(fail(1, "no rows".to_owned())) } else { Ok(rows) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -182,5 +223,28 @@ mod tests {
         let row = Row { bend_deg: 33.333_3, dir_deg: -0.04, len_mm: 20.0, hold_s: 0.5, speed_mm_s: 12.34 }.rounded();
         assert_eq!(csv(&[row]), "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n33.33,0.0,20.00,0.50,12.3\n");
         assert_eq!(row.rounded(), row);
+    }
+
+    #[test]
+    fn what_is_written_is_read_and_what_is_wrong_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.csv");
+        let rows =
+            [Row::rest(4.0, &Geometry::default()), Row { bend_deg: 60.0, dir_deg: 30.0, len_mm: 21.0, hold_s: 2.0, speed_mm_s: 10.0 }];
+        std::fs::write(&path, csv(&rows)).unwrap();
+        assert_eq!(read(&path).unwrap(), rows);
+        let head = "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n";
+        let cases = [
+            (format!("{head}0,0,20,4,20\n10,0,20,-1,20\n"), "line 3: hold_s = -1, allowed is 0 to 3600"),
+            (format!("{head}0,0,20,4,x\n"), "line 2"),
+            (format!("{head}0,0,20,4,NaN\n"), "line 2: speed_mm_s = NaN"),
+            (head.to_owned(), "no rows"),
+            ("bend_deg,dir_deg\n1,2\n".to_owned(), "len_mm"),
+        ];
+        for (text, words) in cases {
+            std::fs::write(&path, &text).unwrap();
+            let why = read(&path).unwrap_err().to_string();
+            assert!(why.contains(words), "{why}");
+        }
     }
 }

@@ -87,7 +87,7 @@ impl Hub {
             tracing::error!(event = "fault", cause = status::name(cause), steps = ?turned.steps.0, config = %config, "{words}{suspicion}");
             let entry = Fault { unix_s: unix_s(), cause: status::name(cause), words: format!("{words}{suspicion}") };
             self.parts.memory.fault(entry);
-            self.last_checkpoint = Instant::now() - Duration::from_secs(3600);
+            self.last_checkpoint = long_ago();
         }
         if turned.suspects
             && let Some(s) = &turned.suspicion
@@ -121,7 +121,10 @@ impl Hub {
                 self.order(Order::Calibrate(false), None);
                 self.order(Order::Lines(before.lines), None);
                 match result {
-                    Err(why) => tracing::error!(event = "calibration", config = %self.parts.config_hash, "{why}"),
+                    Err(why) => {
+                        tracing::error!(event = "calibration", config = %self.parts.config_hash, "{why}");
+                        self.calibration_failed = Some(why);
+                    }
                     Ok(found) => {
                         let gains = Gains {
                             k_epsilon: found.lines.map(|l| l.k_epsilon),
@@ -134,24 +137,33 @@ impl Hub {
                         };
                         tracing::info!(event = "calibration", k_epsilon = ?gains.k_epsilon, k_lambda_mm = ?gains.k_lambda_mm, config = %self.parts.config_hash, "found; `retroflex calibrate transmission --accept` puts it in use");
                         self.parts.memory.proposed = Some(gains);
+                        self.last_checkpoint = long_ago();
                     }
                 }
             }
         }
     }
 
-    /// Puts on the disk that drivers may be armed; the order goes out once it is there.
+    /// Puts the memory on the disk; the order goes out once it is there.
     pub(super) fn write_ahead(&mut self, order: Order, waiting: Waiting) {
         let id = self.next_order;
         self.next_order += 1;
-        self.parts.memory.armed = true;
         if self.parts.keeper.keep(&self.parts.memory, id) {
             self.ahead.insert(id, order);
             self.waiting.insert(id, waiting);
         } else {
-            let words = "the disk is busy; try again in a moment";
-            self.reply(waiting.client, &waiting.id, &Err(Failure::refused(words)));
+            self.not_kept(order, &waiting, "the disk is busy; try again in a moment".to_owned());
         }
+    }
+
+    /// An order that is not carried out, because what has to be remembered first could not be kept.
+    fn not_kept(&mut self, order: Order, waiting: &Waiting, words: String) {
+        if matches!(order, Order::Lines(_)) {
+            let memory = &mut self.parts.memory;
+            memory.proposed = std::mem::replace(&mut memory.accepted, self.accepted_before.take());
+        }
+        tracing::warn!(event = "refused", command = waiting.what, client = waiting.client, config = %self.parts.config_hash, "{words}");
+        self.reply(waiting.client, &waiting.id, &Err(Failure::refused(words)));
     }
 
     /// What has to survive goes to the keeper; what the keeper has done comes back.
@@ -192,18 +204,17 @@ impl Hub {
         let Some(waiting) = self.waiting.remove(&id) else { return };
         match error {
             None => {
-                self.armed_on_disk = true;
+                match order {
+                    Order::Lines(lines) => self.parts.pilot.tick.lines = lines,
+                    _ => self.armed_on_disk = true,
+                }
                 self.order(order, Some(waiting));
             }
             // the way back to rest is never denied
             Some(_) if order == Order::Relax => {
                 self.order(order, Some(waiting));
             }
-            Some(error) => {
-                let words = format!("not armed, because where the pistons are could not be kept: {error}");
-                tracing::warn!(event = "refused", command = waiting.what, client = waiting.client, config = %self.parts.config_hash, "{words}");
-                self.reply(waiting.client, &waiting.id, &Err(Failure::refused(words)));
-            }
+            Some(error) => self.not_kept(order, &waiting, format!("refused, because what must be remembered could not be kept: {error}")),
         }
     }
 
@@ -222,4 +233,10 @@ impl Hub {
             self.last_status = (line, Instant::now());
         }
     }
+}
+
+/// A checkpoint that is due: what is new in the memory goes to the disk in this round.
+fn long_ago() -> Instant {
+    let now = Instant::now();
+    now.checked_sub(Duration::from_secs(3600)).unwrap_or(now)
 }

@@ -81,6 +81,7 @@ impl Hub {
             Request::ResetFault {} => Order::Reset,
         };
         if matches!(plain, Order::Arm | Order::Relax) && !self.armed_on_disk {
+            self.parts.memory.armed = true;
             self.write_ahead(plain, wait(json!({})));
         } else {
             self.order(plain, Some(wait(json!({}))));
@@ -251,6 +252,7 @@ impl Hub {
             return Some(Err(Failure::refused(format!("not while {}: `retroflex arm` and let the tip come to rest first", self.mode()))));
         }
         self.calibration = Some(session);
+        self.calibration_failed = None;
         self.order(Order::Calibrate(true), Some(waiting));
         None
     }
@@ -274,10 +276,9 @@ impl Hub {
         if !matches!(self.mode(), Mode::Disarmed | Mode::Holding) {
             return Some(Err(Failure::refused(format!("not while {}", self.mode()))));
         }
-        self.parts.pilot.tick.lines = lines;
-        self.parts.memory.accepted = Some(gains);
+        self.accepted_before = self.parts.memory.accepted.replace(gains);
         self.parts.memory.proposed = None;
-        self.order(Order::Lines(lines), Some(waiting));
+        self.write_ahead(Order::Lines(lines), waiting);
         None
     }
 }

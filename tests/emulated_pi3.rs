@@ -1,0 +1,61 @@
+//! The program on an emulated Raspberry Pi, layer 2: a whole Pi 3 in QEMU with Debian's kernel and systemd.
+//! Real registers, a real I²C controller, the unit file as shipped, and the built-in plant closed around it:
+//! pulses are read from QEMU's trace of stores to the chip, motion goes back to a sensor in the guest.
+//!
+//! `.ci/emulated-pi3` makes the machine and runs this. Counts, orders and states are judged and nothing that
+//! has to do with time: an emulated processor has none.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "emulated_pi3/chips.rs"]
+mod chips;
+mod common;
+#[path = "emulated_pi3/flight.rs"]
+mod flight;
+#[path = "emulated_pi3/guest.rs"]
+mod guest;
+#[path = "emulated_pi3/service.rs"]
+mod service;
+#[path = "emulated_pi3/stages.rs"]
+mod stages;
+#[path = "emulated_pi3/tip.rs"]
+mod tip;
+#[path = "emulated_pi3/trace.rs"]
+mod trace;
+#[path = "emulated_pi3/verdicts.rs"]
+mod verdicts;
+#[path = "emulated_pi3/wire.rs"]
+mod wire;
+
+use retroflex::config::board::Board;
+use retroflex::config::source;
+use service::Scene;
+use std::path::PathBuf;
+
+/// The board whose lines, geometry and drive the guest has.
+fn board() -> Board {
+    source::read(&common::repo("boards/pi3.toml")).unwrap()
+}
+
+#[test]
+#[ignore = "five minutes and a machine that .ci/emulated-pi3 makes"]
+fn a_whole_pi_3_runs_the_service() {
+    let Some(folder) = std::env::var_os("EMULATED_PI3").map(PathBuf::from) else {
+        println!("skipped: .ci/emulated-pi3 makes the machine, and names its folder in EMULATED_PI3");
+        return;
+    };
+    let words = chips::on_the_controller(&folder).unwrap();
+    let guest = guest::Guest::start(&folder, &words);
+    let tip = tip::TheTip::start(&guest, &board(), &common::plant().make());
+    let verdicts = verdicts::Verdicts::new(&folder.join("verdicts.txt"));
+    let mut scene = Scene { guest, tip, verdicts, zero: [0; 3], stalls: 0 };
+    stages::machine(&mut scene);
+    stages::controller(&mut scene);
+    stages::pins(&mut scene);
+    flight::service(&mut scene);
+    flight::watchdog(&mut scene);
+    flight::caught(&mut scene);
+    flight::stop(&mut scene);
+    let Scene { guest, mut verdicts, .. } = scene;
+    verdicts.hold("the guest shuts down", guest.end(), "QEMU has ended");
+    assert!(verdicts.end());
+}
