@@ -197,7 +197,7 @@ fn a_base_that_turns_slowly_earns_a_word_and_a_healthy_tip_none() {
     for (i, axis) in [[0.0, 0.0, 1.0], [0.5, -0.7, 0.5], [0.3, 0.2, 1.0]].into_iter().enumerate() {
         let mut life = Life::new(TipPlant::new(60 + i as u64, 50.0, DT_S), Choice::Bend);
         life.align();
-        let mut round = |life: &mut Life, seconds: f64| {
+        let round = |life: &mut Life, seconds: f64| {
             let mut doubted = false;
             for (bend, dir) in poses {
                 life.command(bend, dir);
