@@ -412,6 +412,11 @@ impl Pilot {
         let Some(felt) = frame.felt.filter(|_| self.modes.now().moves() && !self.handing_over) else {
             return false;
         };
+        if frame.base_moved {
+            // it is the base that is to blame, and no line can be judged until the rest is found again
+            self.explain.forget();
+            return false;
+        }
         let seen = Seen {
             dt_s,
             given: frame.pistons_give.0,

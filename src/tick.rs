@@ -187,6 +187,8 @@ pub struct Frame {
     pub senses: Senses,
     /// The base has turned: the integrator is frozen until a re-alignment.
     pub base_moved: bool,
+    /// The tip twists against its mechanism: the base may have turned slowly. The loop goes on.
+    pub base_doubted: bool,
 }
 
 /// What the loop remembers from tick to tick.
@@ -482,6 +484,7 @@ fn watch_base(config: &Config, state: &mut State, input: &Input, should: Vector2
         to_go: state.target.bend.0 - felt.0,
         still_s: state.still_s,
         answer_s: state.dynamics.lag_s + state.dynamics.delay_s,
+        twists: state.fusion.twists(),
         dt_s: input.dt_s,
     };
     state.base_moved = state.watch.step(&config.fuse.watch, &seen);
@@ -687,5 +690,6 @@ fn frame(config: &Config, state: &State, input: &Input, felt: Option<Felt>, give
             disagrees: felt.is_some_and(|f| f.disagrees),
         },
         base_moved: state.base_moved,
+        base_doubted: state.fusion.doubts_base(&config.fuse),
     }
 }

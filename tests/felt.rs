@@ -190,3 +190,27 @@ fn without_a_base_imu_a_turn_is_flagged_and_mended_on_request() {
         }
     }
 }
+
+#[test]
+fn a_base_that_turns_slowly_earns_a_word_and_a_healthy_tip_none() {
+    let poses = [(60.0, 0.0), (50.0, 120.0), (60.0, 240.0), (40.0, 60.0), (65.0, 180.0), (55.0, 300.0)];
+    for (i, axis) in [[0.0, 0.0, 1.0], [0.5, -0.7, 0.5], [0.3, 0.2, 1.0]].into_iter().enumerate() {
+        let mut life = Life::new(TipPlant::new(60 + i as u64, 50.0, DT_S), Choice::Bend);
+        life.align();
+        let round = |life: &mut Life, seconds: f64| {
+            let mut doubted = false;
+            for (bend, dir) in poses {
+                life.command(bend, dir);
+                life.run(seconds / 6.0, |f, _| doubted |= f.base_doubted);
+            }
+            doubted
+        };
+        assert!(!round(&mut life, 12.0) && !round(&mut life, 12.0), "nothing has turned");
+        life.plant.base_rate = Vector3::from(axis).normalize() * (15f64.to_radians() / 12.0);
+        let during = round(&mut life, 12.0);
+        life.plant.base_rate = Vector3::zeros();
+        let after = round(&mut life, 12.0);
+        println!("15° about {axis:?} in 12 s: a word during it {during}, after it {after}");
+        assert!(during || after, "{axis:?}");
+    }
+}

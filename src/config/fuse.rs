@@ -77,6 +77,7 @@ fn watch(w: &WatchConfig, to: &mut Checker) {
     to.range("fuse.watch.bend_deg", w.bend_deg, 0.1..=90.0, "deg", "5.5");
     to.range("fuse.watch.onset_deg", w.onset_deg, 0.01..=w.bend_deg.max(0.01), "deg", "below bend_deg");
     to.range("fuse.watch.settled_deg", w.settled_deg, 0.01..=45.0, "deg", "1.5");
+    to.range("fuse.watch.misfit", w.misfit, 0.05..=100.0, "sigma", "0.8");
     to.range("fuse.watch.memory_s", w.memory_s, 0.1..=600.0, "s", "1.5");
 }
 

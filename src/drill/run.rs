@@ -10,6 +10,8 @@ use crate::world::WorldError;
 
 /// From the start of the move to the fault, s.
 const MID_MOTION_S: f64 = 0.22;
+/// From the start of the move to a fault that strikes a held pose, s: the last nudge of the pistons is over.
+const HELD_S: f64 = 8.0;
 /// How long a fault is watched, s.
 const WATCHED_S: f64 = 7.0;
 /// After how long the operator goes on with a fault that was not noticed, s.
@@ -94,8 +96,9 @@ pub fn fly(make: &Make, spec: &Spec, allowance: &Allowance) -> Result<Row, World
         return Ok(row);
     }
     bench.turn(Some(bend(spec.to.0, spec.to.1)))?;
-    let before = bench.run(MID_MOTION_S)?;
-    row.demand(before.mode == Mode::Tracking, |_| format!("struck in mode {}", before.mode));
+    let (after_s, mode) = if spec.held { (HELD_S, Mode::Holding) } else { (MID_MOTION_S, Mode::Tracking) };
+    let before = bench.run(after_s)?;
+    row.demand(before.mode == mode, |_| format!("struck in mode {}", before.mode));
     let last = watch(&mut bench, spec, before, &mut row)?;
     row.demand(row.detected_s.is_some(), |_| "not noticed".to_owned());
     row.demand(row.steps_after <= row.steps_allowed, |row| format!("{} microsteps after it was noticed", row.steps_after));

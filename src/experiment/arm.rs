@@ -104,7 +104,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
         let true_bend = Bend::from_rotation(&truth);
         let error_deg = pose.bend_deg - true_bend.beta().to_degrees();
         blocked |= frame.blocked;
-        base_moved |= frame.base_moved;
+        base_moved |= frame.base_moved || frame.base_doubted;
         stopped |= frame.senses.held;
         last = Some((frame.dynamics, frame.feedback));
         if error_deg.abs() > SETTLED_DEG {

@@ -56,6 +56,8 @@ use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
 /// Time over which the surprise of gravity decides whether the gyroscope drifts, s.
 const DOUBT_S: f64 = 1.0;
+/// Time over which the twist's misfit is averaged, s: a few poses.
+const MISFIT_S: f64 = 3.0;
 
 /// Noise of one averaged reading: variances, and for how many corrections the direction error stays.
 struct Noise {
@@ -82,6 +84,8 @@ pub struct BendFilter {
     velocity_m_s: [Vector3<f64>; 2],
     corrected: Vector2<f64>,
     leap: Leap,
+    /// Running mean of the twist's normalised misfit squared.
+    misfit: f64,
 }
 
 /// Which parts of a sample may be believed, and whether the pistons rest.
@@ -122,6 +126,7 @@ impl BendFilter {
             velocity_m_s: [Vector3::zeros(); 2],
             corrected: Vector2::zeros(),
             leap: Leap::default(),
+            misfit: 0.0,
         }
     }
 
@@ -154,6 +159,7 @@ impl BendFilter {
 
     fn forget_innovations(&mut self) {
         (self.acc, self.mag, self.rate, self.doubt) = (Innovation::NEW, Innovation::NEW, Innovation::NEW, 1.0);
+        self.misfit = 0.0;
     }
 
     /// The rest that zero bend refers to.
@@ -196,6 +202,20 @@ impl BendFilter {
     #[must_use]
     pub fn mag_bias_sigma_ut(&self) -> f64 {
         self.belief.sigma_of(MAG)
+    }
+    /// How far the twist that gravity and field say is off the one that the mechanism makes, over the last
+    /// seconds, in standard deviations (root mean square).
+    #[must_use]
+    pub fn twist_misfit(&self) -> f64 {
+        self.misfit.sqrt()
+    }
+    /// Twist per bend that the tip may make by what it has shown, rad/rad: torsion and tilt as estimated, with
+    /// three standard deviations of both and of what is not proportional.
+    #[must_use]
+    pub fn twists(&self) -> f64 {
+        let tilt = self.belief.x[MOUNT].hypot(self.belief.x[MOUNT + 1]);
+        let open = self.belief.p[(TWIST, TWIST)] + self.belief.p[(MOUNT, MOUNT)] + self.belief.p[(MOUNT + 1, MOUNT + 1)];
+        self.belief.x[TWIST].abs() + tilt + 3.0 * (open + self.config.twist_error * self.config.twist_error).sqrt()
     }
     /// Rate of the tip against the base after the last sample, rad/s.
     #[must_use]
@@ -359,7 +379,10 @@ impl BendFilter {
         (h[MOUNT], h[MOUNT + 1]) = (twist.psi_by_tilt.x, twist.psi_by_tilt.y);
         let sigma = TWIST_ALWAYS_RAD + self.config.twist_error * twist.beta;
         let noise = self.noise(0.0, sigma);
-        self.belief.scalar(&h, c * twist.beta - twist.psi, noise.direction * noise.repeats);
+        let misfit = c * twist.beta - twist.psi;
+        let k = (self.config.correction_period_s / MISFIT_S).min(1.0);
+        self.misfit += k * (misfit * misfit / (self.belief.variance(&h) + noise.direction) - self.misfit);
+        self.belief.scalar(&h, misfit, noise.direction * noise.repeats);
     }
 
     /// A tip whose pistons rest reads its bias: the whole second of rest counts once. A rate that neither

@@ -261,6 +261,18 @@ impl Fusion {
     pub fn follows_base(&self) -> bool {
         self.base.follows()
     }
+    /// The tip twists against its mechanism for long, and no base IMU speaks: the base may have turned.
+    #[must_use]
+    pub fn doubts_base(&self, config: &FuseConfig) -> bool {
+        let Stage::Running(r) = &self.stage else { return false };
+        let alone = config.watch.enabled && !self.base.follows() && !self.in_force().contains(Cause::FieldDisturbed);
+        alone && r.bend_filter().is_some_and(|f| f.twist_misfit() > config.watch.misfit)
+    }
+    /// Twist per bend that the tip may make by what it has shown, rad/rad, where the bend filter says it.
+    #[must_use]
+    pub fn twists(&self) -> Option<f64> {
+        if let Stage::Running(r) = &self.stage { r.bend_filter().map(BendFilter::twists) } else { None }
+    }
     /// The selected estimator, once aligned.
     #[must_use]
     pub fn estimator(&self) -> Option<&Estimator> {

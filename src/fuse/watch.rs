@@ -5,14 +5,22 @@
 //! watches follow from that.
 //!
 //! * **Twist**: `∫ φ̇_z`, forgotten over a second. Torsion and a tilted mount make some of it, in
-//!   proportion to the set-point's motion, and as much is allowed.
+//!   proportion to the set-point's motion, and as much is allowed: at first what any tip may make, later
+//!   what this one has been seen to.
 //! * **Bend**: `∫ (φ̇_xy − model)`, from the moment on at which the loop had settled on a resting
 //!   set-point. Only then: during a motion the model is not exact enough to accuse the base. And only
 //!   when the turn began while the pistons stood: a tip that is held differs by *not* turning while
 //!   it is pushed, and a gap believed too wide by turning more than it was pushed.
 //!
+//! A turn that looks like bending and comes while the tip moves is seen by neither: a cable that pulls taut, or
+//! a wall, makes a tip lag its pistons by as much, and all three read the same on one IMU. It is said, as
+//! something outside, once it is more than such a cable does.
+//!
 //! What looks like bending and comes slowly (a leak, creep, a base that is tilted over a minute) stays
-//! below both, and is corrected by the loop as bending. Only a base IMU can tell that apart.
+//! below both, and is corrected by the loop as bending. In one pose only a base IMU can tell that apart. Over
+//! several poses a turned base shows as twist that gravity and field say and the mechanism cannot make:
+//! the estimator's misfit ([`super::bend::BendFilter::twist_misfit`]) earns it a word, but no freeze, since a field
+//! that lies does the same.
 
 use crate::fuse::intake::share;
 use nalgebra::{Vector2, Vector3};
@@ -26,7 +34,8 @@ pub struct WatchConfig {
     pub enabled: bool,
     /// Unexplained twist that flags a moved base, degrees. Default 5. Larger overlooks larger turns.
     pub twist_deg: f64,
-    /// Twist that is allowed per degree of set-point motion. Default 0.45: torsion and a tilted mount.
+    /// Twist that is allowed per degree of set-point motion. Default 0.45: torsion and a tilted mount. Less is
+    /// allowed once the tip has shown that it makes less. Larger overlooks larger turns of a tip that moves.
     pub twist_share: f64,
     /// Unexplained bend that flags a moved base, degrees. Default 5.5. Larger overlooks larger turns.
     pub bend_deg: f64,
@@ -36,13 +45,25 @@ pub struct WatchConfig {
     /// Error within which the loop counts as settled, degrees. Default 1.5. Larger watches sooner
     /// after a motion, with a less exact model.
     pub settled_deg: f64,
+    /// Twist against the mechanism, in standard deviations over some seconds, from which the base may have
+    /// turned slowly: a word, nothing more. Default 0.8; a healthy tip stays below 0.5. Larger overlooks larger turns.
+    pub misfit: f64,
     /// How long both are remembered, s. Default 1.5. Larger sees slower turns, and more creep.
     pub memory_s: f64,
 }
 
 impl Default for WatchConfig {
     fn default() -> Self {
-        Self { enabled: true, twist_deg: 5.0, twist_share: 0.45, bend_deg: 5.5, onset_deg: 0.4, settled_deg: 1.5, memory_s: 1.5 }
+        Self {
+            enabled: true,
+            twist_deg: 5.0,
+            twist_share: 0.45,
+            bend_deg: 5.5,
+            onset_deg: 0.4,
+            settled_deg: 1.5,
+            misfit: 0.8,
+            memory_s: 1.5,
+        }
     }
 }
 
@@ -63,6 +84,8 @@ pub struct Seen {
     pub still_s: f64,
     /// Lag and dead time of the line together, s.
     pub answer_s: f64,
+    /// Twist per bend that this tip may make, by what it has shown, rad/rad; `None` where nobody knows.
+    pub twists: Option<f64>,
     /// Time since the last tick, s.
     pub dt_s: f64,
 }
@@ -113,7 +136,7 @@ impl Watch {
         // b = (φ_y, φ_x)
         let turned = Vector2::new(phi_rate.y, phi_rate.x) * seen.dt_s;
         self.follow_bend(config, seen, turned, seen.model - model, fade);
-        self.judge(config, seen.dt_s)
+        self.judge(config, seen)
     }
 
     fn follow_bend(&mut self, config: &WatchConfig, seen: &Seen, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
@@ -133,9 +156,10 @@ impl Watch {
         }
     }
 
-    fn judge(&mut self, config: &WatchConfig, dt_s: f64) -> bool {
-        let twist_max = config.twist_deg.to_radians() + config.twist_share * self.path_slow;
-        self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + dt_s } else { 0.0 };
+    fn judge(&mut self, config: &WatchConfig, seen: &Seen) -> bool {
+        let share = seen.twists.map_or(config.twist_share, |shown| config.twist_share.min(shown));
+        let twist_max = config.twist_deg.to_radians() + share * self.path_slow;
+        self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + seen.dt_s } else { 0.0 };
         let bent = self.bend.norm() > config.bend_deg.to_radians() && self.onset == Onset::ByItself;
         config.enabled && (bent || self.twisted_s > CONFIRM_S)
     }
@@ -176,6 +200,7 @@ mod tests {
                 to_go,
                 still_s: if model(t) == model(t - DT_S) { 1.0 } else { 0.0 },
                 answer_s: 0.04,
+                twists: None,
                 dt_s: DT_S,
             };
             watch.step(&WatchConfig::default(), &seen)
@@ -207,6 +232,33 @@ mod tests {
         let pushing = |t: f64| Vector2::new(0.7 + 0.1 * t, 0.0);
         assert_eq!(flagged(|_| Vector3::zeros(), pushing, resting, Vector2::new(0.02, 0.0)), None);
         assert_eq!(flagged(turn(Vector3::y(), 10.0, 0.3), resting, resting, Vector2::new(0.2, 0.0)), None, "not settled");
+    }
+
+    #[test]
+    fn a_tip_that_has_shown_that_it_twists_little_is_allowed_little() {
+        let flags = |twists: Option<f64>| {
+            let mut watch = Watch::default();
+            (0..200).any(|k| {
+                let t = f64::from(k) * DT_S;
+                let bend = Vector2::new(0.2 + t.min(1.0), 0.0);
+                let twisting = if t < 0.5 { 0.4 } else { 0.0 };
+                let rate_rad_s = Vector3::new(0.0, 1.0, twisting);
+                let still = Seen {
+                    rate_rad_s,
+                    felt: bend,
+                    model: bend,
+                    setpoint: bend,
+                    to_go: bend,
+                    still_s: 0.0,
+                    answer_s: 0.04,
+                    twists,
+                    dt_s: DT_S,
+                };
+                watch.step(&WatchConfig::default(), &still)
+            })
+        };
+        assert!(!flags(None), "any tip may make 11° of twist over half a radian");
+        assert!(flags(Some(0.1)) && !flags(Some(3.0)), "this one may not; and none may make more than the configured");
     }
 
     #[test]

@@ -37,6 +37,14 @@ pub fn blocked(f: &Frame) -> bool {
     f.blocked || f.spent != Spent::No
 }
 
+/// What is known of a base that turned, in words.
+#[must_use]
+pub fn base(f: &Frame) -> Option<&'static str> {
+    let moved = f.base_moved.then_some("the base has turned: `retroflex relax`, then `retroflex zero`");
+    let slowly = "the tip twists as its mechanism cannot: the base may have turned slowly, or a field is near; `relax`, then `zero`";
+    moved.or_else(|| f.base_doubted.then_some(slowly))
+}
+
 /// Why it will not, in words.
 #[must_use]
 pub fn short(f: &Frame) -> Option<&'static str> {
@@ -64,6 +72,7 @@ pub fn turn(turned: &Turned, step_mm: f64) -> Value {
         "blocked": blocked(f),
         "short": short(f),
         "base_moved": f.base_moved,
+        "base": base(f),
         "latched": turned.latched.map(name),
         "suspicion": turned.suspicion.map(|s| s.to_string()),
         "senses": {

@@ -46,8 +46,14 @@ fn readable(s: &Value) -> String {
             s["turns"], s["late_turns"], s["latest_us"], s["lost_frames"]
         ),
     ];
-    for (name, key) in [("fault", "fault"), ("short", "short"), ("suspected", "suspicion"), ("alarm", "alarm"), ("running", "calibrating")]
-    {
+    for (name, key) in [
+        ("fault", "fault"),
+        ("short", "short"),
+        ("base", "base"),
+        ("suspected", "suspicion"),
+        ("alarm", "alarm"),
+        ("running", "calibrating"),
+    ] {
         if !s[key].is_null() {
             lines.push(format!("{name:<9} {}", text(&s[key])));
         }

@@ -149,7 +149,8 @@ impl Belief {
         }
     }
 
-    fn variance(&self, h: &[f64; N]) -> f64 {
+    /// Variance of a reading by what is believed alone.
+    pub fn variance(&self, h: &[f64; N]) -> f64 {
         let ph = self.p_times(h);
         (0..N).map(|i| h[i] * ph[i]).sum()
     }
