@@ -367,7 +367,7 @@ fn every_policy_can_be_written_and_bad_limits_are_named() {
     c.validate().expect("sound");
     assert!(toml::from_str::<Config>("blind_maxs = 1").is_err(), "a typo is an error");
     let bad = Config { saturated_at: 98.0, ..Config::default() };
-    assert!(bad.validate().unwrap_err().to_string().contains("`health.saturated_at` = 98"));
+    assert!(bad.validate().unwrap_err().to_string().contains("`fuse.health.saturated_at` = 98"));
     let back: Config = toml::from_str(&toml::to_string(&Config::default()).expect("serialises")).expect("reads back");
     assert_eq!(back, Config::default());
 }

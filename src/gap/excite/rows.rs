@@ -158,7 +158,7 @@ pub struct ScheduleError {
     why: String,
 }
 
-/// Reads a schedule as [`csv`] writes it; poses that the machine cannot reach are for it to refuse.
+/// Reads a schedule as [`csv()`] writes it; poses that the machine cannot reach are for it to refuse.
 ///
 /// # Errors
 /// [`ScheduleError`] with the line.
