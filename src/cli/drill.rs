@@ -92,9 +92,13 @@ fn rows(args: &Args, make: &Make) -> Result<Vec<Row>> {
     let wanted = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
     let mut rows = Vec::new();
     let allowance = Allowance::new(make).into_diagnostic()?;
-    for spec in list::specs().iter().filter(|s| wanted(s.name) && !args.process) {
+    let specs = list::specs();
+    let bar = output::bar(specs.len() as u64, "fault {pos} of {len}");
+    for spec in specs.iter().filter(|s| wanted(s.name) && !args.process) {
         rows.push(fly(make, spec, &allowance).into_diagnostic()?);
+        bar.inc(1);
     }
+    bar.finish_and_clear();
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {
         let program = std::env::current_exe().into_diagnostic()?;
         let scratch = Scratch::new()?;
@@ -137,13 +141,10 @@ fn soak_for(args: &Args, make: &Make, hours: f64) -> Result<Outcome> {
     if !(0.001..=10_000.0).contains(&hours) {
         return Err(miette!("--soak {hours}: give 0.001 to 10000 simulated hours"));
     }
-    let mut told = 0.0;
-    let result = soak::run(make, hours, args.seed, &mut |h| {
-        if h >= told + 1.0 {
-            told = h;
-            eprintln!("{h:.1} h");
-        }
-    });
+    eprintln!("seed {}", args.seed);
+    let bar = output::bar(1000, "soak {percent} %");
+    let result = soak::run(make, hours, args.seed, &mut |h| bar.set_position((1000.0 * h / hours) as u64));
+    bar.finish_and_clear();
     let soak = result.into_diagnostic()?;
     let text = serde_json::to_string_pretty(&soak).into_diagnostic()? + "\n";
     match &args.json {

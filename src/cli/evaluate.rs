@@ -13,7 +13,6 @@ use crate::sim::Sim;
 use crate::world::{World, WorldError};
 use clap::builder::PossibleValue;
 use comfy_table::{CellAlignment, Table, presets};
-use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result, miette};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -84,7 +83,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
         arms: args.arms.clone(),
         seed: args.seed,
     };
-    let bar = progress();
+    let bar = output::bar(0, "{msg:<18} {pos} states held,");
     let result = evaluation::run(&plan, &mut |purpose| plant.open(purpose), &mut |what| {
         bar.set_message(what.to_owned());
         bar.inc(1);
@@ -166,15 +165,6 @@ fn write_all(args: &Args, e: &Evaluation) -> Result<()> {
         output::write(path, &pictures::svg(e))?;
     }
     Ok(())
-}
-
-fn progress() -> ProgressBar {
-    // draws on stderr, and only where that is a terminal
-    let bar = ProgressBar::new_spinner();
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg:<18} {pos} states held, {elapsed}") {
-        bar.set_style(style);
-    }
-    bar
 }
 
 /// The table and what stands under it, on stdout.

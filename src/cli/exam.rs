@@ -7,7 +7,6 @@ use crate::gap::exam::mark::{Method, Row, Sheet, mark};
 use crate::gap::exam::question::{Question, paper};
 use crate::gap::exam::{Answer, sit};
 use comfy_table::{CellAlignment, Table, presets};
-use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -60,10 +59,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
     }
     let questions: Vec<Question> = paper(args.seed, args.rounds.max(1)).into_iter().step_by(args.every.max(1)).collect();
     eprintln!("seed {}, {} logs", args.seed, questions.len());
-    let bar = ProgressBar::new(questions.len() as u64);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} logs, {eta} left") {
-        bar.set_style(style);
-    }
+    let bar = output::bar(questions.len() as u64, "{pos} of {len} logs, {eta} left,");
     let answers = sit(&questions, &catalogue(), || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let sheet = mark(args.seed, &questions, &answers);

@@ -8,7 +8,6 @@ use crate::gap::excite::rows::csv;
 use crate::gap::excite::{APART, Designed, LONGEST_S, Wanted, design, separable};
 use crate::model::transmission::Line;
 use comfy_table::{CellAlignment, Table, presets};
-use indicatif::{ProgressBar, ProgressStyle};
 use miette::{Result, miette};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -57,7 +56,7 @@ pub fn run(args: &ExciteArgs) -> Result<Outcome> {
     let like = args.like.as_deref().map(saved).transpose()?;
     let lines = like.as_ref().map_or(PAPER, |m| lines(&m.with_effects));
     let wanted = Wanted { lines, like, tracker: args.tracker, seed: args.seed, rounds: args.rounds };
-    let (bar, begun) = (bar(args.rounds), Instant::now());
+    let (bar, begun) = (output::bar(args.rounds as u64, "{pos} of {len} schedules"), Instant::now());
     let designed = design(&wanted, &mut |tried| {
         bar.set_position(tried as u64);
         begun.elapsed().as_secs_f64() < SECONDS_MAX
@@ -70,14 +69,6 @@ pub fn run(args: &ExciteArgs) -> Result<Outcome> {
 
 fn lines(g: &crate::gap::saved::Gains) -> [Line; 3] {
     std::array::from_fn(|i| Line { k_epsilon: g.k_epsilon[i], k_lambda_mm: g.k_lambda_mm[i] })
-}
-
-fn bar(rounds: usize) -> ProgressBar {
-    let bar = ProgressBar::new(rounds as u64);
-    if let Ok(style) = ProgressStyle::with_template("designing {bar:30} {pos}/{len} schedules, {elapsed}") {
-        bar.set_style(style);
-    }
-    bar
 }
 
 fn summary(args: &ExciteArgs, d: &Designed) -> String {

@@ -1,8 +1,20 @@
-//! Results on disk: whole or not at all.
+//! What every command shows alike: results on disk, whole or not at all, and progress.
 
+use indicatif::{ProgressBar, ProgressStyle};
 use miette::{Result, miette};
 use std::io::Write;
 use std::path::Path;
+
+/// Progress of long work, on stderr, and only where that is a terminal: a bar if its length is known, then `text`
+/// (a template of `indicatif`) and the time.
+#[must_use]
+pub fn bar(length: u64, text: &str) -> ProgressBar {
+    let (bar, shape) = if length > 0 { (ProgressBar::new(length), "{bar:40}") } else { (ProgressBar::new_spinner(), "{spinner}") };
+    if let Ok(style) = ProgressStyle::with_template(&format!("{shape} {text} {{elapsed}}")) {
+        bar.set_style(style);
+    }
+    bar
+}
 
 /// Refuses early a result file that could not be written at the end.
 ///

@@ -3,6 +3,7 @@
 use super::args::{BendArgs, TransmissionArgs};
 use super::{ask, connect, outcome, say, settle};
 use crate::cli::Outcome;
+use crate::cli::output;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{CalibrateAction, Request};
 use miette::Result;
@@ -93,17 +94,15 @@ pub fn transmission(args: &TransmissionArgs) -> Result<Outcome> {
     if begun.is_none() || args.accept || args.discard {
         return Ok(outcome(begun.as_ref()));
     }
-    let mut shown = String::new();
+    let line = output::bar(0, "{msg}");
     loop {
         std::thread::sleep(Duration::from_millis(200));
         let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(Outcome::NotGoodEnough) };
         if let Some(progress) = s["calibrating"].as_str() {
-            if progress != shown {
-                progress.clone_into(&mut shown);
-                eprintln!("{progress}");
-            }
+            line.set_message(progress.to_owned());
             continue;
         }
+        line.finish_and_clear();
         if let Some(why) = s["calibration_failed"].as_str() {
             eprintln!("nothing was found: {why}");
             return Ok(Outcome::NotGoodEnough);

@@ -6,12 +6,12 @@
 use super::args::PlayArgs;
 use super::{ask, connect, follow, report, settle};
 use crate::cli::Outcome;
+use crate::cli::output;
 use crate::gap::excite::rows::{self, Row};
 use crate::model::arc::Geometry;
 use crate::model::bend::Bend;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{RecordAction, Request};
-use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result};
 use serde_json::Value;
 use std::time::{Duration, Instant};
@@ -47,10 +47,7 @@ pub fn play(args: &PlayArgs) -> Result<Outcome> {
 }
 
 fn walk(connection: &mut Connection, rows: &[Row]) -> Result<Outcome> {
-    let bar = ProgressBar::new(rows.len() as u64);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} row {pos} of {len} {elapsed}") {
-        bar.set_style(style);
-    }
+    let bar = output::bar(rows.len() as u64, "row {pos} of {len}");
     let mut before = Row::rest(0.0, &Geometry::default());
     for row in rows {
         let Some(status) = settle(ask(connection, &Request::Status {}))? else { return Ok(Outcome::NotGoodEnough) };
