@@ -47,10 +47,15 @@ fn the_twin_keeps_the_closed_loops_promise() {
 #[test]
 #[ignore = "falls short: of 2,400 held states in 20 units ten move by 0.3 to 0.6° while they are scored, once, by a late reversal"]
 fn held_states_of_twenty_units_stand_still() {
+    let mut restless = Vec::new();
     for seed in 1..=20 {
-        let moved = evaluate(seed, &[Arm::Closed]).arm(Arm::Closed).unwrap().peak_to_peak_max_deg;
-        assert!(moved <= 0.3, "seed {seed}: {moved:.2}°");
+        let e = evaluate(seed, &[Arm::Closed]);
+        let held = &e.arm(Arm::Closed).unwrap().held;
+        restless.extend(held.iter().filter(|h| h.peak_to_peak_deg > 0.3).map(|h| (seed, h.bend_deg, h.dir_deg, h.peak_to_peak_deg)));
     }
+    println!("{} of 2,400 held states move by more than 0.3°:", restless.len());
+    restless.iter().for_each(|(seed, bend, dir, moved)| println!("seed {seed}: {bend}° toward {dir}°: {moved:.2}°"));
+    assert!(restless.is_empty(), "{} of 2,400", restless.len());
 }
 
 #[test]
