@@ -59,8 +59,8 @@ install_tools() {
     command -v depmod >/dev/null || missing+=(kmod)
     command -v fdtput >/dev/null || missing+=(device-tree-compiler)
     command -v aarch64-linux-gnu-gcc >/dev/null && [ -e /usr/aarch64-linux-gnu/lib/libc.so.6 ] || missing+=(gcc-aarch64-linux-gnu libc6-dev-arm64-cross)
-    have=$(dpkg-query -W -f '${Version}' qemu-system-arm 2>/dev/null || true)
-    if [ -z "$have" ] || dpkg --compare-versions "$have" lt "$QEMU_MIN"; then
+    have=$(qemu-system-aarch64 --version 2>/dev/null | sed -n 's/^QEMU emulator version \([0-9.]*\).*/1:\1/p' || true)
+    if dpkg --compare-versions "${have:-0}" lt "$QEMU_MIN"; then
         version=$(version_of qemu-system-arm "$from")
         if dpkg --compare-versions "${version:-0}" lt "$QEMU_MIN"; then
             from=$codename-backports
