@@ -26,8 +26,11 @@ apt_knows() {
         -o Dir::Cache::pkgcache= -o Dir::Cache::srcpkgcache= -o APT::Architectures::=amd64 -o APT::Architectures::=arm64 -o APT::Sandbox::User=root "$@"
 }
 
-# The version of a package that would be installed from a release.
-version_of() { apt_in tools -s -t "$2" install --no-install-recommends "$1" 2>/dev/null | sed -n "s/^Inst $1 \[\?[^(]*(\([^ ]*\) .*/\1/p" | head -1; }
+# The version of a package that would be installed from a release; nothing where it cannot be.
+version_of() {
+    { apt_in tools -s -t "$2" install --no-install-recommends "$1" 2>/dev/null || true; } |
+        sed -n "s/^Inst $1 \[\?[^(]*(\([^ ]*\) .*/\1/p" | head -1
+}
 
 # The sources of this machine, and backports from the place where its release comes from.
 apt_sources() {
