@@ -32,12 +32,12 @@ debian_rustc() {
     chmod +x "$work/rustc"
 }
 
-# Runs cargo for the target.
-cross_cargo() {
+# Runs cargo for the target; nothing of it is left for the cargo of this machine.
+cross_cargo() (
     [ ! -x "$work/rustc" ] || export RUSTC=$work/rustc
-    CARGO_TARGET_DIR=$work/cross CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
-        cargo build --release --target "$TARGET" "$@"
-}
+    export CARGO_TARGET_DIR=$work/cross CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc
+    cargo build --release --target "$TARGET" "$@"
+)
 
 # The program: every input is as it is released.
 cross_build() { cross_cargo --bin retroflex; }

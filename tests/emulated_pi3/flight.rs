@@ -98,6 +98,8 @@ pub fn caught(scene: &mut Scene) {
 
 /// SIGTERM while bent: back to rest, then without current.
 pub fn stop(scene: &mut Scene) {
+    // a stall since the last move is taken back first: a step thread with a latched alarm makes no more steps
+    scene.resumed();
     let stopped = scene.guest.run_for("systemctl stop retroflex", 240.0);
     let ended = (scene.show("Result"), scene.show("ActiveState"));
     let found = format!("exit {}, {ended:?}", stopped.code);

@@ -75,7 +75,8 @@ impl Guest {
 
     /// The lines of the trace, as they come.
     pub fn trace(&self) -> impl Iterator<Item = String> + use<> {
-        let pipe = File::open(self.folder.join("trace")).expect("the trace");
+        // for writing too, so that nobody waits for a QEMU that has not come up
+        let pipe = File::options().read(true).write(true).open(self.folder.join("trace")).expect("the trace");
         BufReader::new(pipe).lines().map_while(Result::ok)
     }
 

@@ -26,8 +26,11 @@ apt_knows() {
         -o Dir::Cache::pkgcache= -o Dir::Cache::srcpkgcache= -o APT::Architectures::=amd64 -o APT::Architectures::=arm64 -o APT::Sandbox::User=root "$@"
 }
 
-# The version of a package that would be installed from a release.
-version_of() { apt_in tools -s -t "$2" install --no-install-recommends "$1" 2>/dev/null | sed -n "s/^Inst $1 \[\?[^(]*(\([^ ]*\) .*/\1/p" | head -1; }
+# The version of a package that would be installed from a release; nothing where it cannot be.
+version_of() {
+    { apt_in tools -s -t "$2" install --no-install-recommends "$1" 2>/dev/null || true; } |
+        sed -n "s/^Inst $1 \[\?[^(]*(\([^ ]*\) .*/\1/p" | head -1
+}
 
 # The sources of this machine, and backports from the place where its release comes from.
 apt_sources() {
@@ -59,8 +62,8 @@ install_tools() {
     command -v depmod >/dev/null || missing+=(kmod)
     command -v fdtput >/dev/null || missing+=(device-tree-compiler)
     command -v aarch64-linux-gnu-gcc >/dev/null && [ -e /usr/aarch64-linux-gnu/lib/libc.so.6 ] || missing+=(gcc-aarch64-linux-gnu libc6-dev-arm64-cross)
-    have=$(dpkg-query -W -f '${Version}' qemu-system-arm 2>/dev/null || true)
-    if [ -z "$have" ] || dpkg --compare-versions "$have" lt "$QEMU_MIN"; then
+    have=$(qemu-system-aarch64 --version 2>/dev/null | sed -n 's/^QEMU emulator version \([0-9.]*\).*/1:\1/p' || true)
+    if dpkg --compare-versions "${have:-0}" lt "$QEMU_MIN"; then
         version=$(version_of qemu-system-arm "$from")
         if dpkg --compare-versions "${version:-0}" lt "$QEMU_MIN"; then
             from=$codename-backports
