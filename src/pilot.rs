@@ -370,6 +370,9 @@ impl Pilot {
             self.end_calibration();
             self.stream_until = None;
             self.modes.take(Event::Trip);
+            if passed.tripped == Some(gate::Cause::StepGenerator) && self.gate.is_returning() {
+                self.take_alarm_back(sensed);
+            }
         }
         if !passed.energise && !passed.rested && self.sent != Steps::default() {
             self.adrift = true;

@@ -316,6 +316,63 @@ fn an_alarm_of_the_step_generator_counts_at_any_time_and_after_the_emergency_sto
     }
 }
 
+/// What stands is said once, whatever was latched before it; what comes anew counts anew.
+#[test]
+fn a_second_cause_is_said_when_it_comes_and_not_while_it_stands() {
+    for (second, cause) in [
+        (Told { alarm: true, ..told([50; 3]) }, Cause::StepGenerator),
+        (Told { emergency_stop: true, ..told([50; 3]) }, Cause::EmergencyStop),
+    ] {
+        let mut gate = at(50);
+        gate.pass(&Told { stale_s: 1.0, ..told([50; 3]) });
+        for _ in 0..2 {
+            assert_eq!(trips(&mut gate, &second), Some(cause));
+            assert_eq!((0..50).find_map(|_| trips(&mut gate, &second)), None, "{cause:?} is said once");
+            assert_eq!(trips(&mut gate, &told([50; 3])), None);
+        }
+        assert_eq!(gate.latched(), Some(Cause::Stale));
+    }
+    // the same cause again, pressed anew on the way back
+    let mut gate = at(50);
+    gate.pass(&Told { emergency_stop: true, ..told([50; 3]) });
+    gate.pass(&told([50; 3]));
+    gate.relax();
+    assert!(gate.pass(&told([50; 3])).energise);
+    let passed = gate.pass(&Told { emergency_stop: true, ..told([50; 3]) });
+    assert_eq!((passed.tripped, passed.energise), (Some(Cause::EmergencyStop), false));
+}
+
+#[test]
+fn drivers_that_were_let_go_stay_off_when_a_milder_cause_follows() {
+    let mut gate = at(50);
+    gate.pass(&Told { emergency_stop: true, ..told([50; 3]) });
+    let passed = gate.pass(&Told { emergency_stop: true, alarm: true, ..told([50; 3]) });
+    assert_eq!((passed.tripped, passed.energise), (Some(Cause::StepGenerator), false));
+    let on = On { step_generator: Safe::Relax, ..On::default() };
+    let mut gate = Gate::new(&Limits { on, ..limits() }, &Steps([50; 3]));
+    gate.pass(&Told { emergency_stop: true, ..told([50; 3]) });
+    let passed = gate.pass(&Told { alarm: true, ..told([50; 3]) });
+    assert_eq!((passed.tripped, passed.energise, gate.is_returning()), (Some(Cause::StepGenerator), false, false));
+}
+
+/// A way back begins where the step generator stopped, not where it had been sent.
+#[test]
+fn a_way_back_begins_where_the_counts_say() {
+    let (mut gate, counts) = moving();
+    gate.pass(&Told { alarm: true, ..told([counts; 3]) });
+    gate.recount(&Steps([100, -40, 7]));
+    assert_eq!(gate.latched(), Some(Cause::StepGenerator), "it stays latched");
+    assert!(!gate.is_returning());
+    gate.relax();
+    assert!(gate.is_returning());
+    let first = gate.pass(&told([0; 3])).steps.0;
+    for (now, from) in first.iter().zip([100, -40, 7]) {
+        assert!((now - from).abs() <= 1, "{first:?}");
+    }
+    let ticks = (0..10_000).find(|_| gate.pass(&told([0; 3])).rested).unwrap();
+    assert!((370..600).contains(&ticks), "3 mm at 8 mm/s: {ticks}");
+}
+
 #[test]
 fn after_a_trip_it_brakes_within_its_limit_and_stands() {
     let (mut gate, counts) = moving();

@@ -9,10 +9,11 @@ use retroflex::config::gains::Gains;
 use retroflex::config::pilot::assemble;
 use retroflex::config::source;
 use retroflex::control::spent::Spent;
+use retroflex::drill::bench::{Bench, Make};
 use retroflex::machine::{Alarm, Lockstep};
 use retroflex::model::bend::Bend;
 use retroflex::pilot::flight::Flight;
-use retroflex::pilot::order::Order;
+use retroflex::pilot::order::{Order, Refusal};
 use retroflex::pilot::{Pilot, Turned};
 use retroflex::plant::{Channel, Fault};
 use retroflex::service::status;
@@ -256,4 +257,49 @@ fn what_is_kept_for_a_restart_is_what_was_pulsed() {
     assert_eq!((pilot.mode(), pilot.latched()), (Mode::Faulted, Some(Cause::StepGenerator)));
     assert!(stopped != Steps::default() && sent != stopped, "{stopped:?} {sent:?}");
     assert_eq!(pilot.keep().steps, stopped);
+}
+
+/// A bent tip whose step thread has stopped with this alarm.
+fn stopped_by(alarm: Alarm) -> Bench {
+    let calibration = source::read(&repo("calib/paper.toml")).unwrap();
+    let make = Make { board: twin(), calibration, gains: Gains::default() };
+    let mut bench = make.bench(0, 1).unwrap();
+    assert!(bench.until(10.0, |t| t.mode == Mode::Disarmed).unwrap());
+    bench.turn(Some(Order::Arm)).unwrap();
+    bench.run(0.1).unwrap();
+    bench.turn(Some(bend_to(50.0, 30.0))).unwrap();
+    bench.run(0.3).unwrap();
+    bench.flight.machine.alarm = Some(alarm);
+    let turned = bench.run(0.5).unwrap();
+    assert_eq!((turned.mode, turned.latched), (Mode::Faulted, Some(Cause::StepGenerator)));
+    assert!(turned.counted != Steps::default());
+    bench
+}
+
+#[test]
+fn a_tip_whose_step_thread_stopped_is_led_back_to_rest() {
+    let mut bench = stopped_by(Alarm::Late { late_s: 0.1 });
+    assert_eq!(bench.turn(Some(Order::Relax)).unwrap().answer, Some(Ok(())));
+    assert!(bench.until(20.0, |t| t.mode != Mode::Relaxing).unwrap());
+    let turned = bench.turn(None).unwrap();
+    assert_eq!((turned.mode, turned.counted, turned.energise), (Mode::Disarmed, Steps::default(), false));
+    assert_eq!(turned.latched, Some(Cause::StepGenerator), "until it is reset");
+    assert!(bench.true_bend().beta().to_degrees() < 5.0);
+}
+
+#[test]
+fn an_alarm_that_comes_again_ends_the_way_back() {
+    let mut bench = stopped_by(Alarm::Pins);
+    bench.turn(Some(Order::Relax)).unwrap();
+    bench.flight.machine.alarm = Some(Alarm::Pins);
+    let turned = bench.run(0.3).unwrap();
+    assert_eq!((turned.mode, turned.latched), (Mode::Faulted, Some(Cause::StepGenerator)));
+}
+
+#[test]
+fn nothing_is_led_back_while_the_emergency_stop_is_pressed() {
+    let mut bench = stopped_by(Alarm::Starved);
+    bench.flight.machine.pressed = true;
+    bench.run(0.1).unwrap();
+    assert_eq!(bench.turn(Some(Order::Relax)).unwrap().answer, Some(Err(Refusal::StillThere)));
 }

@@ -27,15 +27,16 @@ pub struct Breakable {
     pub stamps_off_s: f64,
     /// The emergency stop is pressed.
     pub pressed: bool,
-    /// The step thread complains.
+    /// The step thread complains, and stands where it is until the alarm is taken back.
     pub alarm: Option<Alarm>,
+    stands_at: Steps,
 }
 
 impl Breakable {
     /// Nothing is broken yet.
     #[must_use]
     pub fn new(sim: Sim) -> Self {
-        Self { inner: Lockstep::new(sim), bus: None, stamps_off_s: 0.0, pressed: false, alarm: None }
+        Self { inner: Lockstep::new(sim), bus: None, stamps_off_s: 0.0, pressed: false, alarm: None, stands_at: Steps::default() }
     }
 
     /// Breaks something in the plant.
@@ -65,7 +66,9 @@ impl Machine for Breakable {
         self.inner.nature()
     }
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, WorldError> {
-        let mut sensed = self.inner.turn(now, wanted)?;
+        let wanted = if self.alarm.is_some() { self.stands_at } else { *wanted };
+        let mut sensed = self.inner.turn(now, &wanted)?;
+        self.stands_at = sensed.counted;
         if let (Some(fault), Outcome::Sample(..)) = (self.bus, sensed.imu) {
             sensed.imu = Outcome::Failed(fault);
         }

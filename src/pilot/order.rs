@@ -100,7 +100,7 @@ impl Pilot {
             Order::Stream(command) => self.bend(&command, None, Some(sensed.t.0 + self.config.dead_man_s)),
             Order::Hold => self.hold(),
             Order::Stop => self.stop(),
-            Order::Relax => self.relax(),
+            Order::Relax => self.relax(sensed),
             Order::Zero => self.zero(),
             Order::Reset => self.reset(sensed),
             Order::Calibrate(begin) => self.calibrate(begin),
@@ -184,8 +184,12 @@ impl Pilot {
         Ok(())
     }
 
-    fn relax(&mut self) -> Result<(), Refusal> {
+    fn relax(&mut self, sensed: &Sensed) -> Result<(), Refusal> {
+        if sensed.inputs.emergency_stop {
+            return Err(Refusal::StillThere);
+        }
         self.take(Event::Relax)?;
+        self.take_alarm_back(sensed);
         self.end_calibration();
         self.stream_until = None;
         self.handing_over = false;
@@ -230,6 +234,17 @@ impl Pilot {
         self.gate.reset(&self.sent);
         self.explain.forget();
         Ok(())
+    }
+
+    /// A step generator that has stopped drives nothing back: for the way to rest its alarm is taken back once,
+    /// and the way begins where it stopped. What is latched stays so; an alarm that comes again ends the way.
+    pub(super) fn take_alarm_back(&mut self, sensed: &Sensed) {
+        if sensed.alarm.is_some() {
+            self.pending.clear = true;
+            self.clearing_s = CLEARING_S;
+            self.sent = sensed.counted;
+            self.gate.recount(&self.sent);
+        }
     }
 
     fn calibrate(&mut self, begin: bool) -> Result<(), Refusal> {

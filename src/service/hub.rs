@@ -265,7 +265,9 @@ impl Hub {
         let Some(last) = &self.last else { return true };
         let resting = last.counted.0 == [0; 3] || matches!(last.mode, Mode::Lost | Mode::Boot);
         let settled = since.elapsed() > Duration::from_millis(100) && !matches!(last.mode, Mode::Relaxing);
-        (resting && settled) || since.elapsed().as_secs_f64() > END_MAX_S
+        // what cannot be brought back is not waited for
+        let stuck = since.elapsed() > Duration::from_secs(1) && last.mode == Mode::Faulted;
+        stuck || (resting && settled) || since.elapsed().as_secs_f64() > END_MAX_S
     }
 
     fn end(mut self) -> Result<(), ServiceError> {

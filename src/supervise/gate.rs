@@ -218,6 +218,8 @@ pub struct Gate {
     limits: Limits,
     doing: Doing,
     latched: Option<Cause>,
+    /// Emergency stop and alarm in the tick before: what stays is said once.
+    stood: [bool; 2],
     /// Counts let through, newest at `head`.
     sent: [Steps; 2 * WINDOW],
     /// Time that each took, s.
@@ -239,6 +241,7 @@ impl Gate {
             limits: *limits,
             doing: Doing::Passing,
             latched: None,
+            stood: [false; 2],
             sent: [*at; 2 * WINDOW],
             took_s: [limits.tick_s; 2 * WINDOW],
             head: 0,
@@ -258,10 +261,16 @@ impl Gate {
         self.latched
     }
 
+    /// On its way back to zero.
+    #[must_use]
+    pub fn is_returning(&self) -> bool {
+        self.doing == Doing::Returning
+    }
+
     /// The gate moves by itself or has not come to rest yet.
     #[must_use]
     pub fn is_busy(&self) -> bool {
-        self.doing == Doing::Returning || (self.doing == Doing::Standing && self.speed_mm_s != [0.0; 3])
+        self.is_returning() || (self.doing == Doing::Standing && self.speed_mm_s != [0.0; 3])
     }
 
     /// Forgets the cause and passes again, with the pistons at rest at these counts.
@@ -269,6 +278,12 @@ impl Gate {
         self.latched = None;
         self.doing = Doing::Passing;
         self.settle(at);
+    }
+
+    /// The step generator came to rest at these counts, whatever it was sent. A latched cause stays latched.
+    pub fn recount(&mut self, at: &Steps) {
+        self.settle(at);
+        self.at_mm = at.0.map(|n| f64::from(n) * self.limits.step_mm);
     }
 
     /// Brakes and goes back to zero slowly. A latched cause stays latched.
@@ -290,12 +305,14 @@ impl Gate {
         if let Some(cause) = tripped {
             self.latched = Some(self.latched.unwrap_or(cause));
             self.take_over();
-            self.doing = match self.limits.on.of(cause) {
-                Safe::Hold => Doing::Standing,
-                Safe::Relax => Doing::Returning,
-                Safe::Release => Doing::Released,
+            self.doing = match (self.doing, self.limits.on.of(cause)) {
+                // drivers that were let go are not switched on again by a milder cause
+                (Doing::Released, _) | (_, Safe::Release) => Doing::Released,
+                (_, Safe::Hold) => Doing::Standing,
+                (_, Safe::Relax) => Doing::Returning,
             };
         }
+        self.stood = [told.emergency_stop, told.alarm];
         let mut rested = false;
         match self.doing {
             Doing::Passing => self.send(told.wanted, told.dt_s),
@@ -316,10 +333,13 @@ impl Gate {
     /// The first limit that does not hold. What the machine complains of counts at any time, what the
     /// controller wants only while it is listened to.
     fn judge(&self, told: &Told) -> Option<Cause> {
-        let machine = [(told.emergency_stop, Cause::EmergencyStop), (told.alarm, Cause::StepGenerator)];
-        let broken = machine.into_iter().find(|(bad, _)| *bad).map(|(_, cause)| cause);
-        if self.doing != Doing::Passing {
-            return broken.filter(|&cause| self.latched != Some(cause));
+        // while it passes nothing bad may stand; afterwards what is new counts
+        let passing = self.doing == Doing::Passing;
+        let bad = [told.emergency_stop && (passing || !self.stood[0]), told.alarm && (passing || !self.stood[1])];
+        let causes = [Cause::EmergencyStop, Cause::StepGenerator];
+        let broken = causes.into_iter().zip(bad).find(|(_, bad)| *bad).map(|(cause, _)| cause);
+        if !passing {
+            return broken;
         }
         // what is no number is late, too
         let late = !(told.dt_s <= self.limits.late_s);
