@@ -442,12 +442,20 @@ impl Pilot {
     /// Held torque keeps a bent tip where it is; at zero, and before anything is known, none is needed.
     fn energise(&self) -> bool {
         match self.modes.now() {
-            Mode::Boot | Mode::Aligning | Mode::Lost => false,
+            Mode::Boot | Mode::Aligning => self.finds_held(),
+            Mode::Lost => false,
             Mode::Holding | Mode::Tracking | Mode::Calibrating => true,
             Mode::Relaxing => true,
             Mode::Disarmed => !self.is_at_rest() && !self.adrift,
             Mode::Faulted => !self.adrift && !self.is_at_rest(),
         }
+    }
+
+    /// Drivers that a program before this one left energised, with something remembered that is still to be
+    /// proved: a bent tip is held until it is known, unless a loop that hangs is to lead elsewhere.
+    fn finds_held(&self) -> bool {
+        let held = self.last.is_some_and(|sensed| sensed.energised);
+        held && self.kept.is_some() && self.config.gate.on.late == gate::Safe::Hold
     }
 
     fn brake(&mut self) {

@@ -562,6 +562,22 @@ fn the_thread_pulses_what_the_loop_feeds() {
     );
 }
 
+/// Drivers that a program before this one left energised are not let go by taking the lines over.
+#[test]
+fn drivers_found_energised_stay_so_until_they_are_told() {
+    let c = StepperConfig { idle_release_s: Some(3600.0), ..patient() };
+    let mut stepper = Stepper::start(mock(None).energised(), &c, &MotionConfig::default(), STEP_MM).unwrap();
+    assert!(stepper.is_energised(), "before the first report");
+    let mut motion = Motion::new(&limits());
+    std::thread::sleep(std::time::Duration::from_millis(30));
+    assert_eq!(drive(&mut stepper, &mut motion, [0.3, 0.0, 0.0]), Sync::Ready);
+    assert!(stepper.is_energised());
+    let (_, pins) = stepper.finish().unwrap();
+    let enable: Vec<bool> = pins.record().iter().filter(|e| e.line == LineName::Enable).map(|e| e.high).collect();
+    assert_eq!(enable, [false], "only the end releases");
+    assert!(pins.record().len() > 10);
+}
+
 #[test]
 fn the_thread_stops_for_the_red_button_and_reports_it() {
     let pins = mock(Some(InputPin { pin: 26, active_low: false, pull: Pull::Down }));

@@ -14,11 +14,11 @@ use retroflex::machine::{Alarm, Lockstep};
 use retroflex::model::bend::Bend;
 use retroflex::pilot::flight::Flight;
 use retroflex::pilot::order::{Order, Refusal};
-use retroflex::pilot::{Pilot, Turned};
+use retroflex::pilot::{Pilot, PilotConfig, Turned};
 use retroflex::plant::{Channel, Fault};
 use retroflex::service::status;
 use retroflex::sim::Sim;
-use retroflex::supervise::gate::Cause;
+use retroflex::supervise::gate::{Cause, Safe};
 use retroflex::supervise::mode::Mode;
 use retroflex::tick::{Command, Kept};
 use retroflex::units::{Mm, Seconds, Steps};
@@ -257,6 +257,41 @@ fn what_is_kept_for_a_restart_is_what_was_pulsed() {
     assert_eq!((pilot.mode(), pilot.latched()), (Mode::Faulted, Some(Cause::StepGenerator)));
     assert!(stopped != Steps::default() && sent != stopped, "{stopped:?} {sent:?}");
     assert_eq!(pilot.keep().steps, stopped);
+}
+
+/// The program was killed with the tip bent and its drivers on; another takes over.
+fn taken_over(change: impl Fn(&mut Kept, &mut PilotConfig)) -> (Fly, Vec<bool>) {
+    let mut before = Fly::new(None, None);
+    before.run(3.0);
+    before.order(Order::Arm);
+    before.run(0.1);
+    before.bend(50.0, 30.0);
+    before.run(3.0);
+    let mut kept = before.flight.pilot.keep();
+    let (mut config, t0) = (before.flight.pilot.config().clone(), before.k);
+    change(&mut kept, &mut config);
+    let flight = Flight::new(before.flight.machine, Pilot::new(config, Some(kept)));
+    let mut after = Fly { flight, k: t0 };
+    let energise = (0..4000).map(|_| after.turn(None).energise).collect();
+    (after, energise)
+}
+
+#[test]
+fn a_tip_found_held_is_held_until_it_is_known() {
+    let (fly, energise) = taken_over(|_, _| {});
+    assert_eq!(fly.flight.pilot.mode(), Mode::Disarmed);
+    assert!(energise.iter().all(|e| *e), "let go after {:?} turns", energise.iter().position(|e| !e));
+    // what is remembered is not what is felt: held until that is known, then let go
+    let turned_away = |kept: &mut Kept, _: &mut PilotConfig| kept.bend_rad = [-0.9, 0.3];
+    let (fly, energise) = taken_over(turned_away);
+    assert_eq!(fly.flight.pilot.mode(), Mode::Lost);
+    assert!(energise[..1000].iter().all(|e| *e) && !energise[3999]);
+    // a board that lets go when its loop hangs lets go here too
+    let (_, energise) = taken_over(|_, config| config.gate.on.late = Safe::Release);
+    assert!(!energise[0]);
+    // nothing is remembered: nothing is held
+    let (_, energise) = taken_over(|kept, _| kept.steps = Steps::default());
+    assert!(!energise[0]);
 }
 
 /// A bent tip whose step thread has stopped with this alarm.

@@ -55,6 +55,8 @@ pub struct Hand<'a> {
 impl<'a> Hand<'a> {
     /// A hand on a machine that has not turned yet. For a simulation `wait` answers at once.
     pub fn new(machine: &'a mut dyn Machine, wait: &'a mut Wait<'a>) -> Self {
+        // whatever a program before this one left energised: pistons are brought to rest by people here
+        machine.energise(false);
         Self { machine, wait, now: Seconds(0.0), wanted_mm: [0.0; 3], last: None }
     }
 

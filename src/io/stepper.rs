@@ -206,6 +206,7 @@ pub struct Stepper<P> {
     latest: Option<Report>,
     status: RtStatus,
     words: Arc<OnceLock<String>>,
+    energised: bool,
     thread: Option<JoinHandle<(Summary, P)>>,
 }
 
@@ -222,8 +223,10 @@ impl<P: Pins + 'static> Stepper<P> {
         let (orders, orders_out) = rtrb::RingBuffer::new(ORDERS);
         let (reports_in, reports) = rtrb::RingBuffer::new(REPORTS);
         let words = Arc::new(OnceLock::new());
+        let energised = pins.found_energised();
+        let core = StepCore::new(timing, &limits, step_mm);
         let shell = Shell {
-            core: StepCore::new(timing, &limits, step_mm),
+            core: if energised { core.found_energised(rt::monotonic_ns()) } else { core },
             pins,
             clock: Monotonic { spin_ns: (config.spin_us * 1e3) as u64 },
             segments,
@@ -235,7 +238,7 @@ impl<P: Pins + 'static> Stepper<P> {
             wake: Histogram::default(),
             pin_error: None,
             words: words.clone(),
-            enabled: false,
+            enabled: energised,
         };
         let wish = RtWish { priority: config.priority, cpu: config.cpu };
         let (tell, told) = std::sync::mpsc::channel();
@@ -246,7 +249,7 @@ impl<P: Pins + 'static> Stepper<P> {
             shell.run()
         })?;
         let status = told.recv().map_err(|_| StartError::Died)?;
-        Ok(Self { feeder, orders, reports, latest: None, status, words, thread: Some(thread) })
+        Ok(Self { feeder, orders, reports, latest: None, status, words, energised, thread: Some(thread) })
     }
 
     /// Ends the thread: brakes within the limits, releases the drivers. Gives back the pins.
@@ -259,6 +262,12 @@ impl<P: Pins + 'static> Stepper<P> {
 }
 
 impl<P> Stepper<P> {
+    /// The drivers are energised, as the thread reported last; before its first report, as they were found.
+    #[must_use]
+    pub fn is_energised(&self) -> bool {
+        self.latest.as_ref().map_or(self.energised, |r| r.energised)
+    }
+
     /// Takes in the thread's reports and says what the loop is to do.
     pub fn sync(&mut self, now_ns: u64) -> Sync {
         while let Ok(report) = self.reports.pop() {

@@ -14,14 +14,15 @@ pub struct Flight<M> {
     /// The pilot.
     pub pilot: Pilot,
     wanted: Steps,
-    energised: bool,
+    /// What the machine was told; nothing before the first turn.
+    energised: Option<bool>,
 }
 
 impl<M: Machine> Flight<M> {
     /// Nothing has been sensed yet.
     pub fn new(machine: M, pilot: Pilot) -> Self {
         let wanted = pilot.keep().steps;
-        Self { machine, pilot, wanted, energised: false }
+        Self { machine, pilot, wanted, energised: None }
     }
 
     /// One turn at `now`: the machine hands over what came and takes what was wanted, the pilot decides.
@@ -31,8 +32,8 @@ impl<M: Machine> Flight<M> {
     pub fn turn(&mut self, now: Seconds, order: Option<Order>) -> Result<Turned, WorldError> {
         let sensed: Sensed = self.machine.turn(now, &self.wanted)?;
         let turned = self.pilot.turn(&sensed, order);
-        if turned.energise != self.energised {
-            self.energised = turned.energise;
+        if self.energised != Some(turned.energise) {
+            self.energised = Some(turned.energise);
             self.machine.energise(turned.energise);
         }
         if turned.clear {

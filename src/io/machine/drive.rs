@@ -36,6 +36,8 @@ pub struct Drive<P = Box<dyn Pins>> {
     lead_ns: i64,
     step_mm: f64,
     on: bool,
+    /// Drivers that were found energised stay so until somebody decides.
+    keeps: bool,
     /// Positions to declare, and once they are ordered the epoch that must pass.
     rebase: Option<([f64; 3], Option<u32>)>,
     state: DriveState,
@@ -48,8 +50,10 @@ impl<P: Pins + 'static> Drive<P> {
     /// [`StartError`].
     pub fn start(pins: P, stepper: &StepperConfig, motion: &MotionConfig, step_mm: f64, period_s: f64) -> Result<Self, StartError> {
         let limits = Limits::try_from(motion)?;
+        let stepper_handle = Stepper::start(pins, stepper, motion, step_mm)?;
         Ok(Self {
-            stepper: Stepper::start(pins, stepper, motion, step_mm)?,
+            keeps: stepper_handle.is_energised(),
+            stepper: stepper_handle,
             motion: Motion::new(&limits),
             period_s,
             lead_ns: (stepper.lead_ms * 1e6) as i64,
@@ -118,12 +122,13 @@ impl<P> Drive<P> {
             return DriveState::Busy;
         }
         // a full ring of orders is tried again on the next turn
-        let _ = energised && self.stepper.order(Order::Release);
+        let _ = energised && !self.keeps && self.stepper.order(Order::Release);
         if energised { DriveState::Busy } else { DriveState::Off }
     }
 
     /// Switches the drivers: on at once, off when the pistons rest.
     pub fn energise(&mut self, on: bool) {
+        self.keeps = false;
         if on && !self.on {
             let _ = self.stepper.order(Order::Energise);
         }

@@ -100,7 +100,7 @@ impl Machine for Hardware {
             imu,
             base_imu,
             counted: report.map_or(Steps::default(), |r| r.counted),
-            energised: report.is_some_and(|r| r.energised),
+            energised: self.drive.stepper().is_energised(),
             inputs: report
                 .map_or(Inputs::default(), |r| Inputs { emergency_stop: r.inputs.emergency_stop || pressed, home: r.inputs.home }),
             alarm: self.alarm(),

@@ -14,6 +14,7 @@ pub struct HalPins<O, I> {
     inputs: Vec<I>,
     bits: u64,
     level: Option<fn(&O) -> bool>,
+    found_energised: bool,
 }
 
 impl<O: OutputPin, I: InputPin> HalPins<O, I> {
@@ -23,8 +24,16 @@ impl<O: OutputPin, I: InputPin> HalPins<O, I> {
     /// # Errors
     /// [`PinError::Pin`] when that write fails.
     pub fn new(map: LineMap, outputs: Vec<O>, inputs: Vec<I>) -> Result<Self, PinError> {
-        let bits = map.bits(&Levels::default());
-        let mut pins = Self { map, outputs, inputs, bits, level: None };
+        Self::taking_over(map, outputs, inputs, false)
+    }
+
+    /// The same with drivers that are energised and stay so.
+    ///
+    /// # Errors
+    /// As [`HalPins::new`].
+    pub fn taking_over(map: LineMap, outputs: Vec<O>, inputs: Vec<I>, energised: bool) -> Result<Self, PinError> {
+        let bits = map.bits(&Levels { enable: energised, ..Levels::default() });
+        let mut pins = Self { map, outputs, inputs, bits, level: None, found_energised: energised };
         pins.apply(bits, u64::MAX)?;
         Ok(pins)
     }
@@ -50,6 +59,10 @@ impl<O: OutputPin + Send, I: InputPin + Send> Pins for HalPins<O, I> {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
         let bits = self.map.bits(levels);
         self.apply(bits, bits ^ self.bits)
+    }
+
+    fn found_energised(&self) -> bool {
+        self.found_energised
     }
 
     fn check_enable(&mut self) -> Result<(), PinError> {

@@ -103,6 +103,14 @@ impl LineMap {
         (meant ^ self.inverted) | self.fixed
     }
 
+    /// Whether the drivers are energised by lines found like this: bit i of `driven` is a line that is an output, of
+    /// `high` its voltage. Without an EN line nobody can tell, and they count as released.
+    #[must_use]
+    pub fn is_energised(&self, driven: u64, high: u64) -> bool {
+        let on = self.bits(&Levels { enable: true, ..Levels::default() });
+        self.enable != 0 && driven & self.enable == self.enable && (high ^ on) & self.enable == 0
+    }
+
     /// Bits of the EN lines.
     #[must_use]
     pub fn enable(&self) -> u64 {
@@ -169,6 +177,21 @@ mod tests {
         assert_eq!(idle, bit(5) | bit(24) | bit(6) | bit(13), "EN high, inverted DIR high, MS 110");
         let on = Levels { step: [true, false, false], dir: [true, true, false], enable: true };
         assert_eq!(map.bits(&on), bit(17) | bit(23) | bit(6) | bit(13));
+    }
+
+    #[test]
+    fn drivers_are_found_energised_only_by_an_output_at_the_right_level() {
+        let map = LineMap::new(&config(), 8).unwrap();
+        let en = 1 << map.outputs().iter().position(|p| *p == 5).unwrap();
+        assert!(map.is_energised(u64::MAX, !en), "EN is active low");
+        assert!(map.is_energised(en, 0));
+        assert!(!map.is_energised(en, en), "high is released");
+        assert!(!map.is_energised(!en, 0), "an input holds nothing");
+        let high = LineMap::new(&PinsConfig { enable_active_low: false, ..config() }, 8).unwrap();
+        assert!(high.is_energised(en, en) && !high.is_energised(en, 0));
+        let mut bare = config();
+        bare.channels.iter_mut().for_each(|c| c.enable = None);
+        assert!(!LineMap::new(&bare, 8).unwrap().is_energised(u64::MAX, 0));
     }
 
     #[test]

@@ -61,6 +61,7 @@ pub struct MockPins {
     dropped: u64,
     inputs: MockInputs,
     fail_after: Option<u64>,
+    found_energised: bool,
     writes: u64,
 }
 
@@ -75,6 +76,7 @@ impl MockPins {
             dropped: 0,
             inputs: MockInputs::default(),
             fail_after: None,
+            found_energised: false,
             writes: 0,
         }
     }
@@ -83,6 +85,13 @@ impl MockPins {
     #[must_use]
     pub fn failing_after(mut self, writes: u64) -> Self {
         self.fail_after = Some(writes);
+        self
+    }
+
+    /// Takes the lines over with the drivers energised.
+    #[must_use]
+    pub fn energised(mut self) -> Self {
+        (self.levels.enable, self.found_energised) = (true, true);
         self
     }
 
@@ -126,6 +135,10 @@ impl Pins for MockPins {
         }
         self.levels = *levels;
         Ok(())
+    }
+
+    fn found_energised(&self) -> bool {
+        self.found_energised
     }
 
     fn read(&mut self) -> Result<Inputs, PinError> {

@@ -112,6 +112,12 @@ pub trait Pins: Send {
     /// [`PinError::Io`] or [`PinError::Pin`]; which lines have moved is then unknown.
     fn write(&mut self, levels: &Levels) -> Result<(), PinError>;
 
+    /// The drivers were energised when the lines were taken over, and still are: a program before this one
+    /// left them so. Pins that cannot tell were taken over released.
+    fn found_energised(&self) -> bool {
+        false
+    }
+
     /// Reads the EN lines back and compares them with what was written last. Pins that cannot be read
     /// back say nothing.
     ///
@@ -132,6 +138,9 @@ impl Pins for Box<dyn Pins> {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
         (**self).write(levels)
     }
+    fn found_energised(&self) -> bool {
+        (**self).found_energised()
+    }
     fn check_enable(&mut self) -> Result<(), PinError> {
         (**self).check_enable()
     }
@@ -140,7 +149,8 @@ impl Pins for Box<dyn Pins> {
     }
 }
 
-/// Opens the configured backend: all lines requested, drivers released, STEP low, microstep levels
+/// Opens the configured backend: all lines requested, STEP low, drivers released (or, through the registers of a
+/// Raspberry Pi, left energised if they are found so), microstep levels
 /// set for `microsteps` (1, 2, 4, 8 or 16).
 ///
 /// # Errors

@@ -1,13 +1,15 @@
 //! Pins through the mapped registers of a Raspberry Pi (crate `rppal`).
 //!
 //! The pins keep their last levels when the program ends: EN then stays as the shutdown left it,
-//! instead of floating to "energised" on boards that pull it down.
+//! instead of floating to "energised" on boards that pull it down. A program that was killed leaves it
+//! as it was; drivers that are found energised stay so, for a bent tip would go soft in between.
 
 use crate::io::pins::PinError;
 use crate::io::pins::config::Pull;
 use crate::io::pins::hal::HalPins;
 use crate::io::pins::map::LineMap;
-use rppal::gpio::{Error, Gpio, InputPin, OutputPin, Pin};
+use crate::motion::lines::Levels;
+use rppal::gpio::{Error, Gpio, InputPin, Level, Mode, OutputPin, Pin};
 
 /// Where `rppal` reaches the registers.
 const DEVICE: &str = "/dev/gpiomem";
@@ -18,10 +20,13 @@ const DEVICE: &str = "/dev/gpiomem";
 /// [`PinError`]: not a Raspberry Pi, no permission, no such line, or a line in use by this program.
 pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
     let gpio = Gpio::new().map_err(|e| name(e, 0))?;
-    let idle = map.bits(&Default::default());
-    let mut outputs = Vec::with_capacity(map.outputs().len());
-    for (i, &pin) in map.outputs().iter().enumerate() {
-        let line = get(&gpio, pin)?;
+    let lines = map.outputs().iter().map(|&pin| get(&gpio, pin)).collect::<Result<Vec<Pin>, PinError>>()?;
+    let driven = lines.iter().enumerate().filter(|(_, line)| line.mode() == Mode::Output).fold(0, |bits, (i, _)| bits | 1 << i);
+    let high = lines.iter().enumerate().filter(|(_, line)| line.read() == Level::High).fold(0, |bits, (i, _)| bits | 1 << i);
+    let energised = map.is_energised(driven, high);
+    let idle = map.bits(&Levels { enable: energised, ..Levels::default() });
+    let mut outputs = Vec::with_capacity(lines.len());
+    for (i, line) in lines.into_iter().enumerate() {
         // The level is set as the line becomes an output, so no driver sees a wrong one in between.
         let mut line = if idle >> i & 1 == 1 { line.into_output_high() } else { line.into_output_low() };
         line.set_reset_on_drop(false);
@@ -36,7 +41,7 @@ pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
             Pull::Off => line.into_input(),
         });
     }
-    Ok(HalPins::new(map, outputs, inputs)?.reading_back(OutputPin::is_set_high))
+    Ok(HalPins::taking_over(map, outputs, inputs, energised)?.reading_back(OutputPin::is_set_high))
 }
 
 /// One line of the header.

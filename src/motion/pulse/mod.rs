@@ -111,6 +111,15 @@ impl StepCore {
         }
     }
 
+    /// The drivers are energised already at `now_ns`, and stay so until they are told otherwise.
+    #[must_use]
+    pub fn found_energised(mut self, now_ns: u64) -> Self {
+        self.moved_ns = now_ns;
+        let on = Levels { enable: true, ..Levels::default() };
+        (self.enable, self.levels, self.written) = (true, on, on);
+        self
+    }
+
     /// What to do at `now_ns`, a reading of the clock just taken.
     pub fn poll(&mut self, now_ns: u64, source: &mut impl Source) -> Action {
         self.advance(now_ns, source);
