@@ -91,12 +91,7 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
                         bench.turn(Some(Order::Relax))?;
                         bench.until(15.0, |t| t.mode != Mode::Relaxing)?;
                     }
-                    // racks back to their marks, lines vented, and the rest found again
-                    bench.flight.machine.put_back();
-                    bench.run(10.0)?;
-                    bench.turn(Some(Order::Zero))?;
-                    bench.until(8.0, |t| t.mode != Mode::Aligning)?;
-                    bench.call_straight();
+                    begin_at_rest(&mut bench)?;
                 }
             } else {
                 let turned = bench.run(2.0 + 3.0 * dice.random::<f64>())?;
@@ -136,6 +131,16 @@ fn judge(soak: &mut Soak) {
     soak.ok = soak.why.is_empty();
 }
 
+/// Racks back to their marks by hand, lines vented, and the rest found again.
+fn begin_at_rest(bench: &mut crate::drill::bench::Bench) -> Result<(), WorldError> {
+    bench.flight.machine.put_back();
+    bench.run(10.0)?;
+    bench.turn(Some(Order::Zero))?;
+    bench.until(8.0, |t| t.mode != Mode::Aligning)?;
+    bench.call_straight();
+    Ok(())
+}
+
 /// Whatever state it is in, as an operator would: to armed.
 fn to_armed(bench: &mut crate::drill::bench::Bench) -> Result<bool, WorldError> {
     for attempt in 0..10 {
@@ -167,9 +172,7 @@ fn to_armed(bench: &mut crate::drill::bench::Bench) -> Result<bool, WorldError> 
                 bench.run(0.5)?;
                 bench.turn(Some(Order::Reset))?;
             }
-            Mode::Lost => {
-                bench.turn(Some(Order::Zero))?;
-            }
+            Mode::Lost => begin_at_rest(bench)?,
             Mode::Calibrating => {
                 bench.turn(Some(Order::Stop))?;
             }
