@@ -44,8 +44,10 @@ impl Breakable {
         self.inner.world.plant_mut().inject(fault);
     }
 
-    /// Puts a rack back to its mark by hand, with the pistons at rest: what was lost on the way there is made up for.
+    /// Puts the racks back to their marks by hand and vents the lines, with the pistons at rest: steps and air that
+    /// were lost are made up for.
     pub fn put_back(&mut self) {
+        self.inner.world.plant_mut().vent();
         let step_mm = self.nature().step_mm;
         let Some(slack_mm) = self.inner.world.last().map(|out| out.truth.slack_mm) else { return };
         for channel in Channel::ALL {

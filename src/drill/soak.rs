@@ -133,8 +133,11 @@ fn judge(soak: &mut Soak) {
 
 /// Racks back to their marks by hand, lines vented, and the rest found again.
 fn begin_at_rest(bench: &mut crate::drill::bench::Bench) -> Result<(), WorldError> {
+    // what was mended shows first, then what is left is put back
+    bench.run(2.0)?;
     bench.flight.machine.put_back();
     bench.run(10.0)?;
+    bench.turn(Some(Order::Reset))?;
     bench.turn(Some(Order::Zero))?;
     bench.until(8.0, |t| t.mode != Mode::Aligning)?;
     bench.call_straight();

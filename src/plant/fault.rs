@@ -185,6 +185,11 @@ impl Plant {
         }
     }
 
+    /// A person opens the lines, pistons at rest, and closes them again: what had leaked flows back.
+    pub fn vent(&mut self) {
+        self.line.vent();
+    }
+
     /// Repairs everything that was injected; consequences stay.
     pub fn clear(&mut self) {
         self.imu.broken = crate::plant::imu::Broken::default();

@@ -73,6 +73,10 @@ impl Leaking {
     pub(crate) fn rate_per_s(&self) -> [f64; 3] {
         self.leak.rate_per_s
     }
+    /// The line is opened with its piston at rest: what was lost flows back.
+    pub(crate) fn vent(&mut self) {
+        self.lost_mm = Vector3::zeros();
+    }
     pub(crate) fn lost_mm(&self) -> Vector3<f64> {
         self.lost_mm
     }

@@ -94,6 +94,13 @@ impl Line {
         self.play.slack_mm()
     }
 
+    /// All lines are opened for a moment, pistons at rest.
+    pub(crate) fn vent(&mut self) {
+        for leaking in [&mut self.leaking, &mut self.broken.leaking].into_iter().flatten() {
+            leaking.vent();
+        }
+    }
+
     /// Air delivered to the bellows, mm of piston, after `dt_s`.
     pub(crate) fn step(&mut self, plunger_mm: &Vector3<f64>, felt: &Felt, dt_s: f64) -> Vector3<f64> {
         let slack = self.play.step(plunger_mm);
