@@ -90,7 +90,15 @@ impl Link {
     }
 
     fn died(&mut self) -> WorldError {
-        let status = self.child.try_wait().ok().flatten().map_or(String::new(), |s| format!(" ({s})"));
+        // its output closes a moment before it is gone
+        let ended = (0..50).find_map(|_| match self.child.try_wait() {
+            Ok(None) => {
+                std::thread::sleep(Duration::from_millis(10));
+                None
+            }
+            known => Some(known.ok().flatten()),
+        });
+        let status = ended.flatten().map_or(String::new(), |s| format!(" ({s})"));
         WorldError::Died { last: shown(&self.last), status }
     }
 }
