@@ -4,6 +4,8 @@
 mod common;
 
 use common::{repo, twin, unit};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::pilot::assemble;
@@ -61,40 +63,31 @@ impl Fly {
     }
 }
 
-/// A seeded stream of numbers between 0 and 1 (xorshift64).
-fn dice(seed: u64) -> impl FnMut() -> f64 {
-    let mut x = seed;
-    move || {
-        x ^= x << 13;
-        x ^= x >> 7;
-        x ^= x << 17;
-        (x >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
-
 #[test]
 fn healthy_tips_are_never_tripped_and_seldom_suspected() {
-    let mut roll = dice(88_172_645_463_325_252);
     let mut suspected = Vec::new();
-    for u in 0..8u64 {
+    let mut poses = 0;
+    for (seed, u) in (1..=6u64).flat_map(|seed| (0..8u64).map(move |u| (seed, u))) {
+        let mut dice = StdRng::seed_from_u64(100 * seed + u);
         let mut f = Fly::new(None, Some(Lockstep::new(unit(u, 1))));
         f.run(2.5);
         f.order(Order::Arm);
         f.run(0.1);
         for n in 0..20 {
-            f.bend(75.0 * roll().sqrt(), 360.0 * roll());
+            f.bend(75.0 * dice.random::<f64>().sqrt(), 360.0 * dice.random::<f64>());
             let mut said = None;
             for _ in 0..2500 {
                 let t = f.turn(None);
-                assert!(t.tripped.is_none(), "unit {u}, pose {n}: {:?}", t.tripped);
+                assert!(t.tripped.is_none(), "seed {seed}, unit {u}, pose {n}: {:?}", t.tripped);
                 said = said.or(t.suspicion.filter(|_| t.suspects));
             }
             // units are as different as their make; the first poses teach their gains
-            suspected.extend(said.filter(|_| n >= 2).map(|s| format!("unit {u}, pose {n}: {s}")));
+            poses += u32::from(n >= 2);
+            suspected.extend(said.filter(|_| n >= 2).map(|s| format!("seed {seed}, unit {u}, pose {n}: {s}")));
         }
     }
-    println!("{suspected:#?}");
-    assert!(suspected.len() <= 1, "a word too many in more than 1 of 144 poses: {suspected:#?}");
+    println!("{} of {poses} poses: {suspected:#?}", suspected.len());
+    assert!(suspected.len() <= 12, "a word too many in more than 12 of {poses} poses: {suspected:#?}");
 }
 
 /// Injects a fault into a held pose; what is said of it five seconds later.
