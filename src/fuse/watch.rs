@@ -46,7 +46,7 @@ pub struct WatchConfig {
     /// after a motion, with a less exact model.
     pub settled_deg: f64,
     /// Twist against the mechanism, in standard deviations over some seconds, from which the base may have
-    /// turned slowly: a word, nothing more. Default 0.8; a healthy tip stays below 0.5. Larger overlooks larger turns.
+    /// turned slowly: a word, nothing more. Default 0.8. Larger overlooks larger turns.
     pub misfit: f64,
     /// How long both are remembered, s. Default 1.5. Larger sees slower turns, and more creep.
     pub memory_s: f64,

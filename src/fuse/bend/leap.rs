@@ -14,7 +14,7 @@
 //! in a few Gauss-Newton steps; its covariance is what these three leave open. Corrected as the small
 //! error that the filter is made for, a leap would end in the biases.
 
-use super::kalman::{ACC, Belief, GYRO, MAG, TWIST};
+use super::kalman::{ACC, Belief, MAG, TWIST};
 use super::laws::{Turn, Twist};
 use super::{BendFilter, TWIST_ALWAYS_RAD};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -128,7 +128,7 @@ impl BendFilter {
             covariance = inverse;
         }
         self.belief.forget_turn(0.0);
-        self.belief.p.fixed_view_mut::<GYRO, GYRO>(0, 0).copy_from(&covariance);
+        self.belief.p.fixed_view_mut::<3, 3>(0, 0).copy_from(&covariance);
         (self.mag.surprise, self.doubt) = (1.0, 1.0);
     }
 
