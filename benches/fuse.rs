@@ -6,12 +6,12 @@
 use ahrs::Ahrs;
 use divan::{AllocProfiler, Bencher, black_box};
 use nalgebra::{UnitQuaternion, Vector3};
-use retroflex::fuse::align::Alignment;
-use retroflex::fuse::base::BaseTurn;
-use retroflex::fuse::bend::{BendFilter, BendFilterConfig, Heed};
-use retroflex::fuse::{FilterName, OrientationFilter, Periods};
-use retroflex::sample::ImuSample;
-use retroflex::units::Seconds;
+use retroflex::estimation::fusion::align::Alignment;
+use retroflex::estimation::fusion::base::BaseTurn;
+use retroflex::estimation::fusion::bend::{BendFilter, BendFilterConfig, Heed};
+use retroflex::estimation::fusion::{FilterName, OrientationFilter, Periods};
+use retroflex::primitives::sample::ImuSample;
+use retroflex::primitives::units::Seconds;
 use std::time::Instant;
 
 /// Counts allocations beside the times: an update must show none.

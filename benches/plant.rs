@@ -4,8 +4,8 @@
 
 use retroflex::config::board::Board;
 use retroflex::config::source;
-use retroflex::plant::{Plant, PlantConfig, effect_names};
-use retroflex::units::Steps;
+use retroflex::primitives::units::Steps;
+use retroflex::simulation::plant::{Plant, PlantConfig, effect_names};
 use std::hint::black_box;
 
 fn main() {

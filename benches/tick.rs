@@ -8,15 +8,15 @@ use retroflex::config::board::{Board, PlantSection};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
+use retroflex::control::tick::{Command, Config, Frame, Input, State, tick};
+use retroflex::estimation::fusion::health::Outcome;
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
-use retroflex::fuse::health::Outcome;
-use retroflex::sim::Sim;
-use retroflex::tick::{Command, Config, Frame, Input, State, tick};
-use retroflex::units::{Mm, Steps};
-use retroflex::world::World;
+use retroflex::primitives::units::{Mm, Steps};
+use retroflex::simulation::sim::Sim;
+use retroflex::simulation::world::World;
 
 fn main() {
     divan::main();

@@ -1,44 +1,40 @@
 //! Closed-loop bend control and sim-to-real gap diagnosis for a disposable pneumatic endoscope tip.
 //!
-//! The house has floors; a file imports only from floors below its own, or from earlier rooms of its
-//! own floor. `tests/floors.rs` reads this table and enforces it.
+//! The library has sixteen rooms. A file imports only from rooms above its own in this table; `tests/architecture.rs`
+//! reads the table and enforces it.
 //!
-//! | floor | rooms, lowest first |
-//! |---|---|
-//! | F0 words | [`units`], [`frames`], [`sample`], [`check`] |
-//! | F1 laws: pure, stateless | [`model`] |
-//! | F2 behaviour: config + state → output | [`effects`], [`calib_imu`], [`fuse`], [`control`], [`motion`], [`refine`], [`tick`], [`supervise`] |
-//! | F3 twins and judges, no hardware | [`log`], [`plant`], [`world`], [`machine`], [`commission`], [`pilot`], [`imu_score`], [`experiment`], [`gap`], [`report`] |
-//! | F4 edges | [`io`], [`config`], [`memory`], [`sim`], [`link`], [`service`], [`drill`], [`cli`] |
+//! | room | contents | may use |
+//! |---|---|---|
+//! | [`primitives`] | units, frames, samples, parameters | nothing |
+//! | [`model`] | paper, Eq. 1-17, forward beside inverse; the effects, one physical cause a file | nothing |
+//! | [`log`] | bend logs and IMU recordings | files |
+//! | [`motion`] | from wanted piston positions to the instants of microsteps | nothing |
+//! | [`estimation`] | fusion, alignment, sensor health, IMU calibration, filter scores | nothing |
+//! | [`control`] | feedback, limits, backlash, learning, and the whole loop in [`control::tick`] | nothing |
+//! | [`supervisor`] | modes, safety gate, orders, residual monitor, commissioning, the `Machine` trait | nothing |
+//! | [`simulation`] | the built-in plant and the plant link | child processes |
+//! | [`diagnosis`] | sim-to-real gap: observe, fit, search, score, decide | threads |
+//! | [`experiment`] | the paper's protocol, identification, evaluation | nothing |
+//! | [`report`] | SVG and HTML | nothing |
+//! | [`hardware`] | IMU drivers, pins, step thread, clock, real-time set-up | devices |
+//! | [`config`] | TOML in, validated domain types out | files |
+//! | [`service`] | loop thread, hub, sockets, memory, recordings, heartbeat | threads |
+//! | [`drill`] | every fault that the project claims to survive | processes |
+//! | [`cli`] | one file a command | everything |
 
-pub mod calib_imu;
-pub mod check;
 pub mod cli;
-pub mod commission;
 pub mod config;
 pub mod control;
+pub mod diagnosis;
 pub mod drill;
-pub mod effects;
+pub mod estimation;
 pub mod experiment;
-pub mod frames;
-pub mod fuse;
-pub mod gap;
-pub mod imu_score;
-pub mod io;
-pub mod link;
+pub mod hardware;
 pub mod log;
-pub mod machine;
-pub mod memory;
 pub mod model;
 pub mod motion;
-pub mod pilot;
-pub mod plant;
-pub mod refine;
+pub mod primitives;
 pub mod report;
-pub mod sample;
 pub mod service;
-pub mod sim;
-pub mod supervise;
-pub mod tick;
-pub mod units;
-pub mod world;
+pub mod simulation;
+pub mod supervisor;

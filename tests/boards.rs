@@ -8,7 +8,7 @@ use common::repo;
 use retroflex::config::board::Board;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
-use retroflex::io::pins::{self, Backend};
+use retroflex::hardware::pins::{self, Backend};
 use std::process::Command;
 
 const HARDWARE: [&str; 5] = ["pi3", "pi4", "pi5", "pi-zero2w", "linux-gpiochip"];

@@ -5,15 +5,16 @@ mod common;
 
 use common::plant;
 use nalgebra::{UnitQuaternion, Vector3};
-use retroflex::commission::hand::{Hand, HandError};
-use retroflex::commission::homing::{self, Homed, HomingConfig, HomingError};
-use retroflex::commission::trial::{self, Findings, TrialConfig, TrialError};
-use retroflex::fuse::health::Outcome;
-use retroflex::machine::{Inputs, Lockstep, Machine, Sensed};
-use retroflex::plant::PlantConfig;
-use retroflex::sim::Sim;
-use retroflex::units::{Seconds, Steps};
-use retroflex::world::{Nature, WorldError};
+use retroflex::estimation::fusion::health::Outcome;
+use retroflex::primitives::units::{Seconds, Steps};
+use retroflex::simulation::lockstep::Lockstep;
+use retroflex::simulation::plant::PlantConfig;
+use retroflex::simulation::sim::Sim;
+use retroflex::supervisor::commission::hand::{Hand, HandError};
+use retroflex::supervisor::commission::homing::{self, Homed, HomingConfig, HomingError};
+use retroflex::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
+use retroflex::supervisor::machine::{Inputs, Machine, Sensed};
+use retroflex::supervisor::machine::{Nature, WorldError};
 
 /// A simulated machine whose lines reach other bellows, whose motors turn the wrong way, whose sensor is
 /// turned, or whose line is cut.

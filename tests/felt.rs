@@ -11,11 +11,11 @@ use retroflex::config::assemble;
 use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
-use retroflex::fuse::estimator::Choice;
-use retroflex::fuse::health::Outcome;
+use retroflex::control::tick::{Command, Config, Frame, Input, State, tick};
+use retroflex::estimation::fusion::estimator::Choice;
+use retroflex::estimation::fusion::health::Outcome;
 use retroflex::model::bend::Bend;
-use retroflex::tick::{Command, Config, Frame, Input, State, tick};
-use retroflex::units::Mm;
+use retroflex::primitives::units::Mm;
 use tip::{Field, TipPlant};
 
 const DT_S: f64 = 0.005;

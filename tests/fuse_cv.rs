@@ -8,11 +8,11 @@
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use retroflex::fuse::madgwick::{Madgwick, MadgwickConfig};
-use retroflex::fuse::mekf::{Mekf, MekfConfig};
-use retroflex::fuse::vqf::{Vqf, VqfConfig};
-use retroflex::fuse::{FilterName, OrientationFilter, Periods};
-use retroflex::imu_score;
+use retroflex::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
+use retroflex::estimation::fusion::mekf::{Mekf, MekfConfig};
+use retroflex::estimation::fusion::vqf::{Vqf, VqfConfig};
+use retroflex::estimation::fusion::{FilterName, OrientationFilter, Periods};
+use retroflex::estimation::score;
 use retroflex::log::recording::{self, Recording};
 use std::path::PathBuf;
 

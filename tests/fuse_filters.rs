@@ -1,10 +1,10 @@
 //! Behaviour that every generic orientation filter must show, on a simulated sensor whose truth is known.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use retroflex::fuse::mekf::{Mekf, MekfConfig};
-use retroflex::fuse::{FilterName, OrientationFilter, Periods};
-use retroflex::sample::ImuSample;
-use retroflex::units::Seconds;
+use retroflex::estimation::fusion::mekf::{Mekf, MekfConfig};
+use retroflex::estimation::fusion::{FilterName, OrientationFilter, Periods};
+use retroflex::primitives::sample::ImuSample;
+use retroflex::primitives::units::Seconds;
 
 const PERIOD_S: f64 = 0.005;
 const EARTH_UT: Vector3<f64> = Vector3::new(16.0, 0.0, -41.0);

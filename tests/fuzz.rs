@@ -10,9 +10,9 @@ use common::repo;
 use parsers::PARSERS;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
-use retroflex::memory;
+use retroflex::primitives::units::{Seconds, Steps};
+use retroflex::service::memory;
 use retroflex::service::tape;
-use retroflex::units::{Seconds, Steps};
 use std::path::PathBuf;
 
 /// How many inputs a parser gets.
@@ -167,7 +167,7 @@ fn bend_logs() {
 
 /// A memory with something in every field.
 fn remembered() -> memory::Memory {
-    let kept = retroflex::tick::Kept {
+    let kept = retroflex::control::tick::Kept {
         steps: Steps([5, -7, 100]),
         bend_rad: [0.1, -0.2],
         slack_mm: [0.1, 0.2, 0.3],
@@ -204,15 +204,15 @@ fn a_damaged_slot_is_never_believed() {
 #[test]
 fn tapes() {
     let mut seed = Vec::new();
-    let order = retroflex::pilot::order::Order::Arm;
+    let order = retroflex::supervisor::cycle::order::Order::Arm;
     for k in 0..4 {
-        let sensed = retroflex::machine::Sensed {
+        let sensed = retroflex::supervisor::machine::Sensed {
             t: Seconds(f64::from(k)),
-            imu: retroflex::fuse::health::Outcome::Nothing,
+            imu: retroflex::estimation::fusion::health::Outcome::Nothing,
             base_imu: None,
             counted: Steps([k; 3]),
             energised: true,
-            inputs: retroflex::machine::Inputs::default(),
+            inputs: retroflex::supervisor::machine::Inputs::default(),
             alarm: None,
             truth: None,
         };

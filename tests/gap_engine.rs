@@ -1,12 +1,12 @@
 //! The diagnosis on logs of the built-in plant, whose forms it does not share.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use retroflex::effects::catalogue;
-use retroflex::gap::diagnose::diagnose;
-use retroflex::gap::exam::mark::mark;
-use retroflex::gap::exam::question::{Holds, Question, paper};
-use retroflex::gap::exam::sit;
-use retroflex::gap::observe::Observed;
+use retroflex::diagnosis::diagnose::diagnose;
+use retroflex::diagnosis::exam::mark::mark;
+use retroflex::diagnosis::exam::question::{Holds, Question, paper};
+use retroflex::diagnosis::exam::sit;
+use retroflex::diagnosis::observe::Observed;
+use retroflex::model::effects::catalogue;
 
 fn question(holds: Holds, names: &[&'static str], lab: bool, seed: u64) -> Question {
     Question { holds, names: names.to_vec(), lab, seed }

@@ -3,7 +3,7 @@
 //! A change that is meant is taken over by `INSTA_UPDATE=always cargo test --test gap_report`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use retroflex::gap::diagnose::{Diagnosis, EffectEntry, Gap, KindShare, ParamValue, StageShare, UnknownEntry, VerdictEntry, Where};
+use retroflex::diagnosis::diagnose::{Diagnosis, EffectEntry, Gap, KindShare, ParamValue, StageShare, UnknownEntry, VerdictEntry, Where};
 use retroflex::report::gap::evidence::{Evidence, Spot, Trace};
 use retroflex::report::gap::{page, words};
 

@@ -2,8 +2,8 @@
 //! could be changed without a test here noticing.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use retroflex::supervise::gate::{Cause, Following, Gate, Limits, On, Passed, Safe, Told};
-use retroflex::units::Steps;
+use retroflex::primitives::units::Steps;
+use retroflex::supervisor::gate::{Cause, Following, Gate, Limits, On, Passed, Safe, Told};
 
 const DT: f64 = 1e-3;
 

@@ -9,6 +9,8 @@ use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
 use retroflex::config::calib::Calibration;
 use retroflex::config::source;
+use retroflex::control::learning::batch::{Measurement, Prior, solve};
+use retroflex::control::tick::{Command, Config};
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::identify::{Identified, algorithm_1, with_prior};
@@ -17,11 +19,9 @@ use retroflex::experiment::schedule::{HOLD_S, paper, short};
 use retroflex::model::arc::Shape;
 use retroflex::model::bend::Bend;
 use retroflex::model::transmission::Line;
-use retroflex::refine::batch::{Measurement, Prior, solve};
-use retroflex::sim::Sim;
-use retroflex::tick::{Command, Config};
-use retroflex::units::Mm;
-use retroflex::world::World;
+use retroflex::primitives::units::Mm;
+use retroflex::simulation::sim::Sim;
+use retroflex::simulation::world::World;
 
 fn identified(seed: u64) -> (Config, Identified) {
     let mut world = unit(seed, 0);

@@ -5,8 +5,8 @@
 
 #![allow(clippy::unwrap_used)] // helpers outside #[test] functions
 
-use retroflex::fuse::FilterName;
-use retroflex::imu_score::{self, Row, Score};
+use retroflex::estimation::fusion::FilterName;
+use retroflex::estimation::score::{self, Row, Score};
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
@@ -36,7 +36,7 @@ fn rows() -> Option<&'static [Row]> {
     ROWS.get_or_init(|| {
         let folder = folder()?;
         let files: Vec<PathBuf> = VQF_PUBLISHED.iter().map(|(trial, _)| folder.join(format!("broad_{trial}.csv.gz"))).collect();
-        Some(imu_score::run(&files, None, true).unwrap())
+        Some(score::run(&files, None, true).unwrap())
     })
     .as_deref()
     .or_else(|| {
@@ -46,7 +46,7 @@ fn rows() -> Option<&'static [Row]> {
 }
 
 fn mean(filter: FilterName) -> Option<Score> {
-    imu_score::mean(rows()?, filter)
+    score::mean(rows()?, filter)
 }
 
 #[test]
@@ -89,10 +89,10 @@ fn mekf_is_the_best_on_the_whole_and_nowhere_far_from_vqf() {
 fn one_filter_can_be_asked_for() {
     let Some(folder) = folder() else { return };
     let files = [folder.join("broad_02_undisturbed_slow_rotation_B.csv.gz")];
-    let rows = imu_score::run(&files, Some(FilterName::Vqf), false).unwrap();
+    let rows = score::run(&files, Some(FilterName::Vqf), false).unwrap();
     assert_eq!((rows.len(), rows[0].filter), (1, FilterName::Vqf));
     assert_eq!(rows[0].file, "broad_02_undisturbed_slow_rotation_B.csv.gz");
-    let rows = imu_score::run(&files, None, false).unwrap();
-    assert_eq!(rows[0].filter, imu_score::DEFAULT_FILTER);
-    println!("{}", imu_score::table(&rows));
+    let rows = score::run(&files, None, false).unwrap();
+    assert_eq!(rows[0].filter, score::DEFAULT_FILTER);
+    println!("{}", score::table(&rows));
 }

@@ -5,14 +5,15 @@ mod common;
 
 use common::{uncalibrated, unit};
 use nalgebra::{UnitQuaternion, Vector3};
+use retroflex::control::tick::{Command, Config, Frame};
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::paper;
-use retroflex::frames::Rotation;
 use retroflex::model::transmission::Line;
-use retroflex::tick::{Command, Config, Frame};
-use retroflex::units::{Mm, Steps};
-use retroflex::world::{Nature, Reply, World, WorldError};
+use retroflex::primitives::frames::Rotation;
+use retroflex::primitives::units::{Mm, Steps};
+use retroflex::simulation::world::{Reply, World};
+use retroflex::supervisor::machine::{Nature, WorldError};
 
 /// Thirty seconds of closed loop on a world.
 fn frames(world: &mut dyn World) -> Vec<Frame> {

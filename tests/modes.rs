@@ -5,7 +5,7 @@
 mod common;
 
 use common::repo;
-use retroflex::supervise::mode::{Event, Mode, Modes, TABLE};
+use retroflex::supervisor::mode::{Event, Mode, Modes, TABLE};
 use std::collections::BTreeSet;
 
 type Arrow = (String, String, String);

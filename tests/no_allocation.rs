@@ -5,13 +5,13 @@
 mod common;
 
 use common::{uncalibrated, unit};
+use retroflex::control::tick::{Command, Config, Input, State, tick};
+use retroflex::estimation::fusion::health::Outcome;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::schedule::paper;
-use retroflex::fuse::health::Outcome;
 use retroflex::model::transmission::Line;
-use retroflex::tick::{Command, Config, Input, State, tick};
-use retroflex::units::Mm;
-use retroflex::world::World;
+use retroflex::primitives::units::Mm;
+use retroflex::simulation::world::World;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 

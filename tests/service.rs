@@ -3,7 +3,7 @@
 
 use retroflex::drill::process::Daemon;
 use retroflex::log::bend_log;
-use retroflex::memory::Store;
+use retroflex::service::memory::Store;
 use std::path::Path;
 use std::process::{Command, Output};
 

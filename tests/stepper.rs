@@ -6,10 +6,10 @@
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
-use retroflex::io::pins::map::LineMap;
-use retroflex::io::pins::mock::{Edge, LineName, edges};
-use retroflex::io::pins::{InputPin, MockPins, PinsConfig, Pull};
-use retroflex::io::stepper::{Stepper, Sync};
+use retroflex::hardware::pins::map::LineMap;
+use retroflex::hardware::pins::mock::{Edge, LineName, edges};
+use retroflex::hardware::pins::{InputPin, MockPins, PinsConfig, Pull};
+use retroflex::hardware::stepper::{Stepper, Sync};
 use retroflex::motion::config::EmergencyStop;
 use retroflex::motion::lines::{Levels, PulseTiming};
 use retroflex::motion::pulse::{Action, StepCore};
@@ -520,7 +520,7 @@ fn mock(emergency_stop: Option<InputPin>) -> MockPins {
 /// Feeds ticks to a stepper until the motion rests at its target or something happens.
 fn drive(stepper: &mut Stepper<MockPins>, motion: &mut Motion, target: [f64; 3]) -> Sync {
     for _ in 0..4000 {
-        let now = retroflex::io::rt::monotonic_ns();
+        let now = retroflex::hardware::rt::monotonic_ns();
         match stepper.sync(now) {
             Sync::Ready => {}
             Sync::Restart(rest_mm) => motion.reset(rest_mm),

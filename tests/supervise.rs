@@ -11,20 +11,21 @@ use retroflex::config::gains::Gains;
 use retroflex::config::pilot::assemble;
 use retroflex::config::source;
 use retroflex::control::spent::Spent;
+use retroflex::control::tick::{Command, Kept};
 use retroflex::drill::bench::{Bench, Make};
-use retroflex::machine::{Alarm, Lockstep};
 use retroflex::model::bend::Bend;
-use retroflex::pilot::flight::Flight;
-use retroflex::pilot::order::{Order, Refusal};
-use retroflex::pilot::{Pilot, PilotConfig, Turned};
-use retroflex::plant::{Channel, Fault};
+use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::service::status;
-use retroflex::sim::Sim;
-use retroflex::supervise::gate::{Cause, Safe};
-use retroflex::supervise::mode::Mode;
-use retroflex::tick::{Command, Kept};
-use retroflex::units::{Mm, Seconds, Steps};
-use retroflex::world::World;
+use retroflex::simulation::lockstep::Lockstep;
+use retroflex::simulation::plant::{Channel, Fault};
+use retroflex::simulation::sim::Sim;
+use retroflex::simulation::world::World;
+use retroflex::supervisor::cycle::order::{Order, Refusal};
+use retroflex::supervisor::cycle::runner::Flight;
+use retroflex::supervisor::cycle::{Pilot, PilotConfig, Turned};
+use retroflex::supervisor::gate::{Cause, Safe};
+use retroflex::supervisor::machine::Alarm;
+use retroflex::supervisor::mode::Mode;
 
 /// An order to bend, degrees.
 fn bend_to(b: f64, d: f64) -> Order {

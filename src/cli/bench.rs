@@ -3,11 +3,11 @@
 use crate::cli::{Outcome, Unreachable, output};
 use crate::config::board::Board;
 use crate::config::source;
-use crate::io::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
-use crate::io::cyclictest;
-use crate::io::pins::map::LineMap;
-use crate::io::pins::{self, MockPins, OpenError, Pins, PinsConfig};
-use crate::io::stepper::StartError;
+use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
+use crate::hardware::cyclictest;
+use crate::hardware::pins::map::LineMap;
+use crate::hardware::pins::{self, MockPins, OpenError, Pins, PinsConfig};
+use crate::hardware::stepper::StartError;
 use crate::motion::StepperConfig;
 use clap::{Args, Subcommand};
 use miette::{IntoDiagnostic, Result, miette};

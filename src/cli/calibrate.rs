@@ -3,17 +3,17 @@
 //! Every step prints what it found with a figure of its quality, or refuses with the motion that was
 //! missing, and writes into the `[imu]` table of a calibration file, whole or not at all.
 
-use crate::calib_imu::{ImuCalibration, Limits, Pedigree, accel, gyro, mag, motor, mount, still};
 use crate::cli::Outcome;
 use crate::cli::output;
-use crate::fuse::health;
-use crate::fuse::tip::{FuseConfig, Fusion, Told};
-use crate::io::imu::Imu;
+use crate::estimation::fusion::health;
+use crate::estimation::fusion::tip::{FuseConfig, Fusion, Told};
+use crate::estimation::imu_calibration::{ImuCalibration, Limits, Pedigree, accel, gyro, mag, motor, mount, still};
+use crate::hardware::imu::Imu;
 use crate::log::bend_log::{self, BendLog};
 use crate::log::recording;
 use crate::model::drive::Drive;
-use crate::sample::ImuSample;
-use crate::units::{Seconds, Steps};
+use crate::primitives::sample::ImuSample;
+use crate::primitives::units::{Seconds, Steps};
 use embedded_hal::delay::DelayNs;
 use miette::{IntoDiagnostic, Result, miette};
 use nalgebra::Vector3;
@@ -113,7 +113,7 @@ fn existing(path: &Path) -> Result<toml::Table> {
 }
 
 /// One step: a line for people, or why not.
-fn find(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Result<Result<String, crate::calib_imu::Refusal>> {
+fn find(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Result<Result<String, crate::estimation::imu_calibration::Refusal>> {
     let limits = Limits::default();
     Ok(match args.step {
         Step::Gyro => gyro::at_rest(&samples(args)?, &limits).map(|fit| {
@@ -293,7 +293,7 @@ pub fn record(sensor: &mut dyn Imu, delay: &mut dyn DelayNs, seconds: f64, progr
 
 #[cfg(feature = "hw")]
 fn live(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
-    use crate::io::imu::{self, ImuConfig};
+    use crate::hardware::imu::{self, ImuConfig};
     use linux_embedded_hal::{Delay, I2cdev};
     let open = I2cdev::new(bus).map_err(|e| miette!("{}: {e}; name an I²C bus that exists and may be opened", bus.display()))?;
     let mut sensor = imu::open(&ImuConfig::default(), imu::linux::Classified(open)).into_diagnostic()?;
@@ -316,8 +316,8 @@ fn today() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::io::imu::fake::{FakeBus, FakeIcm20948, Motion};
-    use crate::io::imu::icm20948::{self, Icm20948};
+    use crate::hardware::imu::fake::{FakeBus, FakeIcm20948, Motion};
+    use crate::hardware::imu::icm20948::{self, Icm20948};
 
     #[test]
     fn a_live_chip_is_read_through_its_driver() {

@@ -1,10 +1,10 @@
 //! `retroflex commission`: is the machine wired as its board file says, and is it tight?
 
 use crate::cli::{Outcome, hands, output};
-use crate::commission::trial::{self, Findings, TrialConfig, TrialError};
-use crate::commission::wiring::Wiring;
 use crate::config::board::Board;
 use crate::config::source;
+use crate::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
+use crate::supervisor::commission::wiring::Wiring;
 use miette::{IntoDiagnostic, Result, miette};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -94,7 +94,7 @@ fn rewired(text: &str, board: &Board, wiring: &Wiring) -> Result<(String, Vec<St
             set(format!("pins.channels.{bellow}.dir_inverted"), turned.to_string())?;
         }
     }
-    if let (Some(imu), true) = (&board.imu, wiring.turned_rad.abs() >= crate::commission::wiring::TURN_SMALL_RAD) {
+    if let (Some(imu), true) = (&board.imu, wiring.turned_rad.abs() >= crate::supervisor::commission::wiring::TURN_SMALL_RAD) {
         let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), wiring.turned_rad);
         let mount = (turn * imu.mount()).scaled_axis().map(f64::to_degrees);
         set("imu.mount_deg".to_owned(), format!("[{:.1}, {:.1}, {:.1}]", mount.x, mount.y, mount.z))?;

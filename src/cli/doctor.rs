@@ -4,8 +4,8 @@
 use crate::cli::{Outcome, output};
 use crate::config::board::Board;
 use crate::config::source;
-use crate::io::machine::Sensor;
-use crate::io::rt::{self, Grant, RtWish};
+use crate::hardware::machine::Sensor;
+use crate::hardware::rt::{self, Grant, RtWish};
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
 use std::io::Write;

@@ -9,7 +9,7 @@ use crate::drill::bench::Make;
 use crate::drill::process::Harm;
 use crate::drill::run::{Allowance, fly};
 use crate::drill::{Row, list, process, soak};
-use crate::memory::Store;
+use crate::service::memory::Store;
 use comfy_table::{CellAlignment, ColumnConstraint, Table, Width, presets};
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::json;

@@ -2,10 +2,10 @@
 
 use crate::cli::Outcome;
 use crate::cli::output;
-use crate::effects::catalogue;
-use crate::gap::exam::mark::{Method, Row, Sheet, mark};
-use crate::gap::exam::question::{Question, paper};
-use crate::gap::exam::{Answer, sit};
+use crate::diagnosis::exam::mark::{Method, Row, Sheet, mark};
+use crate::diagnosis::exam::question::{Question, paper};
+use crate::diagnosis::exam::{Answer, sit};
+use crate::model::effects::catalogue;
 use comfy_table::{CellAlignment, Table, presets};
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
@@ -40,7 +40,7 @@ struct Line<'a> {
     bic: &'a [&'static str],
     sparse: &'a [&'static str],
     nearest: &'a [&'static str],
-    diagnosis: &'a crate::gap::diagnose::Diagnosis,
+    diagnosis: &'a crate::diagnosis::diagnose::Diagnosis,
 }
 
 #[derive(Serialize)]
@@ -86,7 +86,7 @@ fn line<'a>((q, a): (&'a Question, &'a Answer)) -> Line<'a> {
     }
 }
 
-fn share(c: &crate::gap::exam::mark::Count) -> String {
+fn share(c: &crate::diagnosis::exam::mark::Count) -> String {
     if c.of == 0 { "–".to_owned() } else { format!("{:.0} % of {}", c.share() * 100.0, c.of) }
 }
 
@@ -114,7 +114,7 @@ fn summary(s: &Sheet) -> String {
     others.set_header(["method", "single lab", "single field", "pair lab", "pair field", "false alarms", "macro F1"]);
     let mut add = |name: &str, m: &Method| {
         let alarms =
-            crate::gap::exam::mark::Count { right: m.alarm.lab.right + m.alarm.field.right, of: m.alarm.lab.of + m.alarm.field.of };
+            crate::diagnosis::exam::mark::Count { right: m.alarm.lab.right + m.alarm.field.right, of: m.alarm.lab.of + m.alarm.field.of };
         others.add_row([
             name.to_owned(),
             share(&m.single.lab),

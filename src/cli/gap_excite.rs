@@ -1,12 +1,12 @@
 //! `retroflex gap excite`: designs a schedule on which effects can be told apart.
 
-use crate::check::{Check, Checker};
 use crate::cli::Outcome;
 use crate::cli::gap::{PAPER, saved};
 use crate::cli::output::{self, write};
-use crate::gap::excite::rows::csv;
-use crate::gap::excite::{APART, Designed, LONGEST_S, Wanted, design, separable};
+use crate::diagnosis::excite::rows::csv;
+use crate::diagnosis::excite::{APART, Designed, LONGEST_S, Wanted, design, separable};
 use crate::model::transmission::Line;
+use crate::primitives::check::{Check, Checker};
 use comfy_table::{CellAlignment, Table, presets};
 use miette::{Result, miette};
 use std::path::PathBuf;
@@ -67,7 +67,7 @@ pub fn run(args: &ExciteArgs) -> Result<Outcome> {
     Ok(Outcome::Good)
 }
 
-fn lines(g: &crate::gap::saved::Gains) -> [Line; 3] {
+fn lines(g: &crate::diagnosis::saved::Gains) -> [Line; 3] {
     std::array::from_fn(|i| Line { k_epsilon: g.k_epsilon[i], k_lambda_mm: g.k_lambda_mm[i] })
 }
 

@@ -3,9 +3,9 @@
 use crate::cli::Outcome;
 use crate::cli::output::write;
 use crate::config::source;
-use crate::gap::map::document::Document;
-use crate::gap::map::file::MapFile;
-use crate::gap::map::{diagnose, table};
+use crate::diagnosis::map::document::Document;
+use crate::diagnosis::map::file::MapFile;
+use crate::diagnosis::map::{diagnose, table};
 use comfy_table::{CellAlignment, Table, presets};
 use miette::{IntoDiagnostic, Result};
 use std::path::{Path, PathBuf};

@@ -1,15 +1,16 @@
 //! What the commands that move a machine by hand share: opening it, its clock, and how to end.
 
 use crate::cli::Unreachable;
-use crate::commission::hand::{Hand, HandError};
 use crate::config::board::Board;
 use crate::config::source;
-use crate::io::machine::{Hardware, MachineConfig, MachineError};
-use crate::io::pins::OpenError;
-use crate::io::rt;
-use crate::machine::{Lockstep, Machine};
-use crate::sim::Sim;
-use crate::units::Seconds;
+use crate::hardware::machine::{Hardware, MachineConfig, MachineError};
+use crate::hardware::pins::OpenError;
+use crate::hardware::rt;
+use crate::primitives::units::Seconds;
+use crate::simulation::lockstep::Lockstep;
+use crate::simulation::sim::Sim;
+use crate::supervisor::commission::hand::{Hand, HandError};
+use crate::supervisor::machine::Machine;
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::Path;
 use std::sync::Arc;

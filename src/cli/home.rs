@@ -1,10 +1,10 @@
 //! `retroflex home`: zero by home switches, or by a person who brings the pistons to rest.
 
 use crate::cli::{Outcome, hands};
-use crate::commission::homing::{self, HomingConfig};
 use crate::config::board::Board;
 use crate::config::hardware::HomingMethod;
 use crate::config::source;
+use crate::supervisor::commission::homing::{self, HomingConfig};
 use miette::{Result, miette};
 use std::io::{BufRead, Write};
 use std::path::PathBuf;

@@ -1,8 +1,8 @@
 //! `retroflex imu score`: an orientation filter against a recording with a reference.
 
 use crate::cli::{Outcome, output};
-use crate::fuse::FilterName;
-use crate::imu_score;
+use crate::estimation::fusion::FilterName;
+use crate::estimation::score;
 use miette::{IntoDiagnostic, Result};
 use std::path::PathBuf;
 
@@ -36,8 +36,8 @@ pub struct ScoreArgs {
 /// A report that names what is wrong with the input.
 pub fn run(command: &Imu) -> Result<Outcome> {
     let Imu::Score(args) = command;
-    let rows = imu_score::run(&args.files, args.filter, args.all).into_diagnostic()?;
-    eprintln!("{}", imu_score::table(&rows));
+    let rows = score::run(&args.files, args.filter, args.all).into_diagnostic()?;
+    eprintln!("{}", score::table(&rows));
     if let Some(path) = &args.json {
         output::write(path, &(serde_json::to_string_pretty(&rows).into_diagnostic()? + "\n"))?;
     }

@@ -9,10 +9,10 @@ use crate::config::pilot::assemble;
 use crate::config::source;
 use crate::control::pi::Dynamics;
 use crate::model::transmission::Line;
-use crate::pilot::Pilot;
 use crate::service::record::tape_of;
 use crate::service::tape::{Header, Reader, digest};
-use crate::world::Nature;
+use crate::supervisor::cycle::Pilot;
+use crate::supervisor::machine::Nature;
 use miette::{Result, miette};
 use std::path::PathBuf;
 

@@ -6,11 +6,12 @@ use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::pilot::assemble;
 use crate::config::source;
-use crate::io::machine::Hardware;
-use crate::link::{self, Link};
-use crate::machine::{Lockstep, Machine};
+use crate::hardware::machine::Hardware;
 use crate::service::{ServiceError, Setup, serve};
-use crate::sim::Sim;
+use crate::simulation::link::{self, Link};
+use crate::simulation::lockstep::Lockstep;
+use crate::simulation::sim::Sim;
+use crate::supervisor::machine::Machine;
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::{Path, PathBuf};
 
@@ -103,7 +104,11 @@ fn prepare(args: &Args) -> Result<Setup> {
 }
 
 /// A file, or what the program carries in its place; with its text.
-fn read_or<T: serde::de::DeserializeOwned + crate::check::Check>(path: Option<&Path>, name: &str, own: &str) -> Result<(T, String)> {
+fn read_or<T: serde::de::DeserializeOwned + crate::primitives::check::Check>(
+    path: Option<&Path>,
+    name: &str,
+    own: &str,
+) -> Result<(T, String)> {
     match path {
         None => Ok((source::parse(name, own)?, own.to_owned())),
         Some(path) => {

@@ -1,20 +1,20 @@
 //! Board files: what the machine is.
 
-use crate::check::{Check, Checker};
 use crate::config::hardware::{HomingSection, ImuSection, MachineSection, check_hardware};
 use crate::config::power::PowerSection;
 use crate::config::service::{SafetySection, ServiceSection};
 use crate::control::follow::Pace;
 use crate::control::limit::Limits;
-use crate::io::pins::PinsConfig;
+use crate::hardware::pins::PinsConfig;
 use crate::model::arc::Geometry;
 use crate::model::drive::Drive;
 use crate::motion::{MotionConfig, StepperConfig};
-use crate::plant::config::{BaseConfig, DriveConfig, FieldConfig, LineConfig, ShapeConfig};
-use crate::plant::effects::Effects;
-use crate::plant::imu::chip::ImuConfig;
-use crate::plant::spread::Spread;
-use crate::plant::{PlantConfig, PlantError};
+use crate::primitives::check::{Check, Checker};
+use crate::simulation::plant::config::{BaseConfig, DriveConfig, FieldConfig, LineConfig, ShapeConfig};
+use crate::simulation::plant::effects::Effects;
+use crate::simulation::plant::imu::chip::ImuConfig;
+use crate::simulation::plant::spread::Spread;
+use crate::simulation::plant::{PlantConfig, PlantError};
 use serde::Deserialize;
 
 /// A board file.

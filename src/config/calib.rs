@@ -1,10 +1,10 @@
 //! Calibration files: what this tip is.
 
-use crate::calib_imu::ImuCalibration;
-use crate::check::{Check, Checker};
+use crate::control::learning::batch::Prior;
 use crate::control::pi::Dynamics;
+use crate::estimation::imu_calibration::ImuCalibration;
 use crate::model::transmission::Line;
-use crate::refine::batch::Prior;
+use crate::primitives::check::{Check, Checker};
 use serde::{Deserialize, Serialize};
 
 /// A calibration file.

@@ -1,13 +1,13 @@
 //! Ranges of the `[fuse]` tables of a gains file.
 
-use crate::check::Checker;
-use crate::fuse::align::AlignConfig;
-use crate::fuse::base::BaseConfig;
-use crate::fuse::bend::BendFilterConfig;
-use crate::fuse::health;
-use crate::fuse::second::SecondConfig;
-use crate::fuse::tip::FuseConfig;
-use crate::fuse::watch::WatchConfig;
+use crate::estimation::fusion::align::AlignConfig;
+use crate::estimation::fusion::base::BaseConfig;
+use crate::estimation::fusion::bend::BendFilterConfig;
+use crate::estimation::fusion::health;
+use crate::estimation::fusion::second::SecondConfig;
+use crate::estimation::fusion::tip::FuseConfig;
+use crate::estimation::fusion::watch::WatchConfig;
+use crate::primitives::check::Checker;
 
 /// Reports the first setting of fusion that is out of its range.
 pub(super) fn check(fuse: &FuseConfig, to: &mut Checker) {

@@ -1,14 +1,14 @@
 //! Gains files: how the loop behaves.
 
-use crate::check::{Check, Checker};
 use crate::config::fuse;
 use crate::control::follow::Pace;
+use crate::control::learning::online::RefineConfig;
 use crate::control::rest::RestConfig;
+use crate::control::tick::FeedbackConfig;
 use crate::control::wall::WallConfig;
-use crate::fuse::tip::FuseConfig;
+use crate::estimation::fusion::tip::FuseConfig;
 use crate::model::transmission::Side;
-use crate::refine::online::RefineConfig;
-use crate::tick::FeedbackConfig;
+use crate::primitives::check::{Check, Checker};
 use serde::Deserialize;
 
 /// A gains file.

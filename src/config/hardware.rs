@@ -3,12 +3,12 @@
 //! Relations are judged here and not where a value is used: a board that contradicts itself is refused
 //! as it is read, with the place in the file.
 
-use crate::check::Checker;
 use crate::config::board::Board;
 use crate::config::pins::check_pins;
-use crate::io::imu::ImuConfig;
-use crate::io::machine::{MachineConfig, SensorConfig};
+use crate::hardware::imu::ImuConfig;
+use crate::hardware::machine::{MachineConfig, SensorConfig};
 use crate::motion::{ConfigError, Limits};
+use crate::primitives::check::Checker;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 

@@ -18,9 +18,9 @@ pub mod source;
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
-use crate::tick::Config;
+use crate::control::tick::Config;
 
-/// Puts the three files together into what [`crate::tick::tick`] runs on.
+/// Puts the three files together into what [`crate::control::tick::tick`] runs on.
 #[must_use]
 pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Config {
     Config {

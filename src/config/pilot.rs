@@ -4,8 +4,8 @@ use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::model::drive::Drive;
-use crate::pilot::PilotConfig;
-use crate::world::Nature;
+use crate::supervisor::cycle::PilotConfig;
+use crate::supervisor::machine::Nature;
 
 /// Board, calibration and gains for a machine of this nature.
 #[must_use]

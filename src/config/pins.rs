@@ -1,11 +1,11 @@
 //! The wiring against the header: no line twice, none that is not there, none that has another job.
 
-use crate::check::Checker;
 use crate::config::board::Board;
 use crate::config::hardware::Header;
-use crate::io::pins::map::LineMap;
-use crate::io::pins::{Backend, PinsConfig};
+use crate::hardware::pins::map::LineMap;
+use crate::hardware::pins::{Backend, PinsConfig};
 use crate::motion::ConfigError;
+use crate::primitives::check::Checker;
 
 /// Reports the first line that cannot be what the file says.
 pub(super) fn check_pins(board: &Board, pins: &PinsConfig, to: &mut Checker) {

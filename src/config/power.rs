@@ -6,8 +6,8 @@
 //! M exceeds it the rack runs back until F d/2 is the detent torque again, and the tip relaxes by as
 //! much; the count of steps is then worth nothing.
 
-use crate::check::Checker;
 use crate::config::board::LimitsSection;
+use crate::primitives::check::Checker;
 use serde::Deserialize;
 
 /// What pressure does to a motor without current.

@@ -1,11 +1,11 @@
 //! `[service]` and `[safety]` of a board file: who may command, and what is safe.
 
-use crate::check::Checker;
 use crate::control::limit;
-use crate::pilot::proof::ProofConfig;
-use crate::supervise::explain::ExplainConfig;
-use crate::supervise::gate::{Limits, On};
-use crate::tick::Config;
+use crate::control::tick::Config;
+use crate::primitives::check::Checker;
+use crate::supervisor::cycle::proof::ProofConfig;
+use crate::supervisor::explain::ExplainConfig;
+use crate::supervisor::gate::{Limits, On};
 use serde::Deserialize;
 use std::path::PathBuf;
 

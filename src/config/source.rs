@@ -1,6 +1,6 @@
 //! Reading a TOML file into a checked section, with errors that point into the text.
 
-use crate::check::{Check, Checker, Invalid};
+use crate::primitives::check::{Check, Checker, Invalid};
 use miette::{Diagnostic, NamedSource, SourceSpan};
 use serde::de::DeserializeOwned;
 use std::ops::Range;

@@ -4,18 +4,19 @@ use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::pilot::assemble;
-use crate::frames::{Base, Rotation, Tip};
-use crate::fuse::health::{Fault as BusFault, Outcome};
-use crate::machine::{Alarm, Inputs, Lockstep, Machine, Sensed};
+use crate::control::tick::{Command, Kept};
+use crate::estimation::fusion::health::{Fault as BusFault, Outcome};
 use crate::model::bend::Bend;
-use crate::pilot::flight::Flight;
-use crate::pilot::order::Order;
-use crate::pilot::{Pilot, PilotConfig, Turned};
-use crate::plant::{Channel, Fault, PlantError};
-use crate::sim::Sim;
-use crate::tick::{Command, Kept};
-use crate::units::{Mm, Seconds, Steps};
-use crate::world::{Nature, WorldError};
+use crate::primitives::frames::{Base, Rotation, Tip};
+use crate::primitives::units::{Mm, Seconds, Steps};
+use crate::simulation::lockstep::Lockstep;
+use crate::simulation::plant::{Channel, Fault, PlantError};
+use crate::simulation::sim::Sim;
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::cycle::runner::Flight;
+use crate::supervisor::cycle::{Pilot, PilotConfig, Turned};
+use crate::supervisor::machine::{Alarm, Inputs, Machine, Sensed};
+use crate::supervisor::machine::{Nature, WorldError};
 
 /// A machine that can be broken from outside its plant.
 #[derive(Debug, Clone)]

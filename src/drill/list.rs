@@ -1,16 +1,16 @@
 //! The faults that strike in flight: what is done, what notices it, what is promised.
 
+use crate::control::tick::Command;
 use crate::drill::bench::{Bench, bend};
-use crate::fuse::health::{Cause, Fault as Bus};
-use crate::machine::Alarm;
+use crate::estimation::fusion::health::{Cause, Fault as Bus};
 use crate::model::bend::Bend;
-use crate::pilot::Turned;
-use crate::pilot::order::{Order, Refusal};
-use crate::plant::{Channel, Fault};
-use crate::supervise::explain::Kind;
-use crate::supervise::gate;
-use crate::tick::Command;
-use crate::units::Mm;
+use crate::primitives::units::Mm;
+use crate::simulation::plant::{Channel, Fault};
+use crate::supervisor::cycle::Turned;
+use crate::supervisor::cycle::order::{Order, Refusal};
+use crate::supervisor::explain::Kind;
+use crate::supervisor::gate;
+use crate::supervisor::machine::Alarm;
 
 /// What strikes.
 #[derive(Debug, Clone, Copy)]

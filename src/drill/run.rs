@@ -3,10 +3,10 @@
 use crate::drill::Row;
 use crate::drill::bench::{Bench, Make, bend};
 use crate::drill::list::{Notice, Promise, Spec, Strike};
-use crate::pilot::Turned;
-use crate::pilot::order::Order;
-use crate::supervise::mode::Mode;
-use crate::world::WorldError;
+use crate::supervisor::cycle::Turned;
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::machine::WorldError;
+use crate::supervisor::mode::Mode;
 
 /// From the start of the move to the fault, s.
 const MID_MOTION_S: f64 = 0.22;

@@ -2,9 +2,9 @@
 
 use crate::drill::bench::{Make, bend};
 use crate::drill::list::{Strike, specs};
-use crate::pilot::order::Order;
-use crate::supervise::mode::Mode;
-use crate::world::WorldError;
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::machine::WorldError;
+use crate::supervisor::mode::Mode;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use serde::Serialize;

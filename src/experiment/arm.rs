@@ -1,10 +1,10 @@
 //! One arm of the experiment: 120 held states on a fresh world, scored against the truth.
 
+use crate::control::tick::Command;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::bend::Bend;
-use crate::tick::Command;
-use crate::units::Mm;
+use crate::primitives::units::Mm;
 use nalgebra::Vector2;
 use serde::Serialize;
 

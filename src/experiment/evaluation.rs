@@ -1,13 +1,14 @@
 //! The whole evaluation: identify on a plant of its own, then every arm on a fresh one.
 
+use crate::control::tick::Config;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::identify::{self, Identified, IdentifyError};
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::paper;
 use crate::model::drive::Drive;
 use crate::model::transmission::Line;
-use crate::tick::Config;
-use crate::world::{World, WorldError};
+use crate::simulation::world::World;
+use crate::supervisor::machine::WorldError;
 use serde::Serialize;
 
 /// What is compensated.
@@ -177,7 +178,7 @@ fn gather(plan: &Plan, base: &Config, found: Option<&Identified>, plant: String,
     }
 }
 
-fn figures(e: &crate::refine::batch::Estimate) -> ChannelFigures {
+fn figures(e: &crate::control::learning::batch::Estimate) -> ChannelFigures {
     ChannelFigures {
         k_eps_sigma: e.covariance[(0, 0)].max(0.0).sqrt(),
         k_lambda_sigma_mm: e.covariance[(1, 1)].max(0.0).sqrt(),

@@ -3,14 +3,14 @@
 //! The bend is measured by the IMU, the side of each piston read from the pulses ([`super::pose`]). The
 //! last pass also tells lag and dead time.
 
+use crate::control::learning::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
 use crate::control::pi::Dynamics;
+use crate::control::tick::Config;
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::Pose;
 use crate::model::transmission::Line;
-use crate::refine::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
-use crate::tick::Config;
-use crate::world::World;
+use crate::simulation::world::World;
 use thiserror::Error;
 
 /// The paper's criterion: relative step below 2 %.

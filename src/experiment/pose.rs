@@ -3,16 +3,16 @@
 //! A pose counts once the set-point has rested; its bend is the mean over the scored seconds. The side
 //! of each piston (Eq. 21) is read from the pulses: a channel's row counts only once its piston has
 //! pushed further than the widest backlash since it last turned. What lies between the poses tells lag
-//! and dead time, by the race of [`crate::refine::dynamics`].
+//! and dead time, by the race of [`crate::control::learning::dynamics`].
 
+use crate::control::learning::batch::Measurement;
+use crate::control::learning::dynamics::DynamicsBank;
 use crate::control::pi::Dynamics;
+use crate::control::tick::{Command, Frame, Mode};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
-use crate::refine::batch::Measurement;
-use crate::refine::dynamics::DynamicsBank;
-use crate::tick::{Command, Frame, Mode};
-use crate::units::Mm;
+use crate::primitives::units::Mm;
 use nalgebra::{Vector2, Vector3};
 
 /// Rest of the set-point before a pose is measured, s: a long way takes longer than a hold.

@@ -1,8 +1,9 @@
 //! A loop and a world in lockstep.
 
-use crate::fuse::health::Outcome;
-use crate::tick::{Command, Config, Frame, Input, State, tick};
-use crate::world::{Reply, World, WorldError};
+use crate::control::tick::{Command, Config, Frame, Input, State, tick};
+use crate::estimation::fusion::health::Outcome;
+use crate::simulation::world::{Reply, World};
+use crate::supervisor::machine::WorldError;
 use thiserror::Error;
 
 /// Longest wait for a still tip, s.

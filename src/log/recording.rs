@@ -16,9 +16,9 @@
 //! a file that stops in the middle is refused with file, line and column.
 
 use super::error::ReadError;
-use crate::frames::{Rotation, Sensor, World};
-use crate::sample::ImuSample;
-use crate::units::Seconds;
+use crate::primitives::frames::{Rotation, Sensor, World};
+use crate::primitives::sample::ImuSample;
+use crate::primitives::units::Seconds;
 use flate2::read::MultiGzDecoder;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::fs::File;

@@ -9,7 +9,7 @@
 //! Eq. 6 integrates `[cos θ, 0, sin θ]` with `θ₀ = π/2`, which is written here in β = θ₀ − θ_l.
 
 use crate::model::bend::Bend;
-use crate::units::Mm;
+use crate::primitives::units::Mm;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// The bending section's dimensions.
@@ -131,7 +131,7 @@ fn versine_over_slope(beta: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::units::Rad;
+    use crate::primitives::units::Rad;
     use proptest::prelude::*;
 
     fn shapes() -> impl Strategy<Value = Shape> {

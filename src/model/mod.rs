@@ -3,4 +3,5 @@
 pub mod arc;
 pub mod bend;
 pub mod drive;
+pub mod effects;
 pub mod transmission;

@@ -1,7 +1,7 @@
 //! The words the step thread and the loop speak: faults, modes, orders, inputs, reports.
 
 use crate::motion::histogram::Histogram;
-use crate::units::Steps;
+use crate::primitives::units::Steps;
 
 /// Why the core does not move any more.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]

@@ -5,16 +5,16 @@
 //! repeats all poses with the gains found so far until they change by less than 2 %; the short form is
 //! one pass with the calibration in use as prior.
 
+use crate::control::learning::batch::{Prior, relative_step, solve};
 use crate::control::pi::Dynamics;
+use crate::control::tick::Command;
 use crate::experiment::identify::{CONVERGED, IdentifyError, PASSES_MAX, plausible};
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::schedule;
 use crate::model::arc::Geometry;
 use crate::model::transmission::Line;
-use crate::pilot::Turned;
-use crate::refine::batch::{Prior, relative_step, solve};
-use crate::supervise::mode::Mode;
-use crate::tick::Command;
+use crate::supervisor::cycle::Turned;
+use crate::supervisor::mode::Mode;
 use nalgebra::Vector3;
 
 /// What the loop is to do next.

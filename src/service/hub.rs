@@ -8,19 +8,19 @@ use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::service::ServiceSection;
-use crate::io::rt::RtStatus;
-use crate::memory::Memory;
-use crate::pilot::order::Order;
-use crate::pilot::{PilotConfig, Turned};
+use crate::hardware::rt::RtStatus;
 use crate::service::ServiceError;
 use crate::service::calibrate::Session;
 use crate::service::keeper::Keeper;
+use crate::service::memory::Memory;
 use crate::service::notify::Notifier;
 use crate::service::protocol::{Failure, answer_line};
 use crate::service::record::Recording;
 use crate::service::server::Server;
 use crate::service::turns::{Message, OtherEnd, Shared};
-use crate::supervise::mode::Mode;
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::cycle::{PilotConfig, Turned};
+use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -104,7 +104,7 @@ pub struct Hub {
     /// Why the last calibration found nothing.
     calibration_failed: Option<String>,
     /// What was accepted before the calibration that is being put on the disk.
-    accepted_before: Option<crate::memory::Gains>,
+    accepted_before: Option<crate::service::memory::Gains>,
     memory_error: Option<String>,
     /// What the disk has for certain: drivers may be armed.
     armed_on_disk: bool,

@@ -1,6 +1,6 @@
 //! The keeper: the one thread that forces memory to the disk.
 
-use crate::memory::{Memory, MemoryError, Store};
+use crate::service::memory::{Memory, MemoryError, Store};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
 
 /// Something to keep; who waits for it gives a number.

@@ -4,10 +4,10 @@
 //! with a rest when the pistons are at zero, and only then has it a tape: what the pilot remembers in
 //! mid-flight cannot be written down.
 
-use crate::fuse::health::Outcome;
-use crate::machine::Sensed;
-use crate::pilot::Turned;
+use crate::estimation::fusion::health::Outcome;
 use crate::service::tape;
+use crate::supervisor::cycle::Turned;
+use crate::supervisor::machine::Sensed;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};

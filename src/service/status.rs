@@ -1,10 +1,10 @@
 //! The status: everything worth knowing, as one JSON object; and what of a turn a subscriber gets.
 
 use crate::control::spent::Spent;
-use crate::pilot::Turned;
+use crate::control::tick::Frame;
 use crate::service::protocol::VERSION;
-use crate::supervise::gate::Cause;
-use crate::tick::Frame;
+use crate::supervisor::cycle::Turned;
+use crate::supervisor::gate::Cause;
 use serde_json::{Value, json};
 
 /// A cause in words, with the mend.

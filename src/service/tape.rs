@@ -4,15 +4,15 @@
 //! one record a turn, little-endian: a tag byte for what is there, the numbers, a digest. Replaying it
 //! through the pilot must give every digest again; if not, the software has changed.
 
-use crate::fuse::health::{Fault, Outcome, Quality};
-use crate::machine::{Alarm, Inputs, Sensed};
+use crate::control::tick::{Command, Kept};
+use crate::estimation::fusion::health::{Fault, Outcome, Quality};
 use crate::model::bend::Bend;
 use crate::model::transmission::Line;
-use crate::pilot::Turned;
-use crate::pilot::order::Order;
-use crate::sample::ImuSample;
-use crate::tick::{Command, Kept};
-use crate::units::{Mm, Seconds, Steps};
+use crate::primitives::sample::ImuSample;
+use crate::primitives::units::{Mm, Seconds, Steps};
+use crate::supervisor::cycle::Turned;
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::machine::{Alarm, Inputs, Sensed};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 

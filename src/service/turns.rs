@@ -1,15 +1,15 @@
 //! The loop's thread: wait for the instant, turn, hand over. Nothing here locks, allocates or waits for
 //! anything but the clock.
 
-use crate::io::rt::{Clock, Monotonic};
-use crate::machine::Machine;
-use crate::pilot::flight::Flight;
-use crate::pilot::order::{Order, Refusal};
-use crate::pilot::{Pilot, PilotConfig, Turned};
+use crate::control::tick::Kept;
+use crate::hardware::rt::{Clock, Monotonic};
+use crate::primitives::units::Seconds;
 use crate::service::notify::Feed;
-use crate::tick::Kept;
-use crate::units::Seconds;
-use crate::world::WorldError;
+use crate::supervisor::cycle::order::{Order, Refusal};
+use crate::supervisor::cycle::runner::Flight;
+use crate::supervisor::cycle::{Pilot, PilotConfig, Turned};
+use crate::supervisor::machine::Machine;
+use crate::supervisor::machine::WorldError;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};

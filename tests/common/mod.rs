@@ -6,10 +6,10 @@ use retroflex::config::board::{Board, PlantSection};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
+use retroflex::control::tick::Config;
 use retroflex::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose};
-use retroflex::sim::Sim;
-use retroflex::tick::Config;
-use retroflex::world::World;
+use retroflex::simulation::sim::Sim;
+use retroflex::simulation::world::World;
 use std::path::{Path, PathBuf};
 
 /// A file of the repository.
@@ -41,7 +41,10 @@ pub fn unit(seed: u64, noise: u64) -> Sim {
 /// Unit `seed` of a tip that follows Eq. 16 and has none of the twin's effects.
 pub fn plain(seed: u64, noise: u64) -> Sim {
     let plant = plant();
-    let make = retroflex::plant::config::PlantConfig { effects: retroflex::plant::effects::Effects::default(), ..plant.make() };
+    let make = retroflex::simulation::plant::config::PlantConfig {
+        effects: retroflex::simulation::plant::effects::Effects::default(),
+        ..plant.make()
+    };
     Sim::new(&make, seed, noise, plant.period_s).unwrap()
 }
 

@@ -4,7 +4,7 @@
 //! Two stores to one register between two looks are seen as one, so this counts slow lines only.
 #![allow(unsafe_code)]
 
-use retroflex::io::rt::{self, RtWish};
+use retroflex::hardware::rt::{self, RtWish};
 use std::fs::File;
 use std::os::fd::AsRawFd;
 use std::path::Path;

@@ -2,7 +2,7 @@
 //! thread sees `/dev/i2c-1`, `/dev/gpiochip0`, `/dev/gpiomem` and a device tree; nothing else does.
 #![allow(unsafe_code)]
 
-use crate::fuse;
+use crate::estimation::fusion;
 use crate::gpio::{HANDLE_FD, HANDLES};
 use crate::server::World;
 use std::ffi::CString;
@@ -67,7 +67,7 @@ impl Rig {
         let (end, shared) = (connection.clone(), world.clone());
         std::thread::spawn(move || {
             // above every thread it serves, or they would wait for themselves
-            let _guard = retroflex::io::rt::enter(&retroflex::io::rt::RtWish { priority: 90, cpu: None });
+            let _guard = retroflex::hardware::rt::enter(&retroflex::hardware::rt::RtWish { priority: 90, cpu: None });
             fuse::serve(&end, &shared);
         });
         mount(Path::new("tmpfs"), &dev, "tmpfs", 0).map_err(at("a /dev of its own"))?;

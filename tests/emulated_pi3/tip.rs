@@ -5,11 +5,11 @@ use crate::guest::Guest;
 use crate::trace::Lines;
 use crate::wire;
 use retroflex::config::board::Board;
-use retroflex::io::imu::fake::Motion;
-use retroflex::io::rt::monotonic_ns;
+use retroflex::hardware::imu::fake::Motion;
+use retroflex::hardware::rt::monotonic_ns;
 use retroflex::model::bend::Bend;
-use retroflex::plant::{Plant, Truth};
-use retroflex::units::Steps;
+use retroflex::primitives::units::Steps;
+use retroflex::simulation::plant::{Plant, Truth};
 use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
@@ -47,7 +47,7 @@ pub struct TheTip {
 
 impl TheTip {
     /// A plant with the pins of a board, on the lines of a guest that has just been started.
-    pub fn start(guest: &Guest, board: &Board, make: &retroflex::plant::PlantConfig) -> Self {
+    pub fn start(guest: &Guest, board: &Board, make: &retroflex::simulation::plant::PlantConfig) -> Self {
         let lines = Lines::new(board.pins.as_ref().expect("a board with pins"));
         let mut make = make.clone();
         make.drive.step_mm = board.drive.law().step_mm;

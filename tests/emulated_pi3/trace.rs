@@ -4,7 +4,7 @@
 //! A line of the trace is `memory_region_ops_write cpu 1 mr 0x… addr 0x3f20001c value 0x20000 size 4 name …`.
 //! Levels follow the stores; a rising STEP counts by the level that DIR has at that moment.
 
-use retroflex::io::pins::PinsConfig;
+use retroflex::hardware::pins::PinsConfig;
 
 /// Where the registers of the pins are on a BCM2837.
 const GPIO: u64 = 0x3F20_0000;

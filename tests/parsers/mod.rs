@@ -7,7 +7,7 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::log::bend_log;
-use retroflex::memory;
+use retroflex::service::memory;
 use retroflex::service::{protocol, tape};
 
 /// A parser behind its name.
@@ -22,7 +22,7 @@ fn text(bytes: &[u8]) -> String {
 }
 
 /// A refusal is one message that names the file.
-fn toml<T: serde::de::DeserializeOwned + retroflex::check::Check>(bytes: &[u8]) -> bool {
+fn toml<T: serde::de::DeserializeOwned + retroflex::primitives::check::Check>(bytes: &[u8]) -> bool {
     match source::parse::<T>("fuzzed.toml", &text(bytes)) {
         Ok(_) => true,
         Err(why) => {

@@ -1,8 +1,8 @@
 //! Faults act when injected, end when cleared, and leave their consequences.
 
 use crate::rig::{BEND, Rig, bend};
-use retroflex::plant::{Channel, Fault, Output};
-use retroflex::sample::ImuSample;
+use retroflex::primitives::sample::ImuSample;
+use retroflex::simulation::plant::{Channel, Fault, Output};
 
 fn last(out: &[Output]) -> Output {
     *out.last().unwrap()

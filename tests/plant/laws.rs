@@ -3,9 +3,9 @@
 use crate::rig::{Rig, bend, config, wander};
 use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
-use retroflex::frames::{Base, Rotation, Tip};
-use retroflex::plant::{EffectName, Plant, PlantConfig, effect_names};
-use retroflex::units::Steps;
+use retroflex::primitives::frames::{Base, Rotation, Tip};
+use retroflex::primitives::units::Steps;
+use retroflex::simulation::plant::{EffectName, Plant, PlantConfig, effect_names};
 
 fn rng(seed: u64) -> Xoshiro256PlusPlus {
     Xoshiro256PlusPlus::seed_from_u64(seed)

@@ -8,8 +8,8 @@ use retroflex::model::arc::{Geometry, Shape};
 use retroflex::model::bend::Bend;
 use retroflex::model::drive::Drive;
 use retroflex::model::transmission::{Line, Side, SideState, Wanted};
-use retroflex::plant::{Output, Plant, PlantConfig};
-use retroflex::units::Mm;
+use retroflex::primitives::units::Mm;
+use retroflex::simulation::plant::{Output, Plant, PlantConfig};
 
 const DT_S: f64 = 0.002;
 const HOLD_S: f64 = 1.5;

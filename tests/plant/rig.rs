@@ -3,8 +3,8 @@
 use nalgebra::{Vector2, Vector3};
 use retroflex::model::bend::Bend;
 use retroflex::model::drive::Drive;
-use retroflex::plant::{Output, Plant, PlantConfig};
-use retroflex::units::Steps;
+use retroflex::primitives::units::Steps;
+use retroflex::simulation::plant::{Output, Plant, PlantConfig};
 
 /// Step of the rig unless told otherwise, s.
 pub const DT_S: f64 = 0.001;
@@ -37,9 +37,9 @@ impl Rig {
     pub fn clean(toml: &str) -> Self {
         let mut c = config(toml);
         c.line.k_lambda_mm = [0.0; 3];
-        c.imu = retroflex::plant::imu::chip::ImuConfig {
+        c.imu = retroflex::simulation::plant::imu::chip::ImuConfig {
             gyro_bias_deg_s: c.imu.gyro_bias_deg_s,
-            ..retroflex::plant::imu::chip::ImuConfig::perfect()
+            ..retroflex::simulation::plant::imu::chip::ImuConfig::perfect()
         };
         Self::new(&c)
     }

@@ -2,9 +2,9 @@
 
 use crate::rig::{BEND, Rig, bend, config, wander};
 use nalgebra::{UnitQuaternion, Vector3};
-use retroflex::plant::{Output, Plant, imu::chip::ImuConfig};
-use retroflex::sample::ImuSample;
-use retroflex::units::Steps;
+use retroflex::primitives::sample::ImuSample;
+use retroflex::primitives::units::Steps;
+use retroflex::simulation::plant::{Output, Plant, imu::chip::ImuConfig};
 
 const UP: f64 = 9.81;
 

@@ -2,7 +2,7 @@
 
 use crate::rig::{BEND, Rig, bend, config};
 use nalgebra::Vector2;
-use retroflex::plant::Output;
+use retroflex::simulation::plant::Output;
 
 /// Bend along the way, degrees.
 fn bends(out: &[Output]) -> Vec<f64> {
@@ -323,11 +323,11 @@ fn outside_effects_are_what_they_say() {
 #[test]
 fn base_motion_moves_no_piston_and_no_joint() {
     let mut c = config("[effects.base_motion]\nangle_deg = 8.0\nat_s = 2.0\nover_s = 2.0\n[base]\nimu = true");
-    c.imu = retroflex::plant::imu::chip::ImuConfig::perfect();
+    c.imu = retroflex::simulation::plant::imu::chip::ImuConfig::perfect();
     let mut rig = Rig::new(&c);
     let out = rig.hold(6.0);
     assert!(bends(&out).iter().all(|b| *b < 1e-9));
-    let ends = |pick: fn(&Output) -> Option<retroflex::sample::ImuSample>| {
+    let ends = |pick: fn(&Output) -> Option<retroflex::primitives::sample::ImuSample>| {
         let all: Vec<_> = out.iter().filter_map(pick).collect();
         all[0].acc_m_s2.angle(&all.last().unwrap().acc_m_s2).to_degrees()
     };

@@ -3,7 +3,7 @@
 use crate::open_loop::{Arm, arm, identify, rmse};
 use retroflex::config::board::Board;
 use retroflex::config::source;
-use retroflex::plant::PlantConfig;
+use retroflex::simulation::plant::PlantConfig;
 
 /// The paper's RMSE of the bend angle, degrees: none, extension, extension + backlash.
 const PAPER_DEG: [f64; 3] = [36.96, 8.04, 7.76];

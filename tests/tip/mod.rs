@@ -6,14 +6,14 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
-use retroflex::frames::{Base, Rotation, Tip};
-use retroflex::io::imu::fake::Motion;
+use retroflex::hardware::imu::fake::Motion;
 use retroflex::model::arc::Geometry;
 use retroflex::model::bend::Bend;
 use retroflex::model::drive::Drive;
 use retroflex::model::transmission::Line;
-use retroflex::sample::ImuSample;
-use retroflex::units::{Seconds, Steps};
+use retroflex::primitives::frames::{Base, Rotation, Tip};
+use retroflex::primitives::sample::ImuSample;
+use retroflex::primitives::units::{Seconds, Steps};
 
 pub const GRAVITY: f64 = 9.81;
 

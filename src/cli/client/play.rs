@@ -7,7 +7,7 @@ use super::args::PlayArgs;
 use super::{ask, connect, follow, report, settle};
 use crate::cli::Outcome;
 use crate::cli::output;
-use crate::gap::excite::rows::{self, Row};
+use crate::diagnosis::excite::rows::{self, Row};
 use crate::model::arc::Geometry;
 use crate::model::bend::Bend;
 use crate::service::client::Client as Connection;

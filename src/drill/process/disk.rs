@@ -1,11 +1,11 @@
 //! A disk that is full, and one that can only be read.
 
+use crate::control::tick::Kept;
 use crate::drill::Row;
 use crate::drill::bench::{Make, bend};
-use crate::memory::{Memory, Store};
-use crate::pilot::order::Order;
-use crate::supervise::mode::Mode;
-use crate::tick::Kept;
+use crate::service::memory::{Memory, Store};
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::mode::Mode;
 use std::io::{self, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};

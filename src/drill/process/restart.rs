@@ -3,11 +3,11 @@
 use super::{Daemon, WATCHDOG_S, ask};
 use crate::drill::Row;
 use crate::drill::bench::{Breakable, Make, bend};
-use crate::memory::Store;
-use crate::pilot::order::Order;
-use crate::plant::Fault;
+use crate::service::memory::Store;
 use crate::service::protocol::Request;
-use crate::supervise::mode::Mode;
+use crate::simulation::plant::Fault;
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::mode::Mode;
 use std::io::{self, BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -66,7 +66,7 @@ pub fn killed(make: &Make, program: &Path, folder: &Path, kills: u32) -> io::Res
 
 /// A newer write than the acknowledged one may have reached the disk before the kill.
 fn recall_is_newer(folder: &Path, acknowledged: [i32; 3]) -> bool {
-    let read = |name: &str| std::fs::read(folder.join(name)).ok().and_then(|t| crate::memory::parse(&t).ok().flatten());
+    let read = |name: &str| std::fs::read(folder.join(name)).ok().and_then(|t| crate::service::memory::parse(&t).ok().flatten());
     let slots: Vec<_> = ["memory.a", "memory.b"].into_iter().filter_map(read).collect();
     let Some(newest) = slots.iter().map(|(seq, _)| *seq).max() else { return false };
     // the acknowledged one must then still be in the other slot
@@ -105,7 +105,7 @@ fn kill_at(program: &Path, folder: &Path, after: Duration) -> io::Result<Option<
 }
 
 /// A restart on a machine that stands at rest: microsteps emitted in three seconds, and the mode.
-fn start_elsewhere(make: &Make, kept: crate::tick::Kept) -> io::Result<(i64, Mode)> {
+fn start_elsewhere(make: &Make, kept: crate::control::tick::Kept) -> io::Result<(i64, Mode)> {
     let machine = Breakable::new(make.sim(0, 3).map_err(world)?);
     let mut bench = make.bench_on(machine, Some(kept), 0.0);
     let turned = bench.run(3.0).map_err(world)?;

@@ -26,7 +26,7 @@ use crate::motion::queue::{Source, TimedSegment};
 use crate::motion::report::{Fault, Inputs, Mode, Order, Report};
 use crate::motion::state::State;
 use crate::motion::steps::StepStream;
-use crate::units::Steps;
+use crate::primitives::units::Steps;
 
 /// What the shell is to do now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,12 +1,12 @@
 //! What the pages show beside the figures: residuals bin by bin with pose and time, and traces.
 
-use crate::frames::Rotation;
-use crate::gap::chain::lines;
-use crate::gap::diagnose::Diagnosed;
-use crate::gap::observe::{G_M_S2, Kind, Observed};
-use crate::gap::search::HeldOut;
+use crate::diagnosis::chain::lines;
+use crate::diagnosis::diagnose::Diagnosed;
+use crate::diagnosis::observe::{G_M_S2, Kind, Observed};
+use crate::diagnosis::search::HeldOut;
 use crate::model::arc::Geometry;
 use crate::model::bend::Bend;
+use crate::primitives::frames::Rotation;
 use crate::report::polar::{Cell, RING_DEG, SECTORS};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 

@@ -4,7 +4,7 @@
 pub mod evidence;
 pub mod words;
 
-use crate::gap::diagnose::Diagnosis;
+use crate::diagnosis::diagnose::Diagnosis;
 use crate::report::bars::{self, Bar};
 use crate::report::gap::evidence::{Evidence, Trace};
 use crate::report::page::Page;
@@ -126,8 +126,8 @@ fn trace(t: &Trace) -> Option<Chart> {
 
 fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
     let named = |name: &str| d.verdict.names.contains(&name) || d.verdict.equivalent.iter().any(|g| g.contains(&name));
-    let bars = |share: fn(&crate::gap::diagnose::EffectEntry) -> (f64, Option<[f64; 2]>)| -> Vec<Bar> {
-        let one = |e: &crate::gap::diagnose::EffectEntry| {
+    let bars = |share: fn(&crate::diagnosis::diagnose::EffectEntry) -> (f64, Option<[f64; 2]>)| -> Vec<Bar> {
+        let one = |e: &crate::diagnosis::diagnose::EffectEntry| {
             let (share, interval) = share(e);
             Bar { name: words::plain(e.name), share, interval, strong: named(e.name) }
         };
@@ -169,7 +169,7 @@ fn rows(d: &Diagnosis) -> Vec<[String; 7]> {
 
 fn parameters(d: &Diagnosis) -> Vec<[String; 6]> {
     let chosen = d.effects.iter().filter(|e| d.verdict.names.contains(&e.name));
-    let one = |e: &crate::gap::diagnose::EffectEntry, p: &crate::gap::diagnose::ParamValue| {
+    let one = |e: &crate::diagnosis::diagnose::EffectEntry, p: &crate::diagnosis::diagnose::ParamValue| {
         let channel = if p.channel == 0 { "–".to_owned() } else { p.channel.to_string() };
         let range = format!("{} to {}", words::short(p.ci95[0]), words::short(p.ci95[1]));
         [

@@ -1,7 +1,7 @@
 //! A diagnosis in words for somebody who has been at the bench since morning.
 
-use crate::effects::by_name;
-use crate::gap::diagnose::{Diagnosis, EffectEntry, ParamValue};
+use crate::diagnosis::diagnose::{Diagnosis, EffectEntry, ParamValue};
+use crate::model::effects::by_name;
 
 /// An effect's name as people say it.
 #[must_use]

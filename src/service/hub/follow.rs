@@ -1,12 +1,12 @@
 //! What comes from the loop: frames, answers, notes for the keeper.
 
 use super::{ANSWER_MAX_S, Hub, Waiting, requests::unix_s};
-use crate::memory::{Fault, Gains};
-use crate::pilot::Turned;
-use crate::pilot::order::Order;
 use crate::service::calibrate::Next;
+use crate::service::memory::{Fault, Gains};
 use crate::service::protocol::Failure;
 use crate::service::status;
+use crate::supervisor::cycle::Turned;
+use crate::supervisor::cycle::order::Order;
 use serde_json::Value;
 use std::time::{Duration, Instant};
 
@@ -176,7 +176,7 @@ impl Hub {
             let changed = self.parts.memory.kept.is_none_or(|k| k.steps != note.kept.steps || k.rest.is_some() != note.kept.rest.is_some());
             self.parts.memory.kept = Some(note.kept);
             let at_rest =
-                note.at_rest && !self.mode().moves() && self.mode() != crate::supervise::mode::Mode::Relaxing && self.ahead.is_empty();
+                note.at_rest && !self.mode().moves() && self.mode() != crate::supervisor::mode::Mode::Relaxing && self.ahead.is_empty();
             let disarms = self.armed_on_disk && at_rest;
             self.parts.memory.armed = !at_rest;
             let due = self.last_checkpoint.elapsed().as_secs_f64() >= self.parts.service.checkpoint_s;

@@ -3,18 +3,18 @@
 use super::{Hub, Subscription, Waiting};
 use crate::config::gains::Gains;
 use crate::config::source;
+use crate::control::tick::Command;
 use crate::model::bend::Bend;
-use crate::pilot::Pilot;
-use crate::pilot::order::Order;
+use crate::primitives::units::Mm;
 use crate::service::calibrate::{Found, Session};
 use crate::service::protocol::{CalibrateAction, Failure, RecordAction, Request, parse};
 use crate::service::record::Recording;
 use crate::service::server::Line;
 use crate::service::tape;
 use crate::service::turns::Message;
-use crate::supervise::mode::Mode;
-use crate::tick::Command;
-use crate::units::Mm;
+use crate::supervisor::cycle::Pilot;
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
 use std::io;
 use std::path::Path;
@@ -111,7 +111,7 @@ impl Hub {
         let mut next = self.parts.pilot.clone();
         let whole = crate::config::assemble(&self.parts.board, &self.parts.calibration, &gains);
         // what the machine and the calibration said stays; what the gains file says is new
-        next.tick = crate::tick::Config {
+        next.tick = crate::control::tick::Config {
             geometry: next.tick.geometry,
             drive: next.tick.drive,
             lines: next.tick.lines,
@@ -188,7 +188,7 @@ impl Hub {
     }
 
     /// A pilot that remembers nothing but what the header of the tape says takes over, at rest.
-    fn relieve(&mut self, kept: Option<crate::tick::Kept>) {
+    fn relieve(&mut self, kept: Option<crate::control::tick::Kept>) {
         let mut config = self.parts.pilot.clone();
         config.tick.lines = self.first_lines().map(|[k_epsilon, k_lambda_mm]| crate::model::transmission::Line { k_epsilon, k_lambda_mm });
         let [lag_s, delay_s] = self.first_dynamics();
@@ -202,11 +202,16 @@ impl Hub {
     }
 
     /// What a pilot of now would begin with.
-    fn first_kept(&self, at_boot: bool) -> Option<crate::tick::Kept> {
+    fn first_kept(&self, at_boot: bool) -> Option<crate::control::tick::Kept> {
         let kept = self.parts.memory.kept?;
         if at_boot && self.parts.memory.tip != self.parts.tip {
             let lines = self.first_lines();
-            return Some(crate::tick::Kept { k_epsilon: lines.map(|l| l[0]), k_lambda_mm: lines.map(|l| l[1]), rest: None, ..kept });
+            return Some(crate::control::tick::Kept {
+                k_epsilon: lines.map(|l| l[0]),
+                k_lambda_mm: lines.map(|l| l[1]),
+                rest: None,
+                ..kept
+            });
         }
         Some(kept)
     }

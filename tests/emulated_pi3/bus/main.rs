@@ -13,8 +13,8 @@ mod wire;
 
 use fuse::{Answer, Files, Ioctl};
 use i2c::Bus;
-use retroflex::io::imu::fake::FakeIcm20948;
-use retroflex::io::rt::monotonic_ns;
+use retroflex::hardware::imu::fake::FakeIcm20948;
+use retroflex::hardware::rt::monotonic_ns;
 use std::fs::File;
 use std::io::Read;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -1,0 +1,177 @@
+//! Questions of an exam: a unit with zero, one or two effects, drawn from a seed, and its logs.
+//!
+//! Units differ in gains, play, lag, attitude and field, and all have the small imperfections that no
+//! real unit is without. The calibration is a few percent off. Effects are drawn from small to large;
+//! one that nobody could see, because it moves no signal by `SEEN_DEG`, is drawn again.
+
+use crate::diagnosis::exam::record::record;
+use crate::diagnosis::exam::schedule::seed;
+use crate::log::bend_log::BendLog;
+use crate::model::transmission::Line;
+use crate::simulation::plant::config::BaseConfig;
+use crate::simulation::plant::imu::chip::ImuConfig;
+use crate::simulation::plant::spread::Spread;
+use crate::simulation::plant::{EffectName, PlantConfig, PlantError, effect_names};
+use nalgebra::Vector3;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+
+/// Least RMS difference that an effect must make to some signal, degrees (°/s for the gyroscope).
+const SEEN_DEG: f64 = 0.8;
+/// Draws until an effect is given up as invisible and taken at its largest.
+const DRAWS: usize = 6;
+
+/// What a log holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Holds {
+    /// No effect.
+    None,
+    /// One effect of the catalogue.
+    Single,
+    /// Two.
+    Pair,
+    /// One that the catalogue does not hold.
+    Outside,
+}
+
+/// One question, before it is drawn.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Question {
+    /// What it holds.
+    pub holds: Holds,
+    /// The truth.
+    pub names: Vec<&'static str>,
+    /// With a tracker.
+    pub lab: bool,
+    /// Seed of everything else.
+    pub seed: u64,
+}
+
+/// Logs of a question: to be diagnosed, and a fresh one of the same unit.
+#[derive(Debug, Clone)]
+pub struct Logs {
+    /// To be diagnosed.
+    pub log: BendLog,
+    /// Another schedule, other noise.
+    pub fresh: BendLog,
+    /// Calibration they are driven with.
+    pub lines: [Line; 3],
+}
+
+/// Questions of one sitting: every single effect and the outside ones `rounds` times with and without
+/// a tracker, and as many pairs and empty logs as makes sense beside them.
+#[must_use]
+pub fn paper(sitting: u64, rounds: usize) -> Vec<Question> {
+    let mut rng = StdRng::seed_from_u64(sitting);
+    let (inside, outside): (Vec<&EffectName>, Vec<&EffectName>) = effect_names().partition(|e| e.in_catalogue);
+    let mut out = Vec::new();
+    for round in 0..rounds {
+        for (n, e) in inside.iter().enumerate() {
+            let other = inside[(n + rng.random_range(1..inside.len())) % inside.len()];
+            for lab in [true, false] {
+                out.push(Question { holds: Holds::Single, names: vec![e.name], lab, seed: seed(&mut rng) });
+            }
+            let lab = (n + round) % 2 == 0;
+            out.push(Question { holds: Holds::Pair, names: vec![e.name, other.name], lab, seed: seed(&mut rng) });
+            out.push(Question { holds: Holds::None, names: vec![], lab, seed: seed(&mut rng) });
+        }
+        for e in &outside {
+            for lab in [true, false] {
+                out.push(Question { holds: Holds::Outside, names: vec![e.name], lab, seed: seed(&mut rng) });
+            }
+        }
+    }
+    // so that a part of the paper is a sample of all of it
+    out.shuffle(&mut rng);
+    out
+}
+
+impl Question {
+    /// Draws the unit and records its logs.
+    ///
+    /// # Errors
+    /// [`PlantError`] for a plant that cannot run.
+    pub fn draw(&self) -> Result<Logs, PlantError> {
+        let mut rng = StdRng::seed_from_u64(self.seed);
+        let bare = unit(&mut rng);
+        let lines = std::array::from_fn(|i| Line {
+            k_epsilon: bare.line.k_epsilon[i] * rng.random_range(0.94..1.06),
+            k_lambda_mm: bare.line.k_lambda_mm[i] * rng.random_range(0.9..1.1),
+        });
+        let (first, second) = (seed(&mut rng), seed(&mut rng));
+        let without = record(&bare, &lines, first, true)?;
+        let mut make = bare;
+        let mut log = without.clone();
+        for name in &self.names {
+            for draw in 0..DRAWS {
+                let severity = if draw + 1 == DRAWS { 1.0 } else { rng.random_range(0.0..1.0) };
+                let with = make.clone().with_effect(name, severity, &mut rng)?;
+                let seen = record(&with, &lines, first, true)?;
+                let enough = difference_deg(&log, &seen) > SEEN_DEG;
+                if enough || draw + 1 == DRAWS {
+                    (make, log) = (with, seen);
+                    break;
+                }
+            }
+        }
+        if !self.lab {
+            log.reference = None;
+        }
+        Ok(Logs { log, fresh: record(&make, &lines, second, self.lab)?, lines })
+    }
+}
+
+/// A unit of the make, imperfect as all are.
+fn unit(rng: &mut StdRng) -> PlantConfig {
+    let loud = rng.random_range(0.8..2.2);
+    let chip = ImuConfig::default();
+    let make = PlantConfig {
+        base: BaseConfig { pitch_deg: rng.random_range(0.0..100.0), roll_deg: rng.random_range(-90.0..90.0), ..BaseConfig::default() },
+        imu: ImuConfig {
+            period_s: 0.01,
+            gyro_noise_deg_s_rthz: chip.gyro_noise_deg_s_rthz * loud,
+            acc_noise_mg_rthz: chip.acc_noise_mg_rthz * loud,
+            mag_noise_ut: chip.mag_noise_ut * loud,
+            ..chip
+        },
+        spread: Spread {
+            k_epsilon: 0.06,
+            k_lambda: 0.1,
+            lag: 0.2,
+            heading_deg: 180.0,
+            field: 0.08,
+            dip_deg: 4.0,
+            gyro_bias_deg_s: 0.5,
+            acc_bias_mg: 1.0,
+            mag_bias_ut: 0.1,
+            ..Spread::default()
+        },
+        ..PlantConfig::default()
+    };
+    make.drawn(seed(rng)).background(rng)
+}
+
+/// Largest RMS difference over the signals, in degrees (°/s for the gyroscope).
+fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
+    let rms = |x: &[Vector3<f64>], y: &[Vector3<f64>], unit: f64| {
+        let (sum, n) =
+            x.iter().zip(y).map(|(x, y)| (x - y).norm_squared()).filter(|d| !d.is_nan()).fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
+        (sum / f64::max(n, 1.0)).sqrt() / unit
+    };
+    let mut out: f64 = 0.0;
+    if let (Some(x), Some(y)) = (&a.imu, &b.imu) {
+        let field = y.mag.iter().find(|m| !m.x.is_nan()).map_or(48.0, Vector3::norm);
+        // a constant difference of rates is nobody's effect
+        let apart: Vec<Vector3<f64>> = x.gyr.iter().zip(&y.gyr).map(|(x, y)| x - y).filter(|d| !d.x.is_nan()).collect();
+        let mean = apart.iter().sum::<Vector3<f64>>() / apart.len().max(1) as f64;
+        let rate = rms(&apart, &vec![mean; apart.len()], 1.0);
+        out = rms(&x.acc, &y.acc, 9.81).max(rms(&x.mag, &y.mag, field)).max(rate).to_degrees();
+    }
+    if let (Some(x), Some(y)) = (&a.reference, &b.reference) {
+        let angles = x.iter().zip(y).filter_map(|(x, y)| Some(x.as_ref()?.angle_to(y.as_ref()?).powi(2)));
+        let n = x.len().max(1) as f64;
+        out = out.max((angles.sum::<f64>() / n).sqrt().to_degrees());
+    }
+    out
+}

@@ -1,0 +1,111 @@
+//! Motions of an exam: what a log of about 250 s should hold, in an order and with sizes of its own.
+//!
+//! A tour of directions at rising bends, ladders out and back at several lengths, sweeps round the
+//! cone, long holds with a return to rest between them, and quick moves. The pistons follow by Eq. 16
+//! with the calibration, straight lines at a speed of the fastest piston, corners rounded.
+
+use crate::model::arc::{Geometry, Shape};
+use crate::model::bend::Bend;
+use crate::model::transmission::Line;
+use crate::primitives::units::Mm;
+use nalgebra::Vector3;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+use rand::{Rng, RngExt};
+
+/// Time between rows, s.
+pub const DT_S: f64 = 0.01;
+
+/// One pose to go to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Leg {
+    /// Bend, degrees.
+    pub bend_deg: f64,
+    /// Direction, degrees.
+    pub dir_deg: f64,
+    /// Centre length, mm.
+    pub len_mm: f64,
+    /// How long it is held, s.
+    pub hold_s: f64,
+    /// Speed of the fastest piston on the way, mm/s.
+    pub speed_mm_s: f64,
+}
+
+/// A random schedule of about 250 s.
+pub fn draw(rng: &mut StdRng) -> Vec<Leg> {
+    let leg = |bend_deg, dir_deg, len_mm, hold_s, speed_mm_s| Leg { bend_deg, dir_deg, len_mm, hold_s, speed_mm_s };
+    let rest = |hold_s| leg(0.0, 0.0, 20.0, hold_s, 20.0);
+    let mut out = vec![rest(4.0)];
+    let top = rng.random_range(68.0..78.0);
+    let turn = rng.random_range(0.0..60.0);
+    for bend in [20.0, 40.0, 60.0] {
+        for d in [0.0, 120.0, 240.0, 60.0, 180.0, 300.0] {
+            out.push(leg(bend, d + turn, 20.0, rng.random_range(0.3..0.8), 20.0));
+        }
+    }
+    out.push(rest(1.0));
+    let mut directions: Vec<f64> = (0..12).map(|k| f64::from(k) * 30.0 + turn).collect();
+    directions.shuffle(rng);
+    for (n, d) in directions.iter().take(8).enumerate() {
+        let len = 20.0 + [0.0, 1.5, 3.0][n % 3];
+        let steps = [0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2];
+        out.extend(steps.map(|s| leg(top * s, *d, len, 0.5, rng.random_range(14.0..26.0))));
+    }
+    for (bend, speed, back) in [(45.0, 8.0, false), (60.0, 24.0, true)] {
+        let way = |k: i32| f64::from(if back { -k } else { k }) * 15.0 + turn;
+        out.extend((0..=24).map(|k| leg(bend, way(k), 20.0, if k == 0 { 0.6 } else { 0.0 }, speed)));
+    }
+    for _ in 0..3 {
+        let d = directions[rng.random_range(0..12)];
+        out.push(leg(rng.random_range(0.6..1.0) * top, d, 20.0 + rng.random_range(0.0..3.0), rng.random_range(7.0..14.0), 20.0));
+        out.push(rest(rng.random_range(2.0..6.0)));
+    }
+    for _ in 0..10 {
+        let d = directions[rng.random_range(0..12)];
+        out.push(leg(rng.random_range(10.0..top), d, 20.0, rng.random_range(0.2..1.0), rng.random_range(10.0..30.0)));
+    }
+    out.push(rest(4.0));
+    out
+}
+
+/// Counted pistons row by row, mm, and the wanted bend, direction and length beside them.
+pub fn drive(legs: &[Leg], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
+    let geometry = Geometry::default();
+    let (mut at, mut slack, mut side) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+    let (mut path, mut wanted) = (Vec::new(), Vec::new());
+    for l in legs {
+        let q = geometry.lengths(&Shape { bend: Bend::from_deg(l.bend_deg, l.dir_deg), length: Mm(l.len_mm) });
+        let want = Vector3::from_fn(|i, _| lines[i].slack_mm(q[i]));
+        for i in 0..3 {
+            let ahead: f64 = want[i] - slack[i];
+            if ahead.abs() > 0.02 {
+                side[i] = ahead.signum();
+            }
+        }
+        slack = want;
+        let to = Vector3::from_fn(|i, _| want[i] + lines[i].k_lambda_mm * side[i]);
+        let moving = ((to - at).amax() / l.speed_mm_s / DT_S).ceil().max(1.0) as usize;
+        let still = (l.hold_s / DT_S) as usize;
+        path.extend((1..=moving).map(|k| at + (to - at) * (k as f64 / moving as f64)));
+        path.extend((0..still).map(|_| to));
+        wanted.extend((0..moving + still).map(|_| Vector3::new(l.bend_deg, l.dir_deg, l.len_mm)));
+        at = to;
+    }
+    (rounded(&path, rounding), wanted)
+}
+
+/// Mean over a window of rows: corners become ramps of speed.
+fn rounded(path: &[Vector3<f64>], window: usize) -> Vec<Vector3<f64>> {
+    let mut sum = path[0] * window as f64;
+    (0..path.len())
+        .map(|k| {
+            sum += path[k] - path[k.saturating_sub(window)];
+            sum / window as f64
+        })
+        .collect()
+}
+
+/// A random number generator's next seed.
+pub fn seed(rng: &mut StdRng) -> u64 {
+    rng.next_u64()
+}

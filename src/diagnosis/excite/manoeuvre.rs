@@ -1,0 +1,220 @@
+//! Manoeuvres: what a schedule is composed of, and how the search changes them.
+//!
+//! Each is there because it separates something: a circle shows what is periodic in δ, a ladder what
+//! grows with amplitude and what a reversal costs, nested loops memory, quick reversals time, a stroke
+//! at constant bend pressure, a hold creep and leak, and a stay at rest what follows the clock.
+
+use crate::diagnosis::excite::rows::{Rig, Row};
+use rand::RngExt;
+use rand::rngs::StdRng;
+use std::f64::consts::TAU;
+
+/// Kinds of manoeuvre.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// `count` poses around a full circle of δ at one bend.
+    Circle,
+    /// Up to the bend in `count` rungs and down again.
+    Ladder,
+    /// Through zero from side to side with a reach that shrinks to nothing in `count` swings.
+    Nested,
+    /// From side to side `count` times without a rest.
+    Reversals,
+    /// All bellows longer and shorter `count` times at constant bend.
+    Stroke,
+    /// Out for `hold_s`, then to rest for a third of it.
+    Hold,
+    /// One bellow after the other, in and out, the other two left alone.
+    Single,
+}
+
+/// Kinds a new manoeuvre is drawn from.
+const KINDS: [Kind; 7] = [Kind::Circle, Kind::Ladder, Kind::Nested, Kind::Reversals, Kind::Stroke, Kind::Hold, Kind::Single];
+
+/// One manoeuvre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Manoeuvre {
+    /// What is done.
+    pub kind: Kind,
+    /// Largest bend, degrees.
+    pub bend_deg: f64,
+    /// Direction it starts in, degrees.
+    pub dir_deg: f64,
+    /// Centre-line length, mm.
+    pub len_mm: f64,
+    /// Poses, rungs, swings or strokes.
+    pub count: usize,
+    /// Hold at each pose, s.
+    pub hold_s: f64,
+    /// Fastest piston, mm/s.
+    pub speed_mm_s: f64,
+}
+
+impl Manoeuvre {
+    /// Its rows; a pose that the machine cannot reach is bent less until it can.
+    #[must_use]
+    pub fn rows(&self, rig: &Rig) -> Vec<Row> {
+        let rest_mm = rig.geometry.rest_length_mm;
+        let pose = |bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64| Row {
+            bend_deg,
+            dir_deg: dir_deg + if bend_deg < 0.0 { 180.0 } else { 0.0 },
+            len_mm,
+            hold_s,
+            speed_mm_s: self.speed_mm_s,
+        };
+        let here = |bend_deg: f64| pose(bend_deg, self.dir_deg, self.len_mm, self.hold_s);
+        let n = self.count.max(1);
+        let part = |k: usize| k as f64 / n as f64;
+        let mut rows: Vec<Row> = match self.kind {
+            Kind::Circle => (0..n).map(|k| pose(self.bend_deg, self.dir_deg + 360.0 * part(k), self.len_mm, self.hold_s)).collect(),
+            Kind::Ladder => (1..=n).chain((1..n).rev()).map(|k| here(self.bend_deg * part(k))).collect(),
+            Kind::Nested => (0..n).map(|k| here(self.bend_deg * (1.0 - part(k)) * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
+            Kind::Reversals => (0..2 * n).map(|k| here(self.bend_deg * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
+            Kind::Stroke => {
+                let lengths = [self.len_mm, 2.0 * rest_mm - self.len_mm];
+                (0..2 * n).map(|k| pose(self.bend_deg, self.dir_deg, lengths[k % 2], self.hold_s)).collect()
+            }
+            Kind::Hold => vec![here(self.bend_deg), pose(0.0, 0.0, rest_mm, self.hold_s / 3.0)],
+            Kind::Single => (0..3).flat_map(|i| single(rig, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))).collect(),
+        };
+        for row in &mut rows {
+            *row = within(rig, row);
+        }
+        rows
+    }
+
+    /// Another manoeuvre near this one, or now and then one of another kind.
+    #[must_use]
+    pub fn varied(&self, rng: &mut StdRng) -> Self {
+        let mut m = *self;
+        let by = |rng: &mut StdRng, x: f64, range: (f64, f64)| (x * rng.random_range(0.6..1.6f64)).clamp(range.0, range.1);
+        for _ in 0..rng.random_range(1..=3) {
+            match rng.random_range(0..7) {
+                0 => m.bend_deg = by(rng, m.bend_deg, BEND_DEG),
+                1 => m.dir_deg = rng.random_range(0.0..360.0),
+                2 => m.len_mm = rng.random_range(LENGTH_MM.0..LENGTH_MM.1),
+                3 => m.hold_s = by(rng, m.hold_s, hold_range(m.kind)),
+                4 => m.speed_mm_s = by(rng, m.speed_mm_s, SPEED_MM_S),
+                5 => m.count = rng.random_range(COUNT.0..=COUNT.1),
+                _ => m.dir_deg += 30.0 * f64::from(rng.random_range(-2i32..=2)),
+            }
+        }
+        m
+    }
+
+    /// Any manoeuvre.
+    #[must_use]
+    pub fn any(rng: &mut StdRng) -> Self {
+        let kind = KINDS[rng.random_range(0..KINDS.len())];
+        let hold = hold_range(kind);
+        Self {
+            kind,
+            bend_deg: rng.random_range(BEND_DEG.0..BEND_DEG.1),
+            dir_deg: rng.random_range(0.0..360.0),
+            len_mm: rng.random_range(LENGTH_MM.0..LENGTH_MM.1),
+            count: rng.random_range(COUNT.0..=COUNT.1),
+            // most holds short, a few long: even in the logarithm
+            hold_s: hold.0 * (hold.1 / hold.0).powf(rng.random_range(0.0..1.0)),
+            speed_mm_s: rng.random_range(SPEED_MM_S.0..SPEED_MM_S.1),
+        }
+    }
+}
+
+const BEND_DEG: (f64, f64) = (10.0, 85.0);
+const LENGTH_MM: (f64, f64) = (17.5, 24.0);
+const SPEED_MM_S: (f64, f64) = (3.0, 28.0);
+const COUNT: (usize, usize) = (2, 8);
+
+fn hold_range(kind: Kind) -> (f64, f64) {
+    if kind == Kind::Hold { (6.0, 30.0) } else { (0.15, 2.5) }
+}
+
+/// Poses (β, δ, l) that pull bellow `i` in and push it out while the other two keep their length.
+fn single(rig: &Rig, i: usize, bend_deg: f64) -> [(f64, f64, f64); 2] {
+    // one bellow changed by q bends by 2 q / (3 r) towards it and lengthens the middle by q / 3
+    let q_mm = 1.5 * rig.geometry.r_mm * bend_deg.to_radians();
+    let towards_deg = -(i as f64) * (TAU / 3.0).to_degrees();
+    let l = rig.geometry.rest_length_mm;
+    [(bend_deg, towards_deg, l - q_mm / 3.0), (bend_deg, towards_deg + 180.0, l + q_mm / 3.0)]
+}
+
+/// The pose with its bend (and what it differs from the rest length) scaled down until it is in reach.
+fn within(rig: &Rig, row: &Row) -> Row {
+    let rest_mm = rig.geometry.rest_length_mm;
+    let scaled = |s: f64| Row { bend_deg: row.bend_deg.abs() * s, len_mm: rest_mm + (row.len_mm - rest_mm) * s, ..*row }.rounded();
+    (0..40).map(|k| scaled(1.0 - 0.025 * f64::from(k))).find(|r| rig.reaches(r)).unwrap_or_else(|| scaled(0.0))
+}
+
+/// Rows of a whole schedule: rest, the manoeuvres, and the way home.
+#[must_use]
+pub fn schedule(rig: &Rig, manoeuvres: &[Manoeuvre]) -> Vec<Row> {
+    let mut rows = vec![Row::rest(REST_S, &rig.geometry)];
+    rows.extend(manoeuvres.iter().flat_map(|m| m.rows(rig)));
+    rows.push(Row::rest(2.0, &rig.geometry));
+    rows
+}
+
+/// Still lead-in, s: it defines zero bend, gravity, field and gyroscope bias.
+const REST_S: f64 = 5.0;
+
+/// Where the search starts: one or two of each kind, at two lengths and three speeds.
+#[must_use]
+pub fn first_guess() -> Vec<Manoeuvre> {
+    let m = |kind, bend_deg, dir_deg, len_mm, count, hold_s, speed_mm_s| Manoeuvre {
+        kind,
+        bend_deg,
+        dir_deg,
+        len_mm,
+        count,
+        hold_s,
+        speed_mm_s,
+    };
+    vec![
+        m(Kind::Circle, 35.0, 0.0, 20.0, 6, 0.4, 25.0),
+        m(Kind::Ladder, 70.0, 90.0, 22.0, 4, 0.8, 15.0),
+        m(Kind::Reversals, 20.0, 30.0, 20.0, 4, 0.15, 28.0),
+        m(Kind::Single, 40.0, 0.0, 20.0, 2, 0.8, 20.0),
+        m(Kind::Nested, 65.0, 150.0, 20.0, 6, 0.3, 6.0),
+        m(Kind::Hold, 70.0, 240.0, 20.0, 2, 18.0, 25.0),
+        m(Kind::Stroke, 45.0, 300.0, 23.0, 2, 1.0, 20.0),
+        m(Kind::Circle, 70.0, 15.0, 21.5, 8, 0.6, 12.0),
+        m(Kind::Hold, 65.0, 60.0, 23.0, 2, 18.0, 25.0),
+        m(Kind::Ladder, 75.0, 330.0, 20.0, 4, 0.6, 25.0),
+        m(Kind::Nested, 60.0, 270.0, 22.0, 5, 0.3, 25.0),
+        m(Kind::Reversals, 35.0, 120.0, 20.0, 3, 0.15, 28.0),
+        m(Kind::Hold, 60.0, 150.0, 18.5, 2, 15.0, 25.0),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::transmission::Line;
+    use rand::SeedableRng;
+
+    #[test]
+    fn every_manoeuvre_stays_within_the_machine() {
+        let rig = Rig::new([Line { k_epsilon: 2.5, k_lambda_mm: 0.9 }; 3]);
+        let mut rng = StdRng::seed_from_u64(3);
+        for _ in 0..300 {
+            let m = Manoeuvre::any(&mut rng).varied(&mut rng);
+            for row in m.rows(&rig) {
+                assert!(rig.reaches(&row) && row.bend_deg >= 0.0 && (0.0..360.0).contains(&row.dir_deg), "{m:?} {row:?}");
+                assert!(row.hold_s > 0.0 && (rig.speed_mm_s[0]..=rig.speed_mm_s[1]).contains(&row.speed_mm_s), "{row:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_single_moves_one_bellow() {
+        let rig = Rig::new([Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3]);
+        for i in 0..3 {
+            for (bend_deg, dir_deg, len_mm) in single(&rig, i, 30.0) {
+                let q = Row { bend_deg, dir_deg, len_mm, hold_s: 1.0, speed_mm_s: 9.0 }.lengths(&rig.geometry);
+                for k in 0..3 {
+                    assert!((q[k].abs() > 1.0) == (k == i), "bellow {i}: {q}");
+                }
+            }
+        }
+    }
+}

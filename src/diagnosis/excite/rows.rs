@@ -1,0 +1,250 @@
+//! Rows of a schedule, what they mean in pistons, and which of them a machine can run.
+//!
+//! A row is a pose and how to get there: bend, direction and length (paper, Eq. 3), the speed of the
+//! fastest piston on the way, and how long the pose is held after the arrival. All pistons leave and
+//! arrive together, in straight lines; Eq. 10-11 and Eq. 16 turn poses into pistons.
+
+use crate::model::arc::{Geometry, Shape};
+use crate::model::bend::Bend;
+use crate::model::transmission::{Line, Side, SideState, Wanted};
+use crate::primitives::units::Mm;
+use nalgebra::Vector3;
+use serde::Deserialize;
+use std::fmt::Write as _;
+use std::path::Path;
+use thiserror::Error;
+
+/// One pose of a schedule.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Row {
+    /// Bend β, degrees.
+    pub bend_deg: f64,
+    /// Direction δ, degrees, 0..360.
+    pub dir_deg: f64,
+    /// Centre-line length l, mm.
+    pub len_mm: f64,
+    /// Time at the pose after the arrival, s.
+    pub hold_s: f64,
+    /// Speed of the fastest piston on the way there, mm/s.
+    pub speed_mm_s: f64,
+}
+
+impl Row {
+    /// Rest for so long: where every schedule begins.
+    #[must_use]
+    pub fn rest(hold_s: f64, geometry: &Geometry) -> Self {
+        Self { bend_deg: 0.0, dir_deg: 0.0, len_mm: geometry.rest_length_mm, hold_s, speed_mm_s: 20.0 }
+    }
+    /// Change of bellow lengths, mm.
+    #[must_use]
+    pub fn lengths(&self, geometry: &Geometry) -> Vector3<f64> {
+        geometry.lengths(&Shape { bend: Bend::from_deg(self.bend_deg, self.dir_deg), length: Mm(self.len_mm) })
+    }
+    /// The row as a file holds it: what is designed is what is written, to the last digit.
+    #[must_use]
+    pub fn rounded(&self) -> Self {
+        let to = |x: f64, digits: f64| (x * digits).round() / digits;
+        Self {
+            bend_deg: to(self.bend_deg, 100.0),
+            dir_deg: to(self.dir_deg.rem_euclid(360.0), 10.0).rem_euclid(360.0),
+            len_mm: to(self.len_mm, 100.0),
+            hold_s: to(self.hold_s, 100.0),
+            speed_mm_s: to(self.speed_mm_s, 10.0),
+        }
+    }
+}
+
+/// What a schedule is run on: the nominal machine and its limits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rig {
+    /// Dimensions.
+    pub geometry: Geometry,
+    /// Gains that turn poses into pistons.
+    pub lines: [Line; 3],
+    /// Shortest and longest bellow, mm.
+    pub bellow_mm: [f64; 2],
+    /// Travel of a piston either way, mm, with what is kept free for other gains than these.
+    pub travel_mm: f64,
+    /// Slowest and fastest piston, mm/s.
+    pub speed_mm_s: [f64; 2],
+}
+
+impl Rig {
+    /// The machine of the paper with these gains; 8 % of the 30 mm of travel are kept free, because a
+    /// schedule is also run with gains that are not these.
+    #[must_use]
+    pub fn new(lines: [Line; 3]) -> Self {
+        Self { geometry: Geometry::default(), lines, bellow_mm: [14.0, 29.0], travel_mm: 27.6, speed_mm_s: [3.0, 28.0] }
+    }
+
+    /// Whether the machine can be asked for this pose at all, coming from either side.
+    #[must_use]
+    pub fn reaches(&self, row: &Row) -> bool {
+        let q = row.lengths(&self.geometry);
+        (0..3).all(|i| {
+            let bellow = self.geometry.rest_length_mm + q[i];
+            let piston = self.lines[i].piston_mm(q[i], q[i].signum());
+            (self.bellow_mm[0]..=self.bellow_mm[1]).contains(&bellow) && piston.abs() <= self.travel_mm
+        })
+    }
+
+    /// Pistons along a schedule, every `period_s`; they start at zero with the play centred.
+    #[must_use]
+    pub fn drive(&self, rows: &[Row], period_s: f64) -> Driven {
+        let side = Side::Band { band_mm: 0.03 };
+        let mut states = [SideState::default(); 3];
+        let (mut from, mut begun_s) = (Vector3::zeros(), 0.0);
+        let mut out = Driven { t_s: vec![], piston_mm: vec![], duration_s: 0.0 };
+        for row in rows {
+            let q = row.lengths(&self.geometry);
+            let to = Vector3::from_fn(|i, _| {
+                let (piston, next) = side.invert(&self.lines[i], states[i], &Wanted { q_mm: q[i], dt_s: 1.0, reach: 1.0 });
+                states[i] = next;
+                piston
+            });
+            let move_s = (to - from).amax() / row.speed_mm_s;
+            let end_s = begun_s + move_s + row.hold_s;
+            loop {
+                let t = period_s * (out.t_s.len() + 1) as f64;
+                if t > end_s {
+                    break;
+                }
+                let share = if move_s > 0.0 { ((t - begun_s) / move_s).min(1.0) } else { 1.0 };
+                out.t_s.push(t);
+                out.piston_mm.push(from + (to - from) * share);
+            }
+            (from, begun_s) = (to, end_s);
+        }
+        out.duration_s = begun_s;
+        out
+    }
+
+    /// Length of a schedule, s.
+    #[must_use]
+    pub fn duration_s(&self, rows: &[Row]) -> f64 {
+        self.drive(rows, 10.0).duration_s
+    }
+}
+
+/// Counted pistons of a schedule that was run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Driven {
+    /// Time, s.
+    pub t_s: Vec<f64>,
+    /// Pistons, mm.
+    pub piston_mm: Vec<Vector3<f64>>,
+    /// When the last hold ends, s.
+    pub duration_s: f64,
+}
+
+/// The file of a schedule.
+#[must_use]
+pub fn csv(rows: &[Row]) -> String {
+    let mut out = String::from("bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n");
+    for r in rows {
+        // writing to a String cannot fail
+        let _ = writeln!(out, "{:.2},{:.1},{:.2},{:.2},{:.1}", r.bend_deg, r.dir_deg, r.len_mm, r.hold_s, r.speed_mm_s);
+    }
+    out
+}
+
+/// A schedule that cannot be read.
+#[derive(Debug, Error)]
+#[error("{file}, line {line}: {why}; `retroflex gap excite` writes schedules")]
+pub struct ScheduleError {
+    file: String,
+    line: u64,
+    why: String,
+}
+
+/// Reads a schedule as [`csv()`] writes it; poses that the machine cannot reach are for it to refuse.
+///
+/// # Errors
+/// [`ScheduleError`] with the line.
+pub fn read(path: &Path) -> Result<Vec<Row>, ScheduleError> {
+    let fail = |line, why| ScheduleError { file: path.display().to_string(), line, why };
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|e| fail(0, e.to_string()))?;
+    let mut rows = Vec::new();
+    for row in reader.deserialize::<Row>() {
+        let line = rows.len() as u64 + 2;
+        let row = row.map_err(|e| fail(e.position().map_or(line, csv::Position::line), e.to_string()))?;
+        let values = [
+            ("bend_deg", row.bend_deg, 0.0..=180.0),
+            ("dir_deg", row.dir_deg, -360.0..=360.0),
+            ("len_mm", row.len_mm, 1.0..=200.0),
+            ("hold_s", row.hold_s, 0.0..=3600.0),
+            ("speed_mm_s", row.speed_mm_s, 0.1..=1000.0),
+        ];
+        for (name, value, allowed) in values {
+            if !allowed.contains(&value) {
+                return Err(fail(line, format!("{name} = {value}, allowed is {} to {}", allowed.start(), allowed.end())));
+            }
+        }
+        rows.push(row);
+    }
+    if rows.is_empty() { Err(fail(1, "no rows".to_owned())) } else { Ok(rows) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PAPER: Line = Line { k_epsilon: 2.2, k_lambda_mm: 0.87 };
+
+    #[test]
+    fn the_fastest_piston_has_the_rows_speed_and_all_arrive_together() {
+        let rig = Rig::new([PAPER; 3]);
+        let rows = [Row::rest(4.0, &rig.geometry), Row { bend_deg: 60.0, dir_deg: 30.0, len_mm: 21.0, hold_s: 2.0, speed_mm_s: 10.0 }];
+        let d = rig.drive(&rows, 0.01);
+        let speed = d.piston_mm.windows(2).map(|w| (w[1] - w[0]).amax() / 0.01).fold(0.0, f64::max);
+        assert!((speed - 10.0).abs() < 0.01, "{speed}");
+        assert!(d.piston_mm[398].amax() == 0.0, "rest is rest");
+        let q = rows[1].lengths(&rig.geometry);
+        let end = d.piston_mm[d.piston_mm.len() - 1];
+        for i in 0..3 {
+            assert!((end[i] - PAPER.piston_mm(q[i], q[i].signum())).abs() < 1e-9);
+        }
+        assert!((d.duration_s - (4.0 + end.amax() / 10.0 + 2.0)).abs() < 1e-9);
+        assert!((rig.duration_s(&rows) - d.duration_s).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_pose_beyond_bellow_or_travel_is_out_of_reach() {
+        let rig = Rig::new([PAPER; 3]);
+        let row = |bend_deg, len_mm| Row { bend_deg, dir_deg: 0.0, len_mm, hold_s: 1.0, speed_mm_s: 10.0 };
+        assert!(rig.reaches(&row(75.0, 20.0)));
+        assert!(!rig.reaches(&row(75.0, 17.0)), "a bellow of less than 14 mm");
+        assert!(!rig.reaches(&row(0.0, 29.0)), "a piston beyond its rack");
+    }
+
+    #[test]
+    fn the_file_holds_what_was_rounded() {
+        let row = Row { bend_deg: 33.333_3, dir_deg: -0.04, len_mm: 20.0, hold_s: 0.5, speed_mm_s: 12.34 }.rounded();
+        assert_eq!(csv(&[row]), "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n33.33,0.0,20.00,0.50,12.3\n");
+        assert_eq!(row.rounded(), row);
+    }
+
+    #[test]
+    fn what_is_written_is_read_and_what_is_wrong_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.csv");
+        let rows =
+            [Row::rest(4.0, &Geometry::default()), Row { bend_deg: 60.0, dir_deg: 30.0, len_mm: 21.0, hold_s: 2.0, speed_mm_s: 10.0 }];
+        std::fs::write(&path, csv(&rows)).unwrap();
+        assert_eq!(read(&path).unwrap(), rows);
+        let head = "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n";
+        let cases = [
+            (format!("{head}0,0,20,4,20\n10,0,20,-1,20\n"), "line 3: hold_s = -1, allowed is 0 to 3600"),
+            (format!("{head}0,0,20,4,x\n"), "line 2"),
+            (format!("{head}0,0,20,4,NaN\n"), "line 2: speed_mm_s = NaN"),
+            (head.to_owned(), "no rows"),
+            ("bend_deg,dir_deg\n1,2\n".to_owned(), "len_mm"),
+        ];
+        for (text, words) in cases {
+            std::fs::write(&path, &text).unwrap();
+            let why = read(&path).unwrap_err().to_string();
+            assert!(why.contains(words), "{why}");
+        }
+    }
+}

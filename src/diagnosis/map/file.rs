@@ -1,0 +1,105 @@
+//! Map files: what the columns of a foreign bench log are.
+//!
+//! Every key has its paragraph in `docs/other-rigs.md`; unknown keys are errors.
+
+use crate::primitives::check::{Check, Checker};
+use serde::Deserialize;
+
+/// What the nominal model of a rig is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Nominal {
+    /// `y = a + Σ b_i u_i`.
+    #[default]
+    Line,
+    /// `y = a`: there is no input, the output is left to itself.
+    Still,
+    /// A linear oscillator of second order driven by the input.
+    Resonance,
+}
+
+/// One column or several.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(untagged)]
+pub enum Columns {
+    /// One.
+    One(String),
+    /// Several.
+    Many(Vec<String>),
+}
+
+impl Columns {
+    /// Their names.
+    #[must_use]
+    pub fn names(&self) -> Vec<&str> {
+        match self {
+            Self::One(name) => vec![name],
+            Self::Many(names) => names.iter().map(String::as_str).collect(),
+        }
+    }
+}
+
+/// A map file.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MapFile {
+    /// Column (or columns, whose best linear combination is taken) that drives the rig; left out when
+    /// the output is left to itself.
+    #[serde(default)]
+    pub input: Option<Columns>,
+    /// Column that answers; of several the norm is taken.
+    pub output: Columns,
+    /// Column whose speed friction follows; default the input.
+    #[serde(default)]
+    pub motion: Option<String>,
+    /// Column of time, s.
+    #[serde(default)]
+    pub time: Option<String>,
+    /// Rows per second, if there is no column of time.
+    #[serde(default)]
+    pub rate_hz: Option<f64>,
+    /// Unit of the input, for people.
+    #[serde(default)]
+    pub input_unit: String,
+    /// Unit of the output, for people.
+    #[serde(default)]
+    pub output_unit: String,
+    /// Nominal model: `line` (default), `still` or `resonance`.
+    #[serde(default)]
+    pub nominal: Nominal,
+    /// Every how many rows one is taken. Default 1; larger is faster and sees less.
+    #[serde(default = "one")]
+    pub every: usize,
+}
+
+fn one() -> usize {
+    1
+}
+
+impl Check for MapFile {
+    fn check(&self, to: &mut Checker) {
+        to.range("every", self.every as f64, 1.0..=10_000.0, "", "1 takes every row");
+        if let Some(rate) = self.rate_hz {
+            to.range("rate_hz", rate, 1e-6..=1e7, "Hz", "rows per second");
+            to.holds("rate_hz", self.time.is_none(), "stands beside `time`", "a log has one clock: take one of the two out");
+        }
+        to.holds("output", !self.output.names().is_empty(), "names no column", "name the column that answers");
+        let driven = self.input.as_ref().is_some_and(|i| !i.names().is_empty());
+        match self.nominal {
+            Nominal::Still => {
+                to.holds("input", !driven, "is given although nominal = \"still\" has none", "take the input out, or nominal = \"line\"")
+            }
+            Nominal::Line => to.holds("output", driven, "has no input beside it", "name the input, or set nominal = \"still\""),
+            Nominal::Resonance => {
+                let one = self.input.as_ref().is_some_and(|i| i.names().len() == 1);
+                to.holds("nominal", one, "an oscillator has one input", "name one column");
+                to.holds(
+                    "nominal",
+                    self.rate_hz.is_some() || self.time.is_some(),
+                    "an oscillator needs a clock",
+                    "give `time` or `rate_hz`",
+                );
+            }
+        }
+    }
+}

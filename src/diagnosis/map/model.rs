@@ -1,0 +1,178 @@
+//! The nominal model of a mapped rig, and a set of operators beside it.
+
+use crate::diagnosis::map::file::{MapFile, Nominal};
+use crate::diagnosis::map::operators::{Drive, Operator, oscillator};
+use crate::diagnosis::map::regress::{Regressed, Task};
+use crate::diagnosis::map::table::Signals;
+
+/// An operator at one η, with its columns on the log.
+#[derive(Clone)]
+pub struct Member {
+    /// The operator.
+    pub operator: Operator,
+    /// Its η.
+    pub eta: f64,
+    /// Its columns.
+    pub columns: Vec<Vec<f64>>,
+}
+
+/// Nominal predictions this many times as far from the middle as any that was fitted are not tried.
+const OUTSIDE: f64 = 2.5;
+
+/// How raw signals become the operators' drive; fixed by the log that was diagnosed.
+#[derive(Debug, Clone)]
+struct Scale {
+    weights: Vec<f64>,
+    middle: f64,
+    half: f64,
+    m_low: f64,
+    m_range: f64,
+    swing: Option<(f64, f64)>,
+}
+
+/// The nominal model on the log.
+pub struct Ground {
+    scale: Scale,
+    /// What the operators work on.
+    pub drive: Drive,
+    base: Vec<Vec<f64>>,
+}
+
+/// What an oscillator may have beyond the linear one: the response to the force that its own
+/// deflection makes, to first and second order (perturbation, Nayfeh 1973).
+pub const RESONANT: [Operator; 2] = [
+    Operator {
+        name: "cubic",
+        eta: "",
+        law: "spring with a third power (Duffing)",
+        separated_by: "several amplitudes",
+        grid: |_| vec![0.0],
+        columns: |d, _| spring(d, 3),
+        sign: 0,
+    },
+    Operator {
+        name: "asymmetry",
+        eta: "",
+        law: "spring with a square: stiffer to one side",
+        separated_by: "amplitudes to both sides",
+        grid: |_| vec![0.0],
+        columns: |d, _| spring(d, 2),
+        sign: 0,
+    },
+];
+
+fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
+    // an oscillator's frequency and damping travel in the two last places of the moving signal
+    let (wh, zeta) = (d.m[0], d.m[1]);
+    let first = oscillator(&d.v.iter().map(|v| v.powi(power)).collect::<Vec<_>>(), wh, zeta);
+    let force: Vec<f64> = d.v.iter().zip(&first).map(|(v, f)| f64::from(power) * v.powi(power - 1) * f).collect();
+    vec![first, oscillator(&force, wh, zeta)]
+}
+
+impl Ground {
+    /// Identifies the nominal model on the log.
+    #[must_use]
+    pub fn new(map: &MapFile, log: &Signals) -> Self {
+        let swing = (map.nominal == Nominal::Resonance).then(|| resonance(log));
+        let inputs = driven(log, swing);
+        let base: Vec<Vec<f64>> = [vec![1.0; log.output.len()]].into_iter().chain(inputs.clone()).collect();
+        let columns: Vec<&[f64]> = base.iter().map(Vec::as_slice).collect();
+        let weights = Task::new(&log.output).regress(&columns, 0, 0).map_or(vec![1.0; inputs.len()], |r| r.coefficients[1..].to_vec());
+        let mut scale = Scale { weights, middle: 0.0, half: 1.0, m_low: 0.0, m_range: 1.0, swing };
+        let (low, high) = range(&combined(&inputs, &scale.weights, log.output.len()));
+        (scale.middle, scale.half) = ((low + high) / 2.0, ((high - low) / 2.0).max(1e-12));
+        if let Some((low, high)) = log.motion.as_deref().map(range) {
+            (scale.m_low, scale.m_range) = (low, (high - low).max(1e-12));
+        }
+        let drive = scale.drive(log, &inputs);
+        Self { scale, drive, base }
+    }
+
+    /// Scores a set; the last member's first coefficient must have `sign`.
+    #[must_use]
+    pub fn scored(&self, task: &Task<'_>, _log: &Signals, members: &[Member], sign: i8) -> Option<Regressed> {
+        let own = members.iter().flat_map(|m| m.columns.iter().map(Vec::as_slice));
+        let columns: Vec<&[f64]> = self.base.iter().map(Vec::as_slice).chain(own).collect();
+        let last = members.last().map_or(0, |m| m.columns.len());
+        task.regress(&columns, (columns.len() - last).min(columns.len() - 1), sign)
+    }
+
+    /// RMSE of a fitted set on another log of the rig; only the offset is set anew. `None` if that log
+    /// runs so far outside the range that was fitted that nothing can be expected.
+    #[must_use]
+    pub fn rmse_on(&self, other: &Signals, members: &[Member], coefficients: &[f64]) -> Option<f64> {
+        let inputs = driven(other, self.scale.swing);
+        let drive = self.scale.drive(other, &inputs);
+        let (low, high) = range(&drive.v);
+        if low.abs().max(high.abs()) > OUTSIDE {
+            return None;
+        }
+        let own = members.iter().flat_map(|m| (m.operator.columns)(&drive, m.eta));
+        let columns: Vec<Vec<f64>> = inputs.into_iter().chain(own).collect();
+        let left: Vec<f64> = (0..other.output.len())
+            .map(|k| other.output[k] - columns.iter().zip(&coefficients[1..]).map(|(x, c)| x[k] * c).sum::<f64>())
+            .collect();
+        let mean = left.iter().sum::<f64>() / left.len() as f64;
+        Some((left.iter().map(|l| (l - mean).powi(2)).sum::<f64>() / left.len() as f64).sqrt())
+    }
+}
+
+impl Scale {
+    fn drive(&self, log: &Signals, inputs: &[Vec<f64>]) -> Drive {
+        let v = combined(inputs, &self.weights, log.output.len()).iter().map(|x| (x - self.middle) / self.half).collect();
+        let mut m: Vec<f64> =
+            log.motion.as_ref().map_or(vec![0.0; log.output.len()], |m| m.iter().map(|x| (x - self.m_low) / self.m_range).collect());
+        if let Some((wh, zeta)) = self.swing {
+            (m[0], m[1]) = (wh, zeta);
+        }
+        Drive { v, m, m_range: self.m_range, t: log.t.clone() }
+    }
+}
+
+fn combined(inputs: &[Vec<f64>], weights: &[f64], rows: usize) -> Vec<f64> {
+    (0..rows).map(|k| inputs.iter().zip(weights).map(|(u, w)| u[k] * w).sum()).collect()
+}
+
+fn range(x: &[f64]) -> (f64, f64) {
+    x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)))
+}
+
+/// The inputs, through the oscillator if there is one.
+fn driven(log: &Signals, swing: Option<(f64, f64)>) -> Vec<Vec<f64>> {
+    match swing {
+        Some((wh, zeta)) => log.inputs.iter().map(|u| oscillator(u, wh, zeta)).collect(),
+        None => log.inputs.clone(),
+    }
+}
+
+/// Frequency (2 tan(ω h / 2)) and damping that explain most, by a grid and ever smaller steps.
+fn resonance(log: &Signals) -> (f64, f64) {
+    let ones = vec![1.0; log.output.len()];
+    let task = Task::new(&log.output);
+    let cost = |wh: f64, zeta: f64| {
+        let column = oscillator(&log.inputs[0], wh, zeta);
+        task.regress(&[&ones, &column], 0, 0).map_or(f64::INFINITY, |r| r.cost)
+    };
+    let mut best = (f64::INFINITY, 0.5, 0.05);
+    for k in 0..40 {
+        for zeta in [0.02, 0.1, 0.5] {
+            let wh = 0.02 * 100f64.powf(f64::from(k) / 39.0);
+            let c = cost(wh, zeta);
+            if c < best.0 {
+                best = (c, wh, zeta);
+            }
+        }
+    }
+    let mut step = 0.08;
+    while step > 1e-4 {
+        let (_, wh, zeta) = best;
+        let around =
+            [(wh * (1.0 + step), zeta), (wh / (1.0 + step), zeta), (wh, zeta * (1.0 + 4.0 * step)), (wh, zeta / (1.0 + 4.0 * step))];
+        let next = around.into_iter().map(|(w, z)| (cost(w, z), w, z)).min_by(|a, b| a.0.total_cmp(&b.0));
+        match next.filter(|n| n.0 < best.0) {
+            Some(better) => best = better,
+            None => step /= 2.0,
+        }
+    }
+    (best.1, best.2)
+}

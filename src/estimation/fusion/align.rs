@@ -1,0 +1,228 @@
+//! Alignment: what the still tip at start says about itself.
+//!
+//! The rest *defines* zero bend and the base frame, so the mean specific force and the mean field
+//! over it are gravity and magnetic field in base coordinates (biases included: the estimator keeps
+//! those as states), and the mean rate is the gyroscope's bias. Stillness is demanded, not assumed:
+//! a window that moves starts again, and the reason is kept for whoever waits.
+
+use crate::primitives::sample::ImuSample;
+use nalgebra::Vector3;
+use serde::Deserialize;
+
+/// When the tip counts as still.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AlignConfig {
+    /// Length of the still stretch that is averaged, s. Default 1.8. Longer gives a better gyroscope
+    /// bias (its error falls with the square root) and a later start.
+    pub window_s: f64,
+    /// Largest deviation of one rate sample from the running mean, rad/s. Default 0.15. Larger
+    /// accepts a noisier part, and a tip that still sways.
+    pub gyro_band_rad_s: f64,
+    /// Largest deviation of one specific-force sample from the running mean, m/s². Default 1.5.
+    /// Larger accepts more vibration.
+    pub acc_band_m_s2: f64,
+    /// Largest mean rate that is believed to be bias, rad/s. Default 0.15 (8.6 °/s). Larger would
+    /// take a steady turn of the base for bias.
+    pub gyro_bias_max_rad_s: f64,
+}
+
+impl Default for AlignConfig {
+    fn default() -> Self {
+        Self { window_s: 1.8, gyro_band_rad_s: 0.15, acc_band_m_s2: 1.5, gyro_bias_max_rad_s: 0.15 }
+    }
+}
+
+/// Result of a still stretch; vectors in the sensor frame, which is the base frame at rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Alignment {
+    /// Mean rate, rad/s.
+    pub gyro_bias_rad_s: Vector3<f64>,
+    /// Mean specific force, m/s².
+    pub acc_rest_m_s2: Vector3<f64>,
+    /// Mean field, µT; `None` where the magnetometer gave nothing.
+    pub mag_rest_ut: Option<Vector3<f64>>,
+    /// Standard deviation of one rate sample, rad/s (root mean over the axes).
+    pub gyro_sigma_rad_s: f64,
+    /// Standard deviation of one specific-force sample, m/s².
+    pub acc_sigma_m_s2: f64,
+    /// Standard deviation of one field sample, µT.
+    pub mag_sigma_ut: f64,
+    /// Length of the stretch, s.
+    pub duration_s: f64,
+    /// Rate samples averaged.
+    pub samples: u32,
+    /// Field samples averaged.
+    pub mag_samples: u32,
+    /// Rate samples that repeated the one before: many where the source has no noise.
+    pub repeated: u32,
+}
+
+impl Alignment {
+    /// Mean time between samples, and between field samples, s.
+    #[must_use]
+    pub fn periods_s(&self) -> (f64, f64) {
+        let mean = |n: u32| self.duration_s / f64::from(n.max(2) - 1);
+        (mean(self.samples), mean(self.mag_samples))
+    }
+    /// True when the source is noisy enough that a repeated reading is suspicious.
+    #[must_use]
+    pub fn noisy(&self) -> bool {
+        self.repeated * 50 < self.samples
+    }
+}
+
+/// Why the window began again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NotStill {
+    /// The rate left its band.
+    Turning,
+    /// The specific force left its band.
+    Shaking,
+    /// The mean rate is too large to be bias.
+    BiasTooLarge,
+}
+
+impl std::fmt::Display for NotStill {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Turning => "the gyroscope says that it turns",
+            Self::Shaking => "the accelerometer says that it shakes",
+            Self::BiasTooLarge => "the mean rate is too large to be gyroscope bias",
+        })
+    }
+}
+
+/// Running mean and spread of a vector (Welford 1962).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Spread {
+    n: u32,
+    mean: Vector3<f64>,
+    sum_sq: f64,
+}
+
+impl Spread {
+    fn add(&mut self, v: &Vector3<f64>) {
+        self.n += 1;
+        let before = v - self.mean;
+        self.mean += before / f64::from(self.n);
+        self.sum_sq += before.dot(&(v - self.mean));
+    }
+    fn sigma(&self) -> f64 {
+        if self.n < 2 { 0.0 } else { (self.sum_sq / (3.0 * f64::from(self.n - 1))).sqrt() }
+    }
+}
+
+/// The window so far.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AlignState {
+    begun_s: Option<f64>,
+    gyro: Spread,
+    acc: Spread,
+    mag: Spread,
+    last_gyro: Vector3<f64>,
+    repeated: u32,
+    /// Why the last window was thrown away, if one was.
+    pub refused: Option<NotStill>,
+}
+
+impl AlignState {
+    /// Adds a sample; the alignment once the window is full and was still.
+    pub fn add(&mut self, config: &AlignConfig, sample: &ImuSample) -> Option<Alignment> {
+        if !sample.is_finite() {
+            return None;
+        }
+        if let Some(why) = self.moved(config, sample) {
+            *self = Self { refused: Some(why), ..Self::default() };
+        }
+        let begun_s = *self.begun_s.get_or_insert(sample.t.0);
+        self.repeated += u32::from(self.gyro.n > 0 && sample.gyro_rad_s == self.last_gyro);
+        self.last_gyro = sample.gyro_rad_s;
+        self.gyro.add(&sample.gyro_rad_s);
+        self.acc.add(&sample.acc_m_s2);
+        if let Some(m) = &sample.mag_ut {
+            self.mag.add(m);
+        }
+        let duration_s = sample.t.0 - begun_s;
+        (duration_s >= config.window_s && self.gyro.n >= 20).then(|| self.result(duration_s))
+    }
+
+    fn moved(&self, config: &AlignConfig, sample: &ImuSample) -> Option<NotStill> {
+        // the first samples have no mean to deviate from yet
+        if self.gyro.n < 10 {
+            return None;
+        }
+        if (sample.gyro_rad_s - self.gyro.mean).amax() > config.gyro_band_rad_s {
+            Some(NotStill::Turning)
+        } else if (sample.acc_m_s2 - self.acc.mean).amax() > config.acc_band_m_s2 {
+            Some(NotStill::Shaking)
+        } else if self.gyro.mean.norm() > config.gyro_bias_max_rad_s && self.gyro.n > 100 {
+            Some(NotStill::BiasTooLarge)
+        } else {
+            None
+        }
+    }
+
+    fn result(&self, duration_s: f64) -> Alignment {
+        Alignment {
+            gyro_bias_rad_s: self.gyro.mean,
+            acc_rest_m_s2: self.acc.mean,
+            mag_rest_ut: (self.mag.n >= 10).then_some(self.mag.mean),
+            gyro_sigma_rad_s: self.gyro.sigma(),
+            acc_sigma_m_s2: self.acc.sigma(),
+            mag_sigma_ut: self.mag.sigma(),
+            duration_s,
+            samples: self.gyro.n,
+            mag_samples: self.mag.n,
+            repeated: self.repeated,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::primitives::units::Seconds;
+
+    fn sample(i: usize, rate: f64) -> ImuSample {
+        let wiggle = if i.is_multiple_of(2) { 0.003 } else { -0.003 };
+        ImuSample {
+            t: Seconds(i as f64 * 0.005),
+            gyro_rad_s: Vector3::new(0.01 + wiggle, rate, -0.02),
+            acc_m_s2: Vector3::new(0.0, 3.0, 9.3),
+            mag_ut: i.is_multiple_of(4).then(|| Vector3::new(20.0, 0.0, -40.0)),
+        }
+    }
+
+    #[test]
+    fn a_still_window_gives_bias_gravity_and_field() {
+        let (config, mut state) = (AlignConfig::default(), AlignState::default());
+        let a = (0..1000).find_map(|i| state.add(&config, &sample(i, 0.0))).unwrap();
+        assert!((a.gyro_bias_rad_s - Vector3::new(0.01, 0.0, -0.02)).norm() < 1e-4);
+        assert!((a.acc_rest_m_s2.y - 3.0).abs() < 1e-12);
+        assert_eq!(a.mag_rest_ut, Some(Vector3::new(20.0, 0.0, -40.0)));
+        assert!(a.duration_s >= 1.8);
+        assert!((a.gyro_sigma_rad_s - 0.003 / 3f64.sqrt()).abs() < 1e-4);
+    }
+
+    #[test]
+    fn motion_starts_the_window_again_and_says_why() {
+        let (config, mut state) = (AlignConfig::default(), AlignState::default());
+        for i in 0..300 {
+            assert!(state.add(&config, &sample(i, 0.0)).is_none());
+        }
+        assert!(state.add(&config, &sample(300, 0.5)).is_none());
+        assert_eq!(state.refused, Some(NotStill::Turning));
+        let a = (301..1000).find_map(|i| state.add(&config, &sample(i, 0.0))).unwrap();
+        assert!(a.samples > 300);
+    }
+
+    #[test]
+    fn a_steady_turn_is_not_bias() {
+        let (config, mut state) = (AlignConfig::default(), AlignState::default());
+        for i in 0..3000 {
+            assert!(state.add(&config, &sample(i, 0.3)).is_none());
+        }
+        assert_eq!(state.refused, Some(NotStill::BiasTooLarge));
+    }
+}

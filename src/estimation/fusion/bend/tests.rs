@@ -1,0 +1,149 @@
+//! The bend filter against finite differences, known truths and its own covariance.
+
+use super::*;
+use crate::primitives::units::Seconds;
+use nalgebra::SMatrix;
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand_distr::{Distribution, StandardNormal};
+
+const DT_S: f64 = 0.005;
+const USE: Heed = Heed { acc: true, mag: true, still: false };
+
+fn noise(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
+}
+
+/// A sensor with errors on a tip whose base is turned by `base`.
+struct Sensor {
+    rng: StdRng,
+    base: UnitQuaternion<f64>,
+    acc_bias: Vector3<f64>,
+    iron: Vector3<f64>,
+    before: UnitQuaternion<f64>,
+    t_s: f64,
+}
+
+impl Sensor {
+    fn new(seed: u64, base: UnitQuaternion<f64>) -> Self {
+        let mut rng = StdRng::seed_from_u64(seed);
+        let (acc_bias, iron) = (noise(&mut rng, 0.2), noise(&mut rng, 5.0));
+        Self { rng, base, acc_bias, iron, before: UnitQuaternion::identity(), t_s: 0.0 }
+    }
+    fn gravity(&self, q: &UnitQuaternion<f64>) -> Vector3<f64> {
+        (self.base * q).inverse() * Vector3::new(0.0, 0.0, 9.81) + self.acc_bias
+    }
+    fn field(&self, q: &UnitQuaternion<f64>) -> Vector3<f64> {
+        (self.base * q).inverse() * Vector3::new(20.0, 0.0, -44.0) + self.iron
+    }
+    fn rest(&self) -> Alignment {
+        let straight = UnitQuaternion::identity();
+        Alignment {
+            gyro_bias_rad_s: Vector3::zeros(),
+            acc_rest_m_s2: self.gravity(&straight),
+            mag_rest_ut: Some(self.field(&straight)),
+            gyro_sigma_rad_s: 0.002,
+            acc_sigma_m_s2: 0.02,
+            mag_sigma_ut: 0.35,
+            duration_s: 2.0,
+            samples: 400,
+            mag_samples: 400,
+            repeated: 0,
+        }
+    }
+    fn sample(&mut self, bend: &Bend, mag: bool) -> ImuSample {
+        let q = bend.rotation().quat();
+        let rate = (self.before.inverse() * q).scaled_axis() / DT_S;
+        (self.before, self.t_s) = (q, self.t_s + DT_S);
+        ImuSample {
+            t: Seconds(self.t_s),
+            gyro_rad_s: rate + noise(&mut self.rng, 0.002),
+            acc_m_s2: self.gravity(&q) + noise(&mut self.rng, 0.02),
+            mag_ut: mag.then(|| self.field(&q) + noise(&mut self.rng, 0.35)),
+        }
+    }
+}
+
+fn tilted(tilt: f64) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_euler_angles(0.3, tilt, -0.7)
+}
+
+/// The sensor of these tests turns on the spot.
+fn turning_only() -> BendFilterConfig {
+    BendFilterConfig { arc_mm: 0.0, beyond_mm: 0.0, ..BendFilterConfig::default() }
+}
+
+/// A path through the poses of a session: out, round, and back, with rests.
+fn path(t_s: f64) -> Bend {
+    let swing = (t_s * 0.9).sin().powi(3);
+    Bend::from_polar(crate::primitives::units::Rad(1.1 * swing.abs()), crate::primitives::units::Rad(0.4 * t_s))
+}
+
+fn live(filter: &mut BendFilter, sensor: &mut Sensor, seconds: f64, mag: bool, mut each: impl FnMut(&BendFilter, &Bend)) {
+    for _ in 0..(seconds / DT_S) as usize {
+        let bend = path(sensor.t_s + DT_S);
+        let sample = sensor.sample(&bend, mag);
+        filter.update(&sample, DT_S, USE, &BaseTurn::none());
+        each(filter, &bend);
+    }
+}
+
+#[test]
+fn covariance_stays_symmetric_and_positive() {
+    let mut sensor = Sensor::new(2, tilted(1.2));
+    let mut filter = BendFilter::new(&turning_only(), &sensor.rest());
+    live(&mut filter, &mut sensor, 600.0, true, |_, _| ());
+    let p = filter.belief.p;
+    let scale = SMatrix::<f64, N, 1>::from_fn(|i, _| p[(i, i)].sqrt());
+    let correlation = SMatrix::<f64, N, N>::from_fn(|i, j| p[(i, j)] / (scale[i] * scale[j]));
+    assert!((correlation - correlation.transpose()).amax() < 1e-6, "after ten minutes");
+    assert!(correlation.symmetric_eigen().eigenvalues.min() > 0.0);
+}
+
+#[test]
+fn biases_are_found_within_their_sigmas() {
+    for seed in 0..8 {
+        let mut sensor = Sensor::new(10 + seed, tilted(0.5 + 0.2 * seed as f64));
+        let mut filter = BendFilter::new(&turning_only(), &sensor.rest());
+        let (mut sum, mut n) = (0.0, 0.0);
+        live(&mut filter, &mut sensor, 60.0, true, |f, truth| {
+            sum += (f.bend().0 - truth.0).norm_squared();
+            n += 1.0;
+        });
+        let rms_deg = f64::sqrt(sum / n).to_degrees();
+        assert!(rms_deg < 0.6, "seed {seed}: {rms_deg}");
+        for (at, truth) in [(ACC, sensor.acc_bias), (MAG, sensor.iron)] {
+            for i in 0..3 {
+                let (error, sigma) = (filter.belief.x[at + i] - truth[i], filter.belief.p[(at + i, at + i)].sqrt());
+                assert!(error.abs() < 4.0 * sigma, "seed {seed}, entry {}: {error} with σ {sigma}", at + i);
+            }
+        }
+    }
+}
+
+/// Bending about the vertical without a field: nothing corrects it, and the filter says so.
+#[test]
+fn it_is_honest_where_gravity_does_not_see() {
+    let flat = UnitQuaternion::from_euler_angles(0.0, std::f64::consts::FRAC_PI_2, 0.0);
+    let (mut nees, mut n, mut blind, mut seen) = (0.0, 0.0, 0.0f64, 0.0f64);
+    for seed in 0..12 {
+        let mut sensor = Sensor::new(50 + seed, flat);
+        sensor.acc_bias *= 0.2;
+        let mut filter = BendFilter::new(&turning_only(), &sensor.rest());
+        live(&mut filter, &mut sensor, 40.0, false, |_, _| ());
+        let mut straight = Bend::STRAIGHT;
+        for _ in 0..4000 {
+            let sample = sensor.sample(&straight, false);
+            filter.update(&sample, DT_S, USE, &BaseTurn::none());
+            straight = Bend::STRAIGHT;
+        }
+        let (error, c) = (filter.bend().0, filter.covariance());
+        nees += error.dot(&(c.try_inverse().unwrap() * error)) / 2.0;
+        n += 1.0;
+        let sigmas = c.symmetric_eigen().eigenvalues.map(|v| v.sqrt().to_degrees());
+        blind = blind.max(sigmas.max());
+        seen = seen.max(sigmas.min());
+    }
+    assert!(blind > 3.0 * seen, "blind {blind}°, seen {seen}°");
+    assert!(nees / n < 3.0, "mean NEES over its two degrees {}", nees / n);
+}

@@ -1,0 +1,108 @@
+//! What may be taken in: usable numbers and steps.
+//!
+//! A sensor on a long cable loses samples, and a dead bus reads all zeros or all ones. Filters keep a
+//! state for ever, so one such number must never get in. What is left out here is a reading that no
+//! part can have meant; what is merely wrong is for the filters to weigh.
+
+use crate::primitives::sample::ImuSample;
+use nalgebra::Vector3;
+
+/// Longest step that is still integrated, seconds; after a longer one a filter levels itself anew.
+pub const GAP_MAX_S: f64 = 1.0;
+/// Largest believable angular rate, rad/s: beyond every MEMS part's range (4000 °/s), with margin.
+const GYRO_MAX_RAD_S: f64 = 100.0;
+/// Largest believable specific force, m/s²: 400 g, beyond every part's range.
+const ACC_MAX_M_S2: f64 = 4000.0;
+/// Smallest specific force that has a direction, m/s²; all zeros is a dead bus, less than this free fall.
+const ACC_MIN_M_S2: f64 = 0.1;
+/// Largest believable field, µT: the full range of the AK09916 is 4900.
+const MAG_MAX_UT: f64 = 50_000.0;
+/// Smallest field that has a direction, µT.
+const MAG_MIN_UT: f64 = 0.1;
+
+/// The parts of a sample that a filter may use.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Usable {
+    /// Angular rate, rad/s, unless lost.
+    pub gyro_rad_s: Option<Vector3<f64>>,
+    /// Specific force, m/s², unless lost or without direction.
+    pub acc_m_s2: Option<Vector3<f64>>,
+    /// Magnetic field, µT, unless lost, without direction or not sampled.
+    pub mag_ut: Option<Vector3<f64>>,
+}
+
+/// Leaves out of a sample what no sensor can have meant.
+#[must_use]
+pub fn usable(sample: &ImuSample) -> Usable {
+    let within = |v: &Vector3<f64>, min: f64, max: f64| {
+        let norm = v.norm();
+        norm.is_finite() && norm >= min && norm <= max
+    };
+    Usable {
+        gyro_rad_s: Some(sample.gyro_rad_s).filter(|v| within(v, 0.0, GYRO_MAX_RAD_S)),
+        acc_m_s2: Some(sample.acc_m_s2).filter(|v| within(v, ACC_MIN_M_S2, ACC_MAX_M_S2)),
+        mag_ut: sample.mag_ut.filter(|v| within(v, MAG_MIN_UT, MAG_MAX_UT)),
+    }
+}
+
+/// What a filter should make of the time since the last sample.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Step {
+    /// Integrate over this many seconds.
+    Go(f64),
+    /// Too long to bridge: level anew.
+    Gap,
+    /// No time has passed, or the clock is broken: ignore the sample.
+    Ignore,
+}
+
+/// Judges a time step in seconds.
+#[must_use]
+pub fn step(dt_s: f64) -> Step {
+    if !dt_s.is_finite() || dt_s <= 0.0 {
+        Step::Ignore
+    } else if dt_s > GAP_MAX_S {
+        Step::Gap
+    } else {
+        Step::Go(dt_s)
+    }
+}
+
+/// Share by which a first-order low-pass of time constant `tau_s` moves in `dt_s`.
+#[must_use]
+pub fn share(dt_s: f64, tau_s: f64) -> f64 {
+    1.0 - (-dt_s / tau_s).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::primitives::units::Seconds;
+
+    #[test]
+    fn numbers_no_sensor_can_mean_are_left_out() {
+        let sample = |gyro: f64, acc: f64, mag: f64| ImuSample {
+            t: Seconds(0.0),
+            gyro_rad_s: Vector3::new(gyro, 0.0, 0.0),
+            acc_m_s2: Vector3::new(0.0, acc, 0.0),
+            mag_ut: Some(Vector3::new(0.0, 0.0, mag)),
+        };
+        let good = usable(&sample(0.0, 9.81, 40.0));
+        assert!(good.gyro_rad_s.is_some() && good.acc_m_s2.is_some() && good.mag_ut.is_some());
+        for bad in [f64::NAN, f64::INFINITY, -1e30] {
+            let u = usable(&sample(bad, bad, bad));
+            assert_eq!((u.gyro_rad_s, u.acc_m_s2, u.mag_ut), (None, None, None), "{bad}");
+        }
+        assert_eq!(usable(&sample(0.0, 0.0, 40.0)).acc_m_s2, None);
+        assert_eq!(usable(&sample(0.0, 9.81, 0.0)).mag_ut, None);
+    }
+
+    #[test]
+    fn a_clock_that_stands_or_leaps_is_not_integrated() {
+        for bad in [0.0, -0.01, f64::NAN, f64::INFINITY] {
+            assert_eq!(step(bad), Step::Ignore, "{bad}");
+        }
+        assert_eq!(step(0.5), Step::Go(0.5));
+        assert_eq!(step(1.5), Step::Gap);
+    }
+}

@@ -1,0 +1,96 @@
+//! What the filter observes: a body that stays in reach, a sensor at rest, and the Earth's field.
+
+use super::block::FieldMean;
+use super::covariance::{ATTITUDE, BIAS, Covariance, Errors, FIELD, IRON, LATENCY, VELOCITY};
+use super::{Mekf, MekfConfig};
+use crate::estimation::fusion::intake;
+use nalgebra::Vector3;
+
+/// Velocity of a sensor at rest, m/s, and how long its error lasts, s.
+const REST_VELOCITY_M_S: f64 = 0.02;
+const REST_VELOCITY_MEMORY_S: f64 = 0.1;
+/// How long an error of the gyroscope's slow mean lasts, s.
+const REST_BIAS_MEMORY_S: f64 = 0.5;
+/// A single reading may raise the misfit to at most this many times its running mean.
+const MISFIT_LEAP_MAX: f64 = 100.0;
+
+/// What one axis of a field residual owes to which errors.
+type Row = [(usize, f64); 8];
+
+/// Rows of a field residual (reading minus model, world axes): `−φ × y − ∂y/∂τ δτ + (δh, 0, δz) + R δm`.
+fn rows(reading: &FieldMean) -> [Row; 3] {
+    let turn = reading.world_ut.cross_matrix();
+    let earth = [(FIELD, 1.0), (FIELD, 0.0), (FIELD + 1, 1.0)];
+    std::array::from_fn(|axis| {
+        [
+            (ATTITUDE, turn[(axis, 0)]),
+            (ATTITUDE + 1, turn[(axis, 1)]),
+            (ATTITUDE + 2, turn[(axis, 2)]),
+            (IRON, reading.to_world[(axis, 0)]),
+            (IRON + 1, reading.to_world[(axis, 1)]),
+            (IRON + 2, reading.to_world[(axis, 2)]),
+            (LATENCY, -reading.by_age_ut_s[axis]),
+            earth[axis],
+        ]
+    })
+}
+
+/// Takes the first field reading, which defines north: its residual is nothing.
+pub fn first_field(covariance: &mut Covariance, errors: &mut Errors, reading: &FieldMean, variance_ut2: f64) {
+    for row in rows(reading) {
+        covariance.observe(errors, &row, 0.0, variance_ut2);
+    }
+}
+
+impl Mekf {
+    /// Velocity near zero, always; exactly zero, and the gyroscope reading its bias, at rest.
+    pub(super) fn observe_motion(&mut self, errors: &mut Errors, dt_s: f64) {
+        let c = &self.config;
+        let (v, at_rest) = (self.estimate.velocity_m_s, self.rest.at_rest());
+        let near_zero = c.velocity_sigma_m_s.powi(2) * c.velocity_memory_s / dt_s;
+        let at_zero = REST_VELOCITY_M_S.powi(2) * REST_VELOCITY_MEMORY_S / dt_s;
+        let variance = if at_rest { at_zero.min(near_zero) } else { near_zero };
+        for k in 0..2 {
+            self.covariance.observe(errors, &[(VELOCITY + k, 1.0)], -v[k], variance);
+        }
+        if at_rest {
+            let off = self.rest.gyro_mean_rad_s() - self.estimate.bias_rad_s;
+            let variance = c.rest_bias_sigma_deg_s.to_radians().powi(2) * REST_BIAS_MEMORY_S / dt_s;
+            for k in 0..3 {
+                self.covariance.observe(errors, &[(BIAS + k, 1.0)], off[k], variance);
+            }
+        }
+    }
+
+    /// The Earth's field, weighed by how well it has been fitting.
+    pub(super) fn observe_field(&mut self, errors: &mut Errors, reading: &FieldMean, dt_s: f64) {
+        let Some(earth) = self.estimate.field_ut else { return };
+        let model = Vector3::new(earth.x, 0.0, earth.y) + reading.to_world * self.estimate.iron_ut;
+        let residual = reading.world_ut - model;
+        let rows = rows(reading);
+        let foreseen = rows.iter().map(|row| self.covariance.variance_of(&row[..3])).sum::<f64>() / 3.0;
+        let misfit = self.weigh_misfit(residual.norm_squared() / 3.0, dt_s);
+        let c = &self.config;
+        let usual = c.field_sigma_ut.powi(2);
+        let bearable = usual * c.disturbed_ratio.powi(2) + foreseen;
+        let excess = (misfit / bearable).max(1.0);
+        self.disturbed = excess > 1.0;
+        if self.disturbed {
+            let unsure = c.iron_unsure_rt_s.powi(2) * (misfit - bearable) * dt_s;
+            self.covariance.grow(IRON, 3, unsure);
+        }
+        let stillness = if self.rest.at_rest() { c.rest_field_weight } else { 1.0 };
+        let variance = usual * excess * c.field_memory_s / dt_s / stillness;
+        for (row, part) in rows.iter().zip(residual.iter()) {
+            self.covariance.observe(errors, row, *part, variance);
+        }
+    }
+
+    /// Running mean square misfit; a leap counts at once.
+    fn weigh_misfit(&mut self, now_ut2: f64, dt_s: f64) -> f64 {
+        let MekfConfig { field_sigma_ut, misfit_tau_s, .. } = self.config;
+        let running = &mut self.misfit_ut2;
+        *running += intake::share(dt_s, misfit_tau_s) * (now_ut2 - *running);
+        running.max(now_ut2.min(MISFIT_LEAP_MAX * running.max(field_sigma_ut.powi(2))))
+    }
+}

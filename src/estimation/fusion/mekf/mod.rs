@@ -1,0 +1,344 @@
+//! Error-state Kalman filter that learns the sensor's faults along with the orientation.
+//!
+//! A multiplicative extended Kalman filter (Lefferts, Markley & Shuster 1982) in the world frame. The
+//! faults it estimates are the ones that 9-DoF recordings with an optical reference show to matter:
+//!
+//! * the **gyroscope's scale and skew** s: `ω = (1 + s)(measured − b)`. A few tenths of a percent, and at
+//!   400 °/s that, not the bias, is what makes the heading drift;
+//! * the **age τ of a magnetometer reading**, some 14 ms on a part read through an auxiliary bus: at
+//!   400 °/s a field that is 5° late. Observable as `∂(R m)/∂τ = −ω × R m`;
+//! * **hard iron** m that came after calibration, such as a magnet or a phone on the body:
+//!   constant in sensor axes, hence told from the room's field as soon as the sensor turns.
+//!
+//! What gravity says is taken through velocity: a body that stays in reach has a velocity near zero over
+//! seconds, so the specific force minus gravity, integrated, must come back to nothing; a tilt error
+//! makes it grow by g φ instead. The heading enters nowhere in that (an invariant error, after Barrau &
+//! Bonnabel 2017), so shaking cannot turn it. At rest the gyroscope reads b and the velocity is zero.
+//!
+//! The field model is `R(t − τ) measured = (h, 0, z) + R m + noise`. Field error in a room lasts for
+//! seconds at a place, so it is white noise of the same power over `field_memory_s`. When the misfit
+//! exceeds what a room does, readings lose weight in proportion, and the hard iron becomes uncertain
+//! by as much: a magnet on the body is learnt and taken away, one in the room stays refused.
+//!
+//! [`covariance`] holds the error states, [`block`] the sums between corrections, `correct` the
+//! observations. How it was set and cross-validated: `docs/fusion.md`.
+
+pub mod block;
+mod config;
+mod correct;
+pub mod covariance;
+
+pub use config::MekfConfig;
+
+use super::intake::{self, Step, Usable};
+use super::rest::RestDetector;
+use super::{Flags, OrientationFilter, level};
+use crate::primitives::frames::{Rotation, Sensor, World};
+use crate::primitives::sample::ImuSample;
+use block::Block;
+use covariance::{ATTITUDE, BIAS, Covariance, DIM, Errors, FIELD, IRON, LATENCY, SCALE, VELOCITY};
+use nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
+
+/// Gravity, m/s²: only its direction matters to within a percent.
+const GRAVITY_M_S2: f64 = 9.81;
+/// Rate that a lost gyroscope sample may hide, rad/s.
+const HIDDEN_RATE_RAD_S: f64 = 1.0;
+/// Force that a lost accelerometer sample may hide, m/s².
+const HIDDEN_PUSH_M_S2: f64 = 3.0;
+/// Rate beyond which the first sample is one in motion, rad/s, and the tilt error that may then hide in it, rad.
+const MOVING_RAD_S: f64 = 0.2;
+const MOVING_TILT_RAD: f64 = 0.2;
+/// Tilt uncertainty at which a field reading may define north, rad: the dip turns tilt into heading.
+const LEVEL_ENOUGH_RAD: f64 = 0.06;
+/// Heading uncertainty before there is a north, rad: large, and small enough to linearise.
+const HEADING_UNKNOWN_RAD: f64 = 1.0;
+/// Uncertainty of the Earth's field before the first reading, µT.
+const FIELD_UNKNOWN_UT: f64 = 30.0;
+
+/// The estimate that the covariance's errors belong to.
+#[derive(Debug, Clone, Copy)]
+struct Estimate {
+    r_world_sensor: UnitQuaternion<f64>,
+    bias_rad_s: Vector3<f64>,
+    /// xx, yy, zz, xy, xz, yz.
+    scale: SVector<f64, 6>,
+    velocity_m_s: Vector2<f64>,
+    /// North and up components of the Earth's field, µT, once there is a north.
+    field_ut: Option<Vector2<f64>>,
+    iron_ut: Vector3<f64>,
+    latency_s: f64,
+    /// Direction of the last reading, rad, by which the output is turned until there is a north.
+    provisional_rad: f64,
+}
+
+/// The filter.
+#[derive(Debug, Clone)]
+pub struct Mekf {
+    config: MekfConfig,
+    estimate: Estimate,
+    covariance: Covariance,
+    block: Block,
+    rest: RestDetector,
+    rate: Vector3<f64>,
+    last_mag: Option<Vector3<f64>>,
+    /// Running mean square of the field's misfit per axis, µT².
+    misfit_ut2: f64,
+    levelled: bool,
+    disturbed: bool,
+}
+
+impl Mekf {
+    /// A filter that levels itself on the first sample.
+    #[must_use]
+    pub fn new(config: MekfConfig) -> Self {
+        let estimate = Estimate {
+            r_world_sensor: UnitQuaternion::identity(),
+            bias_rad_s: Vector3::zeros(),
+            scale: SVector::zeros(),
+            velocity_m_s: Vector2::zeros(),
+            field_ut: None,
+            iron_ut: Vector3::zeros(),
+            latency_s: config.latency_ms * 1e-3,
+            provisional_rad: 0.0,
+        };
+        Self {
+            config,
+            estimate,
+            covariance: Covariance::from_sigmas(&first_sigmas(&config)),
+            block: Block::default(),
+            rest: RestDetector::new(config.rest),
+            rate: Vector3::zeros(),
+            last_mag: None,
+            misfit_ut2: 0.0,
+            levelled: false,
+            disturbed: false,
+        }
+    }
+
+    /// Estimated hard iron in sensor axes, µT.
+    #[must_use]
+    pub fn hard_iron_ut(&self) -> Vector3<f64> {
+        self.estimate.iron_ut
+    }
+    /// Estimated age of a magnetometer reading when it is handed in, s.
+    #[must_use]
+    pub fn mag_latency_s(&self) -> f64 {
+        self.estimate.latency_s
+    }
+    /// Estimated gyroscope scale and skew errors, xx, yy, zz, xy, xz, yz: true = (1 + s)(measured − bias).
+    #[must_use]
+    pub fn gyro_scale(&self) -> SVector<f64, 6> {
+        self.estimate.scale
+    }
+
+    /// Levels on a force; what was learnt of the sensor stays. A sensor in motion is levelled badly.
+    fn level_on(&mut self, acc: &Vector3<f64>, gyro: Option<Vector3<f64>>) {
+        self.estimate.r_world_sensor = level(acc, None).quat();
+        self.estimate.velocity_m_s = Vector2::zeros();
+        self.estimate.field_ut = None;
+        self.estimate.provisional_rad = 0.0;
+        self.last_mag = None;
+        self.block = Block::default();
+        let moving = gyro.is_some_and(|w| w.norm() > MOVING_RAD_S);
+        let tilt = self.config.first_tilt_deg.to_radians()
+            + (acc.norm() / GRAVITY_M_S2 - 1.0).abs().min(1.0)
+            + if moving { MOVING_TILT_RAD } else { 0.0 };
+        let fresh = first_sigmas(&self.config);
+        for (k, sigma) in [(ATTITUDE, tilt), (ATTITUDE + 1, tilt), (ATTITUDE + 2, HEADING_UNKNOWN_RAD)] {
+            self.covariance.isolate(k, sigma);
+        }
+        for k in (VELOCITY..VELOCITY + 2).chain(FIELD..FIELD + 2) {
+            self.covariance.isolate(k, fresh[k]);
+        }
+        self.levelled = true;
+    }
+
+    /// Rest, and the rate that a gyroscope sample means once its faults are taken away.
+    fn take_gyro(&mut self, seen: &Usable, dt_s: f64) {
+        match (seen.gyro_rad_s, seen.acc_m_s2) {
+            (Some(gyro), Some(acc)) => _ = self.rest.update(&gyro, &acc, dt_s),
+            _ => self.rest.miss(dt_s),
+        }
+        match seen.gyro_rad_s {
+            Some(gyro) => {
+                let (w, s) = (gyro - self.estimate.bias_rad_s, &self.estimate.scale);
+                self.rate = w + Vector3::new(
+                    s[0] * w.x + s[3] * w.y + s[4] * w.z,
+                    s[3] * w.x + s[1] * w.y + s[5] * w.z,
+                    s[4] * w.x + s[5] * w.y + s[2] * w.z,
+                );
+            }
+            None => {
+                let hidden = HIDDEN_RATE_RAD_S * dt_s;
+                self.block.hidden_turn_rad2 += hidden * hidden;
+            }
+        }
+    }
+
+    /// Turns the estimate by one sample and adds the sample to the block.
+    fn integrate(&mut self, seen: &Usable, dt_s: f64) {
+        let rotation = self.estimate.r_world_sensor * UnitQuaternion::from_scaled_axis(self.rate * dt_s);
+        self.estimate.r_world_sensor = rotation;
+        self.block.add_turning(&rotation.to_rotation_matrix().into_inner(), &self.rate, dt_s);
+        match seen.acc_m_s2 {
+            Some(acc) => self.block.add_force(&(rotation * acc), dt_s),
+            None => {
+                let hidden = HIDDEN_PUSH_M_S2 * dt_s;
+                self.block.hidden_push_m2_s2 += hidden * hidden;
+            }
+        }
+        let Some(mag) = seen.mag_ut.filter(|m| self.last_mag != Some(*m)) else { return };
+        self.last_mag = Some(mag);
+        let then = rotation * UnitQuaternion::from_scaled_axis(-self.rate * self.estimate.latency_s);
+        if self.estimate.field_ut.is_none() {
+            self.find_north(&(then * mag));
+        } else {
+            self.block.add_field(&mag, &then, &self.rate);
+        }
+    }
+
+    /// The first reading on a level sensor defines north, as well as the room and the hard iron let it.
+    fn find_north(&mut self, world_ut: &Vector3<f64>) {
+        self.estimate.provisional_rad = world_ut.y.atan2(world_ut.x);
+        if self.covariance.sigma(ATTITUDE).max(self.covariance.sigma(ATTITUDE + 1)) > LEVEL_ENOUGH_RAD {
+            return;
+        }
+        let turn = about_up(-std::mem::take(&mut self.estimate.provisional_rad));
+        let r_world_sensor = turn * self.estimate.r_world_sensor;
+        self.estimate.r_world_sensor = r_world_sensor;
+        self.estimate.velocity_m_s = (turn * self.estimate.velocity_m_s.push(0.0)).xy();
+        self.block = Block::default();
+        for k in [ATTITUDE, ATTITUDE + 1, VELOCITY, VELOCITY + 1] {
+            self.covariance.isolate(k, self.covariance.sigma(k));
+        }
+        self.estimate.field_ut = Some(Vector2::new(world_ut.xy().norm(), world_ut.z));
+        self.misfit_ut2 = 0.0;
+        let reading = block::FieldMean {
+            world_ut: Vector3::new(world_ut.xy().norm(), 0.0, world_ut.z),
+            by_age_ut_s: Vector3::zeros(),
+            to_world: r_world_sensor.to_rotation_matrix().into_inner(),
+        };
+        let mut errors = Errors::zeros();
+        let place_ut2 = self.config.first_field_sigma_ut.powi(2);
+        correct::first_field(&mut self.covariance, &mut errors, &reading, place_ut2);
+        self.inject(&errors);
+    }
+
+    /// Moves the covariance over the block, takes its observations, and starts the next.
+    fn close_block(&mut self) {
+        let block = std::mem::take(&mut self.block);
+        self.estimate.velocity_m_s += block.gained_m_s;
+        self.predict(&block);
+        let mut errors = Errors::zeros();
+        self.observe_motion(&mut errors, block.length_s);
+        if let Some(reading) = block.field() {
+            self.observe_field(&mut errors, &reading, block.length_s);
+        }
+        self.inject(&errors);
+        if !self.is_sane() {
+            *self = Self::new(self.config);
+        }
+    }
+
+    fn predict(&mut self, block: &Block) {
+        let c = &self.config;
+        let dt_s = block.length_s;
+        let squared = |sigma: f64| sigma * sigma;
+        self.covariance.flow(&block.flow());
+        let wander = c.gyro_wander_deg_rt_s.to_radians() * if self.rest.at_rest() { 0.1 } else { 1.0 };
+        let turn = (squared(wander) + squared(c.gyro_nonlinearity_rt_s) * block.turning_sq()) * dt_s;
+        self.covariance.grow(ATTITUDE, 3, turn + block.hidden_turn_rad2);
+        self.covariance.grow(BIAS, 3, squared(c.bias_wander_deg_s_rt_s.to_radians()) * dt_s);
+        let push = (squared(c.acc_floor_m_s_rt_s) + squared(c.acc_fault_rt_s) * block.pushing_sq()) * dt_s;
+        self.covariance.grow(VELOCITY, 2, push + block.hidden_push_m2_s2);
+        self.covariance.grow(FIELD, 2, squared(c.field_wander_ut_rt_s) * dt_s);
+        self.covariance.grow(IRON, 3, squared(c.iron_wander_ut_rt_s) * dt_s);
+    }
+
+    /// Adds the errors found to the estimate.
+    fn inject(&mut self, errors: &Errors) {
+        let e = &mut self.estimate;
+        let turn: Vector3<f64> = errors.fixed_rows::<3>(ATTITUDE).into_owned();
+        let mut rotation = UnitQuaternion::from_scaled_axis(turn) * e.r_world_sensor;
+        rotation.renormalize();
+        e.r_world_sensor = rotation;
+        e.bias_rad_s += errors.fixed_rows::<3>(BIAS);
+        e.scale += errors.fixed_rows::<6>(SCALE);
+        e.velocity_m_s += errors.fixed_rows::<2>(VELOCITY);
+        if let Some(field) = &mut e.field_ut {
+            *field += errors.fixed_rows::<2>(FIELD);
+            field.x = field.x.max(self.config.horizontal_field_min_ut);
+        }
+        e.iron_ut += errors.fixed_rows::<3>(IRON);
+        e.scale = e.scale.map(|s| s.clamp(-self.config.scale_max, self.config.scale_max));
+        e.latency_s = (e.latency_s + errors[LATENCY]).clamp(0.0, self.config.latency_max_ms * 1e-3);
+    }
+
+    fn is_sane(&self) -> bool {
+        let e = &self.estimate;
+        e.r_world_sensor.coords.iter().chain(e.bias_rad_s.iter()).chain(e.iron_ut.iter()).all(|x| x.is_finite())
+            && self.covariance.is_sane()
+    }
+}
+
+fn about_up(angle_rad: f64) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad)
+}
+
+/// Standard deviations before the first sample.
+fn first_sigmas(c: &MekfConfig) -> Errors {
+    let mut s = Errors::zeros();
+    let mut set = |first: usize, count: usize, sigma: f64| s.rows_mut(first, count).fill(sigma);
+    set(ATTITUDE, 2, c.first_tilt_deg.to_radians());
+    set(ATTITUDE + 2, 1, HEADING_UNKNOWN_RAD);
+    set(BIAS, 3, c.bias_sigma_deg_s.to_radians());
+    set(SCALE, 3, c.scale_sigma);
+    set(SCALE + 3, 3, 0.5 * c.scale_sigma);
+    set(VELOCITY, 2, c.velocity_sigma_m_s);
+    set(FIELD, 2, FIELD_UNKNOWN_UT);
+    set(IRON, 3, c.iron_sigma_ut);
+    set(LATENCY, 1, c.latency_sigma_ms * 1e-3);
+    debug_assert_eq!(LATENCY + 1, DIM);
+    s
+}
+
+impl OrientationFilter for Mekf {
+    fn update(&mut self, sample: &ImuSample, dt_s: f64) {
+        let seen = intake::usable(sample);
+        let dt_s = match intake::step(dt_s) {
+            Step::Go(dt_s) => dt_s,
+            Step::Gap => {
+                self.levelled = false;
+                self.rest.miss(dt_s);
+                1e-3
+            }
+            Step::Ignore => return,
+        };
+        if !self.levelled {
+            let Some(acc) = seen.acc_m_s2 else { return };
+            self.level_on(&acc, seen.gyro_rad_s);
+        }
+        self.take_gyro(&seen, dt_s);
+        self.integrate(&seen, dt_s);
+        if self.block.length_s >= self.config.block_s {
+            self.close_block();
+        }
+    }
+
+    fn orientation(&self) -> Rotation<World, Sensor> {
+        Rotation::assert_frames(about_up(-self.estimate.provisional_rad) * self.estimate.r_world_sensor)
+    }
+
+    fn gyro_bias_rad_s(&self) -> Vector3<f64> {
+        self.estimate.bias_rad_s
+    }
+
+    fn flags(&self) -> Flags {
+        Flags {
+            levelled: self.levelled,
+            north_found: self.estimate.field_ut.is_some(),
+            at_rest: self.rest.at_rest(),
+            field_disturbed: self.disturbed,
+        }
+    }
+}

@@ -1,0 +1,303 @@
+//! Accelerometer zero and scale from rests: the measured force of a still sensor is g, whatever its
+//! attitude.
+//!
+//! Six positions (each face up once) give zero and scale per axis. The classic rule, half sum and
+//! half difference of opposite faces, errs by 1 − cos θ when a face is not level; it is only the start
+//! here, and |S (a − b)| = g over all rests, which holds at any attitude, decides. Twenty or more rests
+//! all round give cross-axis terms too, by the ellipsoid.
+
+use super::still::Rest;
+use super::{Limits, Refusal, ellipsoid, sphere_coverage};
+use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
+use nalgebra::storage::Owned;
+use nalgebra::{DVector, Dyn, Matrix3, OMatrix, OVector, SVector, U6, Vector3};
+
+/// Local gravity assumed, m/s².
+pub const GRAVITY_M_S2: f64 = 9.81;
+
+/// What rests say about the accelerometer: `a = matrix (a_raw − bias)`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AccFit {
+    /// Zero, m/s².
+    pub bias_m_s2: Vector3<f64>,
+    /// One sigma of it per axis, m/s².
+    pub bias_sigma_m_s2: Vector3<f64>,
+    /// Scale and skew, symmetric, near 1.
+    pub matrix: Matrix3<f64>,
+    /// One sigma of each entry.
+    pub matrix_sigma: Matrix3<f64>,
+    /// rms of the corrected norm against g, m/s².
+    pub residual_m_s2: f64,
+    /// Share of the sphere of directions touched, 0 to 1.
+    pub coverage: f64,
+}
+
+const FACES: [&str; 6] = ["+x", "-x", "+y", "-y", "+z", "-z"];
+
+/// Rests by the face that is up: the largest component decides, and must hold 80 % of the norm.
+fn by_face(rests: &[Rest]) -> [Option<Vector3<f64>>; 6] {
+    let mut sums = [(Vector3::zeros(), 0_u32); 6];
+    for rest in rests {
+        let a = rest.acc_m_s2;
+        let axis = a.iamax();
+        if a[axis].abs() > 0.8 * a.norm() {
+            let slot = &mut sums[2 * axis + usize::from(a[axis] < 0.0)];
+            *slot = (slot.0 + a, slot.1 + 1);
+        }
+    }
+    sums.map(|(sum, n)| (n > 0).then(|| sum / f64::from(n)))
+}
+
+/// Norm of the corrected rests over g, less one; parameters are zero (over g) and inverse scale.
+struct Norms<'a> {
+    rests: &'a [Rest],
+    p: SVector<f64, 6>,
+}
+
+impl Norms<'_> {
+    fn corrected(&self, rest: &Rest) -> Vector3<f64> {
+        let a = rest.acc_m_s2 / GRAVITY_M_S2;
+        Vector3::from_fn(|i, _| self.p[3 + i] * (a[i] - self.p[i]))
+    }
+}
+
+impl LeastSquaresProblem<f64, Dyn, U6> for Norms<'_> {
+    type ResidualStorage = Owned<f64, Dyn>;
+    type JacobianStorage = Owned<f64, Dyn, U6>;
+    type ParameterStorage = Owned<f64, U6>;
+
+    fn set_params(&mut self, x: &OVector<f64, U6>) {
+        self.p = *x;
+    }
+    fn params(&self) -> OVector<f64, U6> {
+        self.p
+    }
+    fn residuals(&self) -> Option<DVector<f64>> {
+        let norms = self.rests.iter().map(|r| self.corrected(r).norm() - 1.0);
+        Some(DVector::from_iterator(self.rests.len(), norms))
+    }
+    fn jacobian(&self) -> Option<OMatrix<f64, Dyn, U6>> {
+        let mut j = OMatrix::<f64, Dyn, U6>::zeros(self.rests.len());
+        for (row, rest) in self.rests.iter().enumerate() {
+            let u = self.corrected(rest);
+            let n = u.norm().max(1e-12);
+            for i in 0..3 {
+                j[(row, i)] = -u[i] * self.p[3 + i] / n;
+                j[(row, 3 + i)] = u[i] * (rest.acc_m_s2[i] / GRAVITY_M_S2 - self.p[i]) / n;
+            }
+        }
+        Some(j)
+    }
+}
+
+/// Noise of a rest's mean norm, as a share of g: white noise averaged over its samples, and no less
+/// than one part in 20 000 for what white noise does not explain (temperature, a table that gives).
+fn mean_noise(rest: &Rest) -> f64 {
+    let white = rest.acc_std_m_s2.norm() / 3.0_f64.sqrt() / (rest.samples as f64).sqrt() / GRAVITY_M_S2;
+    white.hypot(5e-5)
+}
+
+/// Zero and scale per axis from rests on the six faces, level within some 30°.
+///
+/// # Errors
+/// [`Refusal::MissingFace`] names the first face that was never up; [`Refusal::NotAnEllipsoid`] when
+/// the rests contradict each other.
+pub fn six_positions(rests: &[Rest], limits: &Limits) -> Result<AccFit, Refusal> {
+    let faces = by_face(rests);
+    for (face, found) in FACES.iter().zip(&faces) {
+        if found.is_none() {
+            return Err(Refusal::MissingFace { face });
+        }
+    }
+    let mut p = SVector::<f64, 6>::zeros();
+    for i in 0..3 {
+        let along = |k: usize| faces[2 * i + k].map_or(0.0, |a| a[i]);
+        let (up, down) = (along(0), along(1));
+        p[i] = 0.5 * (up + down) / GRAVITY_M_S2;
+        p[3 + i] = 2.0 * GRAVITY_M_S2 / (up - down);
+    }
+    let (fit, report) = LevenbergMarquardt::new().with_tol(1e-13).minimize(Norms { rests, p });
+    let (Some(r), Some(j)) = (fit.residuals(), fit.jacobian()) else { return Err(Refusal::NotAnEllipsoid) };
+    if !report.objective_function.is_finite() {
+        return Err(Refusal::NotAnEllipsoid);
+    }
+    let spare = rests.len() as f64 - 6.0;
+    let expected = rests.iter().map(|r| mean_noise(r).powi(2)).sum::<f64>() / rests.len() as f64;
+    let seen = if spare > 0.0 { r.norm_squared() / spare } else { 0.0 };
+    let cov = (j.transpose() * j).try_inverse().ok_or(Refusal::NotAnEllipsoid)? * expected.max(seen);
+    let sigma = cov.diagonal().map(|v| v.max(0.0).sqrt());
+    let residual_m_s2 = GRAVITY_M_S2 * (r.norm_squared() / rests.len() as f64).sqrt();
+    within(residual_m_s2, limits.ellipsoid_residual * GRAVITY_M_S2)?;
+    Ok(AccFit {
+        bias_m_s2: fit.p.fixed_rows::<3>(0) * GRAVITY_M_S2,
+        bias_sigma_m_s2: sigma.fixed_rows::<3>(0) * GRAVITY_M_S2,
+        matrix: Matrix3::from_diagonal(&fit.p.fixed_rows::<3>(3).into_owned()),
+        matrix_sigma: Matrix3::from_diagonal(&sigma.fixed_rows::<3>(3).into_owned()),
+        residual_m_s2,
+        coverage: sphere_coverage(rests.iter().map(|r| &r.acc_m_s2)),
+    })
+}
+
+fn within(rms: f64, limit: f64) -> Result<(), Refusal> {
+    if rms <= limit { Ok(()) } else { Err(Refusal::PoorFit { rms, limit, unit: "m/s²" }) }
+}
+
+/// Zero, scale and skew from rests all round.
+///
+/// # Errors
+/// [`Refusal`] when there are too few, they leave half the sphere out, or fit no ellipsoid.
+pub fn ellipsoid(rests: &[Rest], limits: &Limits) -> Result<AccFit, Refusal> {
+    let points: Vec<Vector3<f64>> = rests.iter().map(|r| r.acc_m_s2).collect();
+    let e = ellipsoid::fit(&points, limits)?;
+    let directions: Vec<Vector3<f64>> = points.iter().map(|x| e.shape * (x - e.centre)).collect();
+    let coverage = sphere_coverage(directions.iter());
+    if coverage < limits.sphere_coverage {
+        let advice = "rest it in more attitudes, upside down too";
+        return Err(Refusal::PoorCoverage { what: "the sphere", have: coverage, want: limits.sphere_coverage, advice });
+    }
+    let limit = limits.centre_sigma * GRAVITY_M_S2;
+    if e.centre_sigma.amax() > limit {
+        let sigma = e.centre_sigma.amax();
+        return Err(Refusal::TooUncertain { what: "the accelerometer's zero", sigma, limit, unit: "m/s²" });
+    }
+    within(e.residual * GRAVITY_M_S2, limits.ellipsoid_residual * GRAVITY_M_S2)?;
+    Ok(AccFit {
+        bias_m_s2: e.centre,
+        bias_sigma_m_s2: e.centre_sigma,
+        matrix: e.shape * GRAVITY_M_S2,
+        matrix_sigma: e.shape_sigma * GRAVITY_M_S2,
+        residual_m_s2: e.residual * GRAVITY_M_S2,
+        coverage,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::imu_calibration::still;
+    use crate::primitives::sample::ImuSample;
+    use crate::primitives::units::Seconds;
+    use nalgebra::Rotation3;
+    use rand::SeedableRng;
+    use rand::rngs::StdRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn normal(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
+    }
+
+    /// The raw mean of a rest whose true force is `g` along `up`, measured by a flawed sensor.
+    fn measured(up: Vector3<f64>, bias: Vector3<f64>, matrix: &Matrix3<f64>, rng: &mut StdRng) -> Rest {
+        let ideal = up.normalize() * GRAVITY_M_S2;
+        let acc_m_s2 = matrix.try_inverse().expect("near 1") * ideal + bias + normal(rng, 0.03 / 500.0_f64.sqrt());
+        Rest {
+            first: 0,
+            samples: 500,
+            duration_s: 1.0,
+            gyro_rad_s: Vector3::zeros(),
+            gyro_std_rad_s: Vector3::repeat(0.004),
+            acc_m_s2,
+            acc_std_m_s2: Vector3::repeat(0.03),
+            mag_ut: None,
+        }
+    }
+
+    fn six(tilt_deg: f64, bias: Vector3<f64>, scale: Vector3<f64>, rng: &mut StdRng) -> Vec<Rest> {
+        let faces = [Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::y(), Vector3::z(), -Vector3::z()];
+        faces
+            .iter()
+            .cycle()
+            .take(12)
+            .map(|up| {
+                let tilt = Rotation3::new(normal(rng, tilt_deg.to_radians()));
+                measured(tilt * up, bias, &Matrix3::from_diagonal(&scale), rng)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn six_crooked_faces_give_zero_and_scale_back() {
+        let (bias, scale) = (Vector3::new(0.4, -0.25, 0.6), Vector3::new(1.02, 0.985, 1.01));
+        for seed in 0..20 {
+            let rests = six(6.0, bias, scale, &mut StdRng::seed_from_u64(seed));
+            let fit = six_positions(&rests, &Limits::default()).expect("six faces");
+            let z = (fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2);
+            let zs = (fit.matrix.diagonal() - scale).component_div(&fit.matrix_sigma.diagonal());
+            assert!(z.amax() < 5.0 && zs.amax() < 5.0, "seed {seed}: {z} {zs}");
+            assert!((fit.bias_m_s2 - bias).amax() < 0.02, "{}", fit.bias_m_s2 - bias);
+            assert!((fit.matrix.diagonal() - scale).amax() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn a_missing_face_is_named() {
+        let mut rng = StdRng::seed_from_u64(3);
+        let mut rests = six(2.0, Vector3::zeros(), Vector3::repeat(1.0), &mut rng);
+        rests.retain(|r| r.acc_m_s2.y > -8.0);
+        let refused = six_positions(&rests, &Limits::default()).unwrap_err();
+        assert_eq!(refused, Refusal::MissingFace { face: "-y" });
+    }
+
+    #[test]
+    fn rests_all_round_give_skew_too() {
+        let bias = Vector3::new(0.4, -0.25, 0.6);
+        let matrix = Matrix3::new(1.02, 0.01, -0.006, 0.01, 0.985, 0.008, -0.006, 0.008, 1.01);
+        let mut worst: f64 = 0.0;
+        for seed in 0..10 {
+            let mut rng = StdRng::seed_from_u64(seed);
+            let rests: Vec<Rest> = (0..60)
+                .map(|_| {
+                    let up = normal(&mut rng, 1.0);
+                    measured(up, bias, &matrix, &mut rng)
+                })
+                .collect();
+            let fit = ellipsoid(&rests, &Limits::default()).expect("covered");
+            worst = worst.max((fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2).amax());
+            worst = worst.max((fit.matrix - matrix).component_div(&fit.matrix_sigma).amax());
+            assert!((fit.matrix - matrix).amax() < 1e-3, "{}", fit.matrix - matrix);
+        }
+        assert!(worst > 0.5 && worst < 5.0, "sigmas are honest: {worst}");
+    }
+
+    #[test]
+    fn half_a_sphere_is_refused() {
+        let mut rng = StdRng::seed_from_u64(5);
+        let rests: Vec<Rest> = (0..80)
+            .map(|_| {
+                let up = Vector3::z() + 0.3 * normal(&mut rng, 1.0);
+                measured(up, Vector3::zeros(), &Matrix3::identity(), &mut rng)
+            })
+            .collect();
+        let refused = ellipsoid(&rests, &Limits::default()).unwrap_err();
+        assert!(matches!(refused, Refusal::PoorCoverage { .. } | Refusal::TooUncertain { .. }), "{refused}");
+    }
+
+    #[test]
+    fn rests_are_found_in_a_recording() {
+        let mut rng = StdRng::seed_from_u64(6);
+        let mut samples = Vec::new();
+        for k in 0..6000_u32 {
+            let t = f64::from(k) * 0.002;
+            let moving = (2.5..4.0).contains(&t) || (7.0..8.0).contains(&t);
+            let up = if t < 3.0 {
+                Vector3::z()
+            } else if t < 7.5 {
+                Vector3::x()
+            } else {
+                -Vector3::z()
+            };
+            samples.push(ImuSample {
+                t: Seconds(t),
+                gyro_rad_s: normal(&mut rng, if moving { 1.0 } else { 0.004 }),
+                acc_m_s2: up * GRAVITY_M_S2 + normal(&mut rng, 0.03),
+                mag_ut: None,
+            });
+        }
+        let rests = still::rests(&samples, &Limits::default());
+        assert_eq!(rests.len(), 3, "{rests:?}");
+        for (rest, up) in rests.iter().zip([Vector3::z(), Vector3::x(), -Vector3::z()]) {
+            assert!((rest.acc_m_s2 - up * GRAVITY_M_S2).norm() < 0.02);
+            assert!(rest.duration_s >= 2.0);
+        }
+    }
+}

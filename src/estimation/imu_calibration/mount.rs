@@ -1,0 +1,246 @@
+//! How the sensor sits in the tip, from bends alone.
+//!
+//! A pure bend of the section turns the tip about an axis across it: the rotation vector of a bend by
+//! β in direction δ is β (sin δ, cos δ, 0) in the tip's frame (paper, Eq. 7). So all bend axes lie in
+//! one plane, and the normal of that plane, seen from the sensor, is the tip's z axis: two of the
+//! three mount angles, without trusting any command. The third, about z, needs the commanded
+//! directions and inherits their error (a bellow off its place looks the same). Plane: smallest
+//! eigenvector of Σ w a aᵀ; all three angles: Wahba's problem by SVD (Markley 1988).
+//!
+//! A twist that grows with bend lifts every axis out of the plane alike; over a full circle of
+//! directions this does not tilt the normal, and [`Mount::twist_per_bend`] reports it.
+
+use super::{Limits, Refusal};
+use crate::primitives::frames::{Rotation, Sensor, Tip};
+use crate::primitives::sample::ImuSample;
+use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
+
+/// One bend in one plane, from anywhere to anywhere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BendTurn {
+    /// Rotation vector of the turn in the sensor's frame, rad; see [`turn_of`].
+    pub turn_rad: Vector3<f64>,
+    /// Commanded direction δ, rad, of a growing bend; of a bend that shrinks, δ + π. `None` if not
+    /// known.
+    pub direction_rad: Option<f64>,
+}
+
+/// The rotation vector of a stretch of gyroscope samples, rad, in the sensor's frame at its start.
+#[must_use]
+pub fn turn_of(samples: &[ImuSample], gyro_bias_rad_s: &Vector3<f64>) -> Vector3<f64> {
+    let mut q = UnitQuaternion::identity();
+    for pair in samples.windows(2) {
+        let dt_s = pair[1].t.0 - pair[0].t.0;
+        let rate = 0.5 * (pair[0].gyro_rad_s + pair[1].gyro_rad_s) - gyro_bias_rad_s;
+        q *= UnitQuaternion::from_scaled_axis(rate * dt_s);
+    }
+    q.scaled_axis()
+}
+
+/// What bends say about the mount.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mount {
+    /// Turns sensor coordinates into tip coordinates.
+    pub r_tip_sensor: Rotation<Tip, Sensor>,
+    /// One sigma of a rotation about the tip's x, y and z, rad. About z it is π/√3, that of knowing
+    /// nothing, when no directions were given; the rotation then has none about z.
+    pub sigma_rad: Vector3<f64>,
+    /// rms angle of the bend axes out of their plane, rad, twist removed.
+    pub out_of_plane_rad: f64,
+    /// Mean slope of the axes out of the plane: radians of twist per radian of bend.
+    pub twist_per_bend: f64,
+    /// Lesser in-plane share of the squared axes: 0.5 is a full circle, 0 a single direction.
+    pub spread: f64,
+    /// Bends used.
+    pub bends: usize,
+}
+
+/// Mount from bends in several directions.
+///
+/// # Errors
+/// [`Refusal`] when there are fewer than four bends of [`Limits::bend_min_deg`], they all go one way,
+/// or they do not share a plane.
+pub fn from_bends(bends: &[BendTurn], limits: &Limits) -> Result<Mount, Refusal> {
+    if let Some(index) = bends.iter().position(|b| !b.turn_rad.iter().all(|x| x.is_finite())) {
+        return Err(Refusal::NotFinite { index });
+    }
+    let used: Vec<BendTurn> = bends.iter().filter(|b| b.turn_rad.norm() >= limits.bend_min_deg.to_radians()).copied().collect();
+    if used.len() < 4 {
+        return Err(Refusal::TooFewSamples { have: used.len(), want: 4 });
+    }
+    let weight: f64 = used.iter().map(|b| b.turn_rad.norm_squared()).sum();
+    // weights are |turn|²: an integrated gyroscope errs by an angle, not by a share
+    let scatter: Matrix3<f64> = used.iter().map(|b| b.turn_rad * b.turn_rad.transpose()).sum::<Matrix3<f64>>() / weight;
+    let eigen = scatter.symmetric_eigen();
+    let order = {
+        let mut order = [0, 1, 2];
+        order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
+        order
+    };
+    let spread = eigen.eigenvalues[order[1]];
+    if spread < limits.bend_spread {
+        let advice = "bend in directions all round, 90° apart or less";
+        return Err(Refusal::PoorCoverage { what: "the plane of bends", have: spread, want: limits.bend_spread, advice });
+    }
+    let (q, yaw_known) = match directed(&used) {
+        Some(q) => (q, true),
+        None => (upright(&eigen.eigenvectors.column(order[0]).into_owned()), false),
+    };
+    judged(&used, q, yaw_known, spread, limits)
+}
+
+/// Wahba's rotation when every bend has a direction.
+fn directed(bends: &[BendTurn]) -> Option<UnitQuaternion<f64>> {
+    let mut b = Matrix3::zeros();
+    for bend in bends {
+        let (sin, cos) = bend.direction_rad?.sin_cos();
+        b += Vector3::new(sin, cos, 0.0) * bend.turn_rad.norm() * bend.turn_rad.transpose();
+    }
+    let svd = b.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let handed = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    Some(UnitQuaternion::from_matrix(&(u * handed * v_t)))
+}
+
+/// The smallest rotation that lays a plane's normal (either way round) on z.
+fn upright(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let up = if normal.z < 0.0 { -normal } else { *normal };
+    UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_default()
+}
+
+/// Residuals and sigmas of a rotation.
+fn judged(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread: f64, limits: &Limits) -> Result<Mount, Refusal> {
+    let turned: Vec<Vector3<f64>> = bends.iter().map(|b| q * b.turn_rad).collect();
+    let weight: f64 = turned.iter().map(|t| t.norm_squared()).sum();
+    let twist_per_bend = turned.iter().map(|t| t.z * t.norm()).sum::<f64>() / weight;
+    let lift = |t: &Vector3<f64>| t.z - twist_per_bend * t.norm(); // rad out of the plane
+    let squares: f64 = turned.iter().map(|t| lift(t).powi(2)).sum();
+    let out_of_plane_rad = (squares / weight).sqrt();
+    let limit = limits.bend_out_of_plane_deg;
+    let rms = (turned.iter().map(|t| t.z * t.z).sum::<f64>() / weight).sqrt().to_degrees();
+    if rms > limit {
+        return Err(Refusal::PoorFit { rms, limit, unit: "deg" });
+    }
+    // a rotation ε of the frame lifts a turn t by (ε × t)·z = ε_x t_y − ε_y t_x
+    let information: Matrix2<f64> = turned.iter().map(|t| Vector2::new(t.y, -t.x)).map(|d| d * d.transpose()).sum();
+    let spare = (bends.len() as f64 - 3.0).max(1.0);
+    let tilt = information.try_inverse().ok_or(Refusal::NotAnEllipsoid)?.diagonal().map(|v| v * squares / spare);
+    let yaw = yaw_sigma(bends, &turned, weight).filter(|_| yaw_known);
+    let nothing = std::f64::consts::PI / 3.0_f64.sqrt();
+    Ok(Mount {
+        r_tip_sensor: Rotation::assert_frames(q),
+        sigma_rad: Vector3::new(tilt.x.sqrt(), tilt.y.sqrt(), yaw.unwrap_or(nothing)),
+        out_of_plane_rad,
+        twist_per_bend,
+        spread,
+        bends: bends.len(),
+    })
+}
+
+/// Spread of the in-plane directions against the commanded ones, over √n.
+fn yaw_sigma(bends: &[BendTurn], turned: &[Vector3<f64>], weight: f64) -> Option<f64> {
+    let mut squares = 0.0;
+    for (bend, t) in bends.iter().zip(turned) {
+        let (sin, cos) = bend.direction_rad?.sin_cos();
+        squares += (sin * t.y - cos * t.x).powi(2); // across the command, rad
+    }
+    let spare = (bends.len() as f64 - 1.0).max(1.0);
+    Some((squares / spare / weight).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::bend::Bend;
+    use crate::primitives::units::{Rad, Seconds};
+    use rand::SeedableRng;
+    use rand::rngs::StdRng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn normal(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
+    }
+
+    fn mounted() -> UnitQuaternion<f64> {
+        UnitQuaternion::from_scaled_axis(Vector3::new(7.0, -11.0, 9.0).map(f64::to_radians))
+    }
+
+    /// The gyroscope of a sensor so mounted during a bend from rest to 60°, through Eq. 7.
+    fn bend(delta: f64, twist: f64, rng: &mut StdRng) -> Vec<ImuSample> {
+        let attitude = |t: f64| {
+            let beta = 60.0_f64.to_radians() * 0.5 * (1.0 - (std::f64::consts::PI * t).cos());
+            let twisted = UnitQuaternion::from_scaled_axis(Vector3::z() * twist * beta);
+            Bend::from_polar(Rad(beta), Rad(delta)).rotation().quat() * twisted
+        };
+        let h = 1e-4;
+        (0..=200)
+            .map(|k| {
+                let t = f64::from(k) * 0.005;
+                let rate_tip = (attitude(t - h).inverse() * attitude(t + h)).scaled_axis() / (2.0 * h);
+                ImuSample {
+                    t: Seconds(t),
+                    gyro_rad_s: mounted().inverse() * rate_tip + Vector3::new(0.01, 0.0, -0.02) + normal(rng, 0.01),
+                    acc_m_s2: Vector3::z() * 9.81,
+                    mag_ut: None,
+                }
+            })
+            .collect()
+    }
+
+    fn bends(n: u32, known: bool, twist: f64, rng: &mut StdRng) -> Vec<BendTurn> {
+        (0..n)
+            .map(|k| {
+                let delta = std::f64::consts::TAU * f64::from(k) / f64::from(n);
+                let turn_rad = turn_of(&bend(delta, twist, rng), &Vector3::new(0.01, 0.0, -0.02));
+                BendTurn { turn_rad, direction_rad: known.then_some(delta) }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn all_three_angles_come_back_with_known_directions() {
+        let mut chi2 = 0.0;
+        for seed in 0..20 {
+            let fit = from_bends(&bends(12, true, 0.0, &mut StdRng::seed_from_u64(seed)), &Limits::default());
+            let fit = fit.expect("full circle");
+            let error = (fit.r_tip_sensor.quat() * mounted().inverse()).scaled_axis();
+            let z = error.component_div(&fit.sigma_rad);
+            assert!(z.amax() < 5.0, "seed {seed}: {z}");
+            assert!(error.norm() < 0.2_f64.to_radians(), "{}", error.norm().to_degrees());
+            assert!((fit.spread - 0.5).abs() < 0.01);
+            chi2 += z.norm_squared() / 60.0;
+        }
+        assert!((0.3..2.0).contains(&chi2), "sigmas are honest: {chi2}");
+    }
+
+    #[test]
+    fn the_tips_axis_needs_no_directions() {
+        let fit = from_bends(&bends(8, false, 0.0, &mut StdRng::seed_from_u64(1)), &Limits::default()).expect("round");
+        let axis = fit.r_tip_sensor.inverse().apply(&Vector3::z());
+        let want = mounted().inverse() * Vector3::z();
+        assert!(axis.angle(&want).to_degrees() < 0.2, "{}", axis.angle(&want).to_degrees());
+        assert!(fit.sigma_rad.z > 1.8 && fit.sigma_rad.x < 0.01);
+        assert!(fit.r_tip_sensor.quat().scaled_axis().z.abs() < 1e-9, "nothing is claimed about z");
+    }
+
+    #[test]
+    fn twist_is_reported_and_does_not_tilt_the_mount() {
+        let fit = from_bends(&bends(12, true, 0.06, &mut StdRng::seed_from_u64(2)), &Limits::default()).expect("round");
+        assert!((fit.twist_per_bend - 0.06).abs() < 0.01, "{}", fit.twist_per_bend);
+        let tilt = (fit.r_tip_sensor.quat() * mounted().inverse()).scaled_axis().xy().norm();
+        assert!(tilt.to_degrees() < 0.3, "{}", tilt.to_degrees());
+    }
+
+    #[test]
+    fn lazy_bends_are_refused() {
+        let limits = Limits::default();
+        let mut rng = StdRng::seed_from_u64(3);
+        let all = bends(12, true, 0.0, &mut rng);
+        let one_way: Vec<_> = [0, 6, 0, 6, 0].map(|k| all[k]).to_vec();
+        assert!(matches!(from_bends(&one_way, &limits), Err(Refusal::PoorCoverage { .. })));
+        let small: Vec<_> = all.iter().map(|b| BendTurn { turn_rad: b.turn_rad * 0.1, ..*b }).collect();
+        assert!(matches!(from_bends(&small, &limits), Err(Refusal::TooFewSamples { have: 0, want: 4 })));
+        let wild: Vec<_> = all.iter().map(|b| BendTurn { turn_rad: b.turn_rad + normal(&mut rng, 0.3), ..*b }).collect();
+        assert!(matches!(from_bends(&wild, &limits), Err(Refusal::PoorFit { unit: "deg", .. })));
+    }
+}

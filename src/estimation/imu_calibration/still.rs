@@ -1,0 +1,116 @@
+//! Rests in a recording: stretches in which all three sensors say that nothing moved.
+//!
+//! A gyroscope alone cannot tell a slow steady turn from a bias; the directions of gravity and of the
+//! field at the two ends of the stretch can.
+
+use super::{Limits, Refusal};
+use crate::primitives::sample::ImuSample;
+use nalgebra::Vector3;
+
+/// Means over one rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rest {
+    /// Position of its first sample.
+    pub first: usize,
+    /// Number of samples.
+    pub samples: usize,
+    /// First to last sample, s.
+    pub duration_s: f64,
+    /// Mean rate, rad/s.
+    pub gyro_rad_s: Vector3<f64>,
+    /// Standard deviation of the rate per axis, rad/s.
+    pub gyro_std_rad_s: Vector3<f64>,
+    /// Mean specific force, m/s².
+    pub acc_m_s2: Vector3<f64>,
+    /// Standard deviation of the specific force per axis, m/s².
+    pub acc_std_m_s2: Vector3<f64>,
+    /// Mean field, µT, if the magnetometer spoke.
+    pub mag_ut: Option<Vector3<f64>>,
+}
+
+fn mean_std(values: impl Iterator<Item = Vector3<f64>> + Clone) -> Option<(Vector3<f64>, Vector3<f64>)> {
+    let n = values.clone().count();
+    if n == 0 {
+        return None;
+    }
+    let mean = values.clone().sum::<Vector3<f64>>() / n as f64;
+    let squares: Vector3<f64> = values.map(|v| (v - mean).component_mul(&(v - mean))).sum();
+    Some((mean, (squares / (n.max(2) - 1) as f64).map(f64::sqrt)))
+}
+
+fn angle(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
+    a.cross(b).norm().atan2(a.dot(b))
+}
+
+/// Turn between the first and the last third of the stretch, rad, by gravity and by the field.
+fn turn(samples: &[ImuSample]) -> f64 {
+    let third = samples.len() / 3;
+    let (head, tail) = (&samples[..third], &samples[samples.len() - third..]);
+    let acc = |s: &[ImuSample]| mean_std(s.iter().map(|s| s.acc_m_s2)).map(|m| m.0);
+    let mag = |s: &[ImuSample]| mean_std(s.iter().filter_map(|s| s.mag_ut)).map(|m| m.0);
+    let between = |a: Option<Vector3<f64>>, b: Option<Vector3<f64>>| a.zip(b).map_or(0.0, |(a, b)| angle(&a, &b));
+    between(acc(head), acc(tail)).max(between(mag(head), mag(tail)))
+}
+
+/// Means of a stretch that is supposed to be one rest.
+///
+/// # Errors
+/// [`Refusal`] when it is too short, not finite, or something moved in it.
+pub fn rest(samples: &[ImuSample], limits: &Limits) -> Result<Rest, Refusal> {
+    if let Some(index) = samples.iter().position(|s| !s.is_finite()) {
+        return Err(Refusal::NotFinite { index });
+    }
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        return Err(Refusal::TooFewSamples { have: 0, want: 30 });
+    };
+    let duration_s = last.t.0 - first.t.0;
+    if samples.len() < 30 {
+        return Err(Refusal::TooFewSamples { have: samples.len(), want: 30 });
+    }
+    if duration_s < limits.still_min_s {
+        let want = (samples.len() as f64 * limits.still_min_s / duration_s.max(1e-9)).ceil() as usize;
+        return Err(Refusal::TooFewSamples { have: samples.len(), want });
+    }
+    let summary = |pick: fn(&ImuSample) -> Vector3<f64>| mean_std(samples.iter().map(pick)).unwrap_or((Vector3::zeros(), Vector3::zeros()));
+    let (gyro_rad_s, gyro_std_rad_s) = summary(|s| s.gyro_rad_s);
+    let (acc_m_s2, acc_std_m_s2) = summary(|s| s.acc_m_s2);
+    let checks = [
+        ("the gyroscope's spread", gyro_std_rad_s.amax(), limits.still_gyro_rad_s, "rad/s"),
+        ("the accelerometer's spread", acc_std_m_s2.amax(), limits.still_acc_m_s2, "m/s²"),
+        ("the turn from end to end", turn(samples).to_degrees(), limits.still_turn_deg, "deg"),
+    ];
+    for (what, have, limit, unit) in checks {
+        if have > limit {
+            return Err(Refusal::Moving { what, have, limit, unit });
+        }
+    }
+    let mag_ut = mean_std(samples.iter().filter_map(|s| s.mag_ut)).map(|m| m.0);
+    let n = samples.len();
+    Ok(Rest { first: 0, samples: n, duration_s, gyro_rad_s, gyro_std_rad_s, acc_m_s2, acc_std_m_s2, mag_ut })
+}
+
+/// All rests of a recording: back-to-back windows of [`Limits::still_min_s`] that pass [`rest`], with
+/// neighbours of the same attitude joined.
+#[must_use]
+pub fn rests(samples: &[ImuSample], limits: &Limits) -> Vec<Rest> {
+    let mut found: Vec<Rest> = Vec::new();
+    let mut from = 0;
+    while from < samples.len() {
+        let end_s = samples[from].t.0 + limits.still_min_s;
+        let Some(n) = samples[from..].iter().position(|s| s.t.0 >= end_s) else { break };
+        if let Ok(window) = rest(&samples[from..=from + n], limits) {
+            let joined = found.last().and_then(|last| {
+                let stretch = &samples[last.first..=from + n];
+                (last.first + last.samples >= from).then(|| rest(stretch, limits).ok()).flatten()
+            });
+            match (joined, found.last_mut()) {
+                (Some(longer), Some(last)) => *last = Rest { first: last.first, ..longer },
+                _ => found.push(Rest { first: from, ..window }),
+            }
+            from += n;
+        } else {
+            from += (n / 4).max(1);
+        }
+    }
+    found
+}

@@ -1,0 +1,283 @@
+//! How far an orientation filter is from the truth, on recordings with an optical reference.
+//!
+//! The metric of BROAD (Laidig, Caruso, Cereatti & Seel, Data 6(7):72, 2021). The filter runs over the
+//! whole recording from its first sample; with `e = q_estimated q_reference⁻¹`, the error in world axes,
+//!
+//! ```text
+//! total       2 acos |e_w|
+//! heading     2 atan |e_z / e_w|
+//! inclination 2 acos √(e_w² + e_z²)
+//! ```
+//!
+//! and of each the root mean square over the samples that move and have a reference. No alignment is
+//! fitted. A set of recordings is summed up by the plain mean over recordings.
+
+use crate::estimation::fusion::{FilterName, OrientationFilter, Periods};
+use crate::log::error::ReadError;
+use crate::log::recording::{self, Recording};
+use crate::primitives::frames::{Rotation, Sensor, World};
+use comfy_table::{CellAlignment, Table};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The filter that is scored when none is named.
+pub const DEFAULT_FILTER: FilterName = FilterName::Mekf;
+
+/// Root mean square errors of one filter on one recording, degrees.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Score {
+    /// Of the whole rotation.
+    pub total_deg: f64,
+    /// Of the part about the vertical.
+    pub heading_deg: f64,
+    /// Of the rest.
+    pub inclination_deg: f64,
+}
+
+/// One line of `imu score`, as JSON has it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Name of the recording's file.
+    pub file: String,
+    /// The filter.
+    pub filter: FilterName,
+    /// RMS total error, degrees.
+    pub total_deg: f64,
+    /// RMS heading error, degrees.
+    pub heading_deg: f64,
+    /// RMS inclination error, degrees.
+    pub inclination_deg: f64,
+}
+
+/// Why there is no score.
+#[derive(Debug, thiserror::Error)]
+pub enum ScoreError {
+    /// No file was named.
+    #[error("no recording to score: name at least one CSV or CSV.gz file")]
+    NoFiles,
+    /// A recording cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// A recording has nothing to compare with.
+    #[error("{file}: no row has moving = 1 and a reference (ref_qw … ref_qz): there is no truth to score against")]
+    NoTruth {
+        /// Name of the file.
+        file: String,
+    },
+}
+
+/// Angles of the error between an estimate and the truth: total, heading, inclination, rad.
+#[must_use]
+pub fn error_angles(estimate: &Rotation<World, Sensor>, truth: &Rotation<World, Sensor>) -> [f64; 3] {
+    let e = (estimate.quat() * truth.quat().inverse()).into_inner();
+    let total = 2.0 * e.w.abs().min(1.0).acos();
+    let heading = 2.0 * e.k.abs().atan2(e.w.abs());
+    let inclination = 2.0 * e.w.hypot(e.k).min(1.0).acos();
+    [total, heading, inclination]
+}
+
+/// Runs a filter with its shipped defaults over a recording and scores it.
+///
+/// # Errors
+/// [`ScoreError::NoTruth`] when no row is both moving and referenced.
+pub fn score(recording: &Recording, filter: FilterName) -> Result<Score, ScoreError> {
+    let periods = Periods { imu_s: recording.period_s(), mag_s: recording.mag_period_s() };
+    score_with(recording, &mut *filter.build(periods))
+}
+
+/// Runs a fresh filter of any kind over a recording and scores it.
+///
+/// # Errors
+/// [`ScoreError::NoTruth`] when no row is both moving and referenced.
+pub fn score_with(recording: &Recording, filter: &mut dyn OrientationFilter) -> Result<Score, ScoreError> {
+    let period_s = recording.period_s();
+    let (mut squares, mut count) = ([0.0; 3], 0usize);
+    let mut before_s = None;
+    for row in &recording.rows {
+        let t_s = row.sample.t.0;
+        filter.update(&row.sample, before_s.map_or(period_s, |before_s| t_s - before_s));
+        before_s = Some(t_s);
+        let Some(truth) = row.reference.filter(|_| row.moving) else { continue };
+        let angles = error_angles(&filter.orientation(), &truth);
+        for (sum, angle) in squares.iter_mut().zip(angles) {
+            *sum += angle * angle;
+        }
+        count += 1;
+    }
+    if count == 0 {
+        return Err(ScoreError::NoTruth { file: recording.name.clone() });
+    }
+    let [total_deg, heading_deg, inclination_deg] = squares.map(|s| (s / count as f64).sqrt().to_degrees());
+    Ok(Score { total_deg, heading_deg, inclination_deg })
+}
+
+/// Scores files, in parallel: with `all` every filter, else `filter`, else [`DEFAULT_FILTER`].
+///
+/// Rows come file by file in the order given, filters in the order of [`FilterName::ALL`].
+///
+/// # Errors
+/// The first file, in the order given, that cannot be read or scored.
+pub fn run(files: &[PathBuf], filter: Option<FilterName>, all: bool) -> Result<Vec<Row>, ScoreError> {
+    if files.is_empty() {
+        return Err(ScoreError::NoFiles);
+    }
+    let one = [filter.unwrap_or(DEFAULT_FILTER)];
+    let filters: &[FilterName] = if all { &FilterName::ALL } else { &one };
+    let scored: Vec<Result<Vec<Row>, ScoreError>> = files
+        .par_iter()
+        .map(|file| {
+            let recording = recording::read(file)?;
+            filters.iter().map(|&filter| row(&recording, filter)).collect()
+        })
+        .collect();
+    let rows: Vec<Vec<Row>> = scored.into_iter().collect::<Result<_, _>>()?;
+    Ok(rows.into_iter().flatten().collect())
+}
+
+fn row(recording: &Recording, filter: FilterName) -> Result<Row, ScoreError> {
+    let Score { total_deg, heading_deg, inclination_deg } = score(recording, filter)?;
+    Ok(Row { file: recording.name.clone(), filter, total_deg, heading_deg, inclination_deg })
+}
+
+/// Plain mean over recordings, for one filter; `None` when it has no row.
+#[must_use]
+pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
+    let of: Vec<&Row> = rows.iter().filter(|r| r.filter == filter).collect();
+    let over = |value: fn(&Row) -> f64| of.iter().map(|r| value(r)).sum::<f64>() / of.len() as f64;
+    (!of.is_empty()).then(|| Score {
+        total_deg: over(|r| r.total_deg),
+        heading_deg: over(|r| r.heading_deg),
+        inclination_deg: over(|r| r.inclination_deg),
+    })
+}
+
+/// The rows as a table: a line per file, a column per filter, the means last.
+#[must_use]
+pub fn table(rows: &[Row]) -> String {
+    let filters: Vec<FilterName> = FilterName::ALL.into_iter().filter(|f| rows.iter().any(|r| r.filter == *f)).collect();
+    let cell =
+        |s: Option<Score>| s.map_or_else(String::new, |s| format!("{:.2} / {:.2} / {:.2}", s.total_deg, s.heading_deg, s.inclination_deg));
+    let mut files: Vec<&str> = Vec::new();
+    for r in rows {
+        if !files.contains(&r.file.as_str()) {
+            files.push(&r.file);
+        }
+    }
+    let mut table = Table::new();
+    table.load_style(comfy_table::presets::ASCII_MARKDOWN);
+    table.set_header(std::iter::once("total / heading / inclination, ° RMS".to_owned()).chain(filters.iter().map(ToString::to_string)));
+    for file in files {
+        let of_file: Vec<Row> = rows.iter().filter(|r| r.file == file).cloned().collect();
+        table.add_row(std::iter::once(file.to_owned()).chain(filters.iter().map(|&f| cell(mean(&of_file, f)))));
+    }
+    table.add_row(std::iter::once("mean".to_owned()).chain(filters.iter().map(|&f| cell(mean(rows, f)))));
+    for column in table.column_iter_mut().skip(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::recording;
+    use crate::primitives::sample::ImuSample;
+    use crate::primitives::units::Seconds;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    fn rotation(roll_deg: f64, pitch_deg: f64, yaw_deg: f64) -> Rotation<World, Sensor> {
+        let [r, p, y] = [roll_deg, pitch_deg, yaw_deg].map(f64::to_radians);
+        Rotation::assert_frames(UnitQuaternion::from_euler_angles(r, p, y))
+    }
+
+    fn angles_deg(estimate: &Rotation<World, Sensor>, truth: &Rotation<World, Sensor>) -> [f64; 3] {
+        error_angles(estimate, truth).map(f64::to_degrees)
+    }
+
+    #[test]
+    fn a_turn_about_the_vertical_is_heading_only() {
+        for yaw in [-170.0, -30.0, 0.0, 1e-6, 45.0, 179.0] {
+            let truth = rotation(20.0, -50.0, 130.0);
+            let [total, heading, inclination] = angles_deg(&(rotation_world(0.0, yaw) * truth), &truth);
+            assert!((total - f64::abs(yaw)).abs() < 1e-5, "{yaw}: {total}");
+            assert!((heading - f64::abs(yaw)).abs() < 1e-5, "{yaw}: {heading}");
+            assert!(inclination < 1e-5, "{yaw}: {inclination}");
+        }
+    }
+
+    #[test]
+    fn a_tilt_is_inclination_only_and_both_add_as_half_angles() {
+        let truth = rotation(20.0, -50.0, 130.0);
+        let [total, heading, inclination] = angles_deg(&(rotation_world(25.0, 0.0) * truth), &truth);
+        assert!((total - 25.0).abs() < 1e-9 && heading < 1e-9 && (inclination - 25.0).abs() < 1e-9);
+        let [total, heading, inclination] = angles_deg(&(rotation_world(25.0, 60.0) * truth), &truth);
+        let both = 2.0 * (12.5_f64.to_radians().cos() * 30.0_f64.to_radians().cos()).acos().to_degrees();
+        assert!((total - both).abs() < 1e-9 && (heading - 60.0).abs() < 1e-9 && (inclination - 25.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_sign_of_a_quaternion_does_not_matter_and_half_a_turn_is_finite() {
+        let truth = rotation(10.0, 20.0, 30.0);
+        let flipped = Rotation::assert_frames(UnitQuaternion::new_unchecked(-truth.quat().into_inner()));
+        assert!(angles_deg(&flipped, &truth).iter().all(|a| *a < 1e-5));
+        let [total, heading, _] = angles_deg(&(rotation_world(0.0, 180.0) * truth), &truth);
+        assert!((total - 180.0).abs() < 1e-5 && (heading - 180.0).abs() < 1e-5);
+    }
+
+    /// A turn about the world's x by `tilt_deg`, after one about its z by `yaw_deg`.
+    fn rotation_world(tilt_deg: f64, yaw_deg: f64) -> Rotation<World, World> {
+        let tilt = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), tilt_deg.to_radians());
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians());
+        Rotation::assert_frames(yaw * tilt)
+    }
+
+    /// A sensor lying still, level and facing north, whose reference is off by `yaw_deg` of heading.
+    fn lying_still(yaw_deg: f64, moving: impl Fn(usize) -> bool, seen: impl Fn(usize) -> bool) -> Recording {
+        let reference = rotation(0.0, 0.0, yaw_deg);
+        let row = |k: usize| recording::Row {
+            sample: ImuSample {
+                t: Seconds(k as f64 * 0.01),
+                gyro_rad_s: Vector3::zeros(),
+                acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
+                mag_ut: Some(Vector3::new(16.0, 0.0, -41.0)),
+            },
+            reference: seen(k).then_some(reference),
+            moving: moving(k),
+        };
+        Recording { name: "still.csv".into(), rows: (0..2000).map(row).collect() }
+    }
+
+    #[test]
+    fn every_filter_scores_a_constant_error_as_itself() {
+        for filter in FilterName::ALL {
+            let s = score(&lying_still(7.0, |k| k > 500, |k| k % 3 == 0), filter).unwrap();
+            assert!((s.total_deg - 7.0).abs() < 0.01 && (s.heading_deg - 7.0).abs() < 0.01, "{filter}: {s:?}");
+            assert!(s.inclination_deg < 0.01, "{filter}: {s:?}");
+        }
+    }
+
+    #[test]
+    fn a_recording_without_truth_is_refused() {
+        for (moving, seen) in [(false, true), (true, false)] {
+            let error = score(&lying_still(0.0, |_| moving, |_| seen), FilterName::Vqf).unwrap_err();
+            assert!(error.to_string().contains("still.csv"), "{error}");
+        }
+        assert!(matches!(run(&[], None, true), Err(ScoreError::NoFiles)));
+    }
+
+    #[test]
+    fn rows_are_the_promised_json_and_the_table_ends_in_means() {
+        let row = |file: &str, filter, total_deg| Row { file: file.into(), filter, total_deg, heading_deg: 1.0, inclination_deg: 0.5 };
+        let rows = [row("a", FilterName::VqfLong, 1.0), row("b", FilterName::VqfLong, 4.0)];
+        assert_eq!(
+            serde_json::to_string(&rows[0]).unwrap(),
+            r#"{"file":"a","filter":"vqf-long","total_deg":1.0,"heading_deg":1.0,"inclination_deg":0.5}"#
+        );
+        assert_eq!(mean(&rows, FilterName::VqfLong).unwrap().total_deg, 2.5);
+        assert_eq!(mean(&rows, FilterName::Mekf), None);
+        let table = table(&rows);
+        let last = table.lines().last().unwrap();
+        assert!(last.contains("mean") && last.contains("2.50 / 1.00 / 0.50"), "{table}");
+    }
+}

@@ -1,0 +1,186 @@
+//! Settings of the ICM-20948 in people's units, and their translation into its registers.
+
+use super::BASE_RATE_HZ;
+use crate::hardware::imu::{Axes, ConfigError, Part, STANDARD_GRAVITY_M_S2, Scale};
+use serde::{Deserialize, Serialize};
+
+/// Gyroscope filters: 3 dB bandwidth by GYRO_DLPFCFG 0 to 7 (DS-000189, table of GYRO_CONFIG_1).
+const GYRO_BANDWIDTH_HZ: [f64; 8] = [196.6, 151.8, 119.5, 51.2, 23.9, 11.6, 5.7, 361.4];
+/// Accelerometer filters by ACCEL_DLPFCFG 0 to 7 (table of ACCEL_CONFIG); 0 equals 1.
+const ACC_BANDWIDTH_HZ: [f64; 8] = [246.0, 246.0, 111.4, 50.4, 23.9, 11.5, 5.7, 473.0];
+
+/// Settings of an ICM-20948.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// 7-bit bus address: 104 (0x68) with the AD0 pin low, 105 (0x69) with it high. Default 104.
+    /// A second sensor on the same bus takes the other one.
+    pub address: u8,
+
+    /// Full scale of the gyroscope, °/s: 250, 500, 1000 or 2000. Default 500, four times the fastest
+    /// bend. A bigger range survives jerks and costs resolution (500 is 0.015 °/s a count).
+    pub gyro_range_dps: u16,
+
+    /// Full scale of the accelerometer, g: 2, 4, 8 or 16. Default 4. A bigger range survives knocks
+    /// and costs resolution (4 g is 0.12 mg a count).
+    pub acc_range_g: u8,
+
+    /// Readings a second that the loop will make, Hz, 4.4 to 1125. Default 500. The chip converts at
+    /// the next rate 1125 / (1 + n) Hz that is not slower (here 562.5), so no conversion is read
+    /// twice.
+    pub rate_hz: f64,
+
+    /// Narrowest gyroscope filter allowed, Hz, up to 361. Default 100: the chip takes the next wider
+    /// of 5.7, 11.6, 23.9, 51.2, 119.5, 151.8, 196.6 and 361.4. A bigger value lets more noise and
+    /// less delay through.
+    pub gyro_bandwidth_hz: f64,
+
+    /// Narrowest accelerometer filter allowed, Hz, up to 473. Default 50: the next wider of 5.7,
+    /// 11.5, 23.9, 50.4, 111.4, 246 and 473 is taken.
+    pub acc_bandwidth_hz: f64,
+
+    /// Measurements a second of the magnetometer, Hz: 10, 20, 50 or 100. Default 100.
+    pub mag_rate_hz: u16,
+
+    /// Readings between two checks that the chip still has its settings; 0 never checks. Default 50,
+    /// ten times a second at 500 Hz. A smaller value finds a restart sooner and costs bus time: a
+    /// check takes up to 0.5 ms.
+    pub canary_every: u16,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            address: 0x68,
+            gyro_range_dps: 500,
+            acc_range_g: 4,
+            rate_hz: 500.0,
+            gyro_bandwidth_hz: 100.0,
+            acc_bandwidth_hz: 50.0,
+            mag_rate_hz: 100,
+            canary_every: 50,
+        }
+    }
+}
+
+/// A configuration in the chip's own terms, compiled once by [`Config::settings`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    pub(super) address: u8,
+    pub(super) divider: u8,
+    pub(super) gyro_config: u8,
+    pub(super) acc_config: u8,
+    pub(super) mag_mode: u8,
+    pub(super) mag_rate_hz: f64,
+    pub(super) canary_every: u16,
+    pub(super) scale: Scale,
+}
+
+/// Position of the narrowest filter that is at least `wanted` wide.
+fn filter(table: &[f64; 8], wanted: f64) -> Option<u8> {
+    (0..8_u8)
+        .filter(|i| table[usize::from(*i)] >= wanted)
+        .min_by(|a, b| table[usize::from(*a)].total_cmp(&table[usize::from(*b)]).then(b.cmp(a)))
+}
+
+impl Config {
+    /// Checks the settings and translates them.
+    ///
+    /// # Errors
+    /// The first setting that the part does not have.
+    pub fn settings(&self) -> Result<Settings, ConfigError> {
+        let no = |field, value, allowed| ConfigError { part: Part::Icm20948, field, value, allowed };
+        let range = |list: &[u16], have: u16| (0_u8..).zip(list).find(|(_, x)| **x == have).map(|(i, _)| i);
+        if !matches!(self.address, 0x68 | 0x69) {
+            return Err(no("address", f64::from(self.address), "104 (0x68) or 105 (0x69)"));
+        }
+        let gyro_fs = range(&[250, 500, 1000, 2000], self.gyro_range_dps).ok_or(no(
+            "gyro_range_dps",
+            f64::from(self.gyro_range_dps),
+            "250, 500, 1000 or 2000",
+        ))?;
+        let acc_fs =
+            range(&[2, 4, 8, 16], u16::from(self.acc_range_g)).ok_or(no("acc_range_g", f64::from(self.acc_range_g), "2, 4, 8 or 16"))?;
+        let mag_mode =
+            range(&[10, 20, 50, 100], self.mag_rate_hz).ok_or(no("mag_rate_hz", f64::from(self.mag_rate_hz), "10, 20, 50 or 100"))?;
+        if !(4.4..=BASE_RATE_HZ).contains(&self.rate_hz) {
+            return Err(no("rate_hz", self.rate_hz, "4.4 to 1125"));
+        }
+        let gyro_dlpf =
+            filter(&GYRO_BANDWIDTH_HZ, self.gyro_bandwidth_hz).ok_or(no("gyro_bandwidth_hz", self.gyro_bandwidth_hz, "at most 361.4"))?;
+        let acc_dlpf =
+            filter(&ACC_BANDWIDTH_HZ, self.acc_bandwidth_hz).ok_or(no("acc_bandwidth_hz", self.acc_bandwidth_hz, "at most 473"))?;
+        Ok(Settings {
+            address: self.address,
+            divider: ((BASE_RATE_HZ / self.rate_hz).floor() - 1.0) as u8,
+            gyro_config: gyro_dlpf << 3 | gyro_fs << 1 | 1,
+            acc_config: acc_dlpf << 3 | acc_fs << 1 | 1,
+            mag_mode: (mag_mode + 1) << 1,
+            mag_rate_hz: f64::from(self.mag_rate_hz),
+            canary_every: self.canary_every,
+            scale: scale(gyro_fs, acc_fs),
+        })
+    }
+}
+
+/// SI value of a count for FS_SEL fields. The sheet lists 131, 65.5, 32.8 and 16.4 LSB/(°/s) and
+/// 16384 … 2048 LSB/g (tables 1 and 2); temperature is 333.87 LSB/°C around 21 °C, the field
+/// 0.15 µT/LSB (table 3, p. 13).
+#[must_use]
+pub fn scale(gyro_fs: u8, acc_fs: u8) -> Scale {
+    let gyro_lsb_per_dps = [131.0, 65.5, 32.8, 16.4][usize::from(gyro_fs & 3)];
+    let acc_lsb_per_g = f64::from(16384_u16 >> (acc_fs & 3));
+    Scale {
+        gyro_rad_s: 1.0_f64.to_radians() / gyro_lsb_per_dps,
+        acc_m_s2: STANDARD_GRAVITY_M_S2 / acc_lsb_per_g,
+        mag_ut: 0.15,
+        mag_axes: Axes::AK09916,
+        temp_c: 1.0 / 333.87,
+        temp_zero_c: 21.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_are_the_register_fields() {
+        let s = Config::default().settings().expect("default");
+        assert_eq!(s.divider, 1, "562.5 Hz is the next rate above 500");
+        assert_eq!(s.gyro_config, 2 << 3 | 1 << 1 | 1, "119.5 Hz, 500 dps");
+        assert_eq!(s.acc_config, 3 << 3 | 1 << 1 | 1, "50.4 Hz, 4 g");
+        assert_eq!(s.mag_mode, 0x08, "continuous mode 4");
+        let fast = Config { rate_hz: 1125.0, gyro_bandwidth_hz: 300.0, ..Config::default() };
+        let s = fast.settings().expect("fast");
+        assert_eq!((s.divider, s.gyro_config >> 3), (0, 7));
+    }
+
+    #[test]
+    fn settings_name_what_is_wrong() {
+        let bad = [
+            (Config { address: 0x42, ..Config::default() }, "address"),
+            (Config { gyro_range_dps: 300, ..Config::default() }, "gyro_range_dps"),
+            (Config { acc_range_g: 3, ..Config::default() }, "acc_range_g"),
+            (Config { rate_hz: 2000.0, ..Config::default() }, "rate_hz"),
+            (Config { rate_hz: f64::NAN, ..Config::default() }, "rate_hz"),
+            (Config { gyro_bandwidth_hz: 400.0, ..Config::default() }, "gyro_bandwidth_hz"),
+            (Config { acc_bandwidth_hz: f64::NAN, ..Config::default() }, "acc_bandwidth_hz"),
+            (Config { mag_rate_hz: 75, ..Config::default() }, "mag_rate_hz"),
+        ];
+        for (config, field) in bad {
+            let error = config.settings().expect_err(field);
+            assert!(error.to_string().contains(&format!("`imu.{field}`")), "{error}");
+        }
+    }
+
+    #[test]
+    fn every_rate_is_met_or_exceeded_by_the_slowest_that_does() {
+        for rate_hz in [4.4, 10.0, 100.0, 225.0, 226.0, 499.0, 562.5, 563.0, 1125.0] {
+            let s = Config { rate_hz, ..Config::default() }.settings().expect("in range");
+            let odr = |n: u8| BASE_RATE_HZ / (1.0 + f64::from(n));
+            assert!(odr(s.divider) >= rate_hz - 1e-9, "{rate_hz}");
+            assert!(s.divider == 255 || odr(s.divider + 1) < rate_hz, "{rate_hz}");
+        }
+    }
+}

@@ -1,0 +1,198 @@
+//! Settings of the LSM6DSO and its LIS2MDL in people's units, and their translation into registers.
+
+use super::RATES_HZ;
+use crate::hardware::imu::{Axes, ConfigError, Part, STANDARD_GRAVITY_M_S2, Scale, lis2mdl};
+use serde::{Deserialize, Serialize};
+
+/// Settings of an LSM6DSO and the LIS2MDL beside it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// 7-bit bus address of the LSM6DSO: 106 (0x6A) with SA0 low, 107 (0x6B) with it high. Default
+    /// 106. The LIS2MDL is always at 30 (0x1E).
+    pub address: u8,
+
+    /// Full scale of the gyroscope, °/s: 125, 250, 500, 1000 or 2000. Default 500 (0.0175 °/s a
+    /// count). A bigger range survives jerks and costs resolution.
+    pub gyro_range_dps: u16,
+
+    /// Full scale of the accelerometer, g: 2, 4, 8 or 16. Default 4 (0.122 mg a count).
+    pub acc_range_g: u8,
+
+    /// Readings a second that the loop will make, Hz, 1 to 6664. Default 500. The chip converts at
+    /// the next rate of 12.5, 26, 52, 104, 208, 416, 833, 1666 … Hz that is not slower.
+    pub rate_hz: f64,
+
+    /// Gyroscope low-pass, CTRL6_C.FTYPE: 0 to 7, or left out for none but the fixed second stage
+    /// (295 Hz at 833 Hz). 3 is the widest, 4 to 7 ever narrower. Default none.
+    pub gyro_filter: Option<u8>,
+
+    /// Accelerometer low-pass as a share of the conversion rate: 2 (default), 4, 10, 20, 45, 100,
+    /// 200, 400 or 800; 10 is 83 Hz at 833 Hz. A bigger value filters more and lags more.
+    pub acc_filter_divisor: u16,
+
+    /// Measurements a second of the LIS2MDL, Hz: 10, 20, 50 or 100. Default 100.
+    pub mag_rate_hz: u16,
+
+    /// How the LIS2MDL sits against the LSM6DSO: their x, y and z of the LSM6DSO as signed axes of
+    /// the LIS2MDL. Default `["+x", "+y", "+z"]`, side by side with the same pin-1 corner.
+    pub mag_axes: Axes,
+
+    /// Readings between two checks that the chips still have their settings; 0 never checks.
+    /// Default 50. A smaller value finds a restart sooner and costs bus time (0.25 ms a check).
+    pub canary_every: u16,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            address: 0x6A,
+            gyro_range_dps: 500,
+            acc_range_g: 4,
+            rate_hz: 500.0,
+            gyro_filter: None,
+            acc_filter_divisor: 2,
+            mag_rate_hz: 100,
+            mag_axes: Axes::ALIGNED,
+            canary_every: 50,
+        }
+    }
+}
+
+/// A configuration in the chips' own terms.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    pub(super) address: u8,
+    pub(super) ctrl1: u8,
+    pub(super) ctrl2: u8,
+    pub(super) ctrl4: u8,
+    pub(super) ctrl6: u8,
+    pub(super) ctrl8: u8,
+    pub(super) rate_hz: f64,
+    pub(super) mag_every: u16,
+    pub(super) canary_every: u16,
+    pub(super) scale: Scale,
+}
+
+/// Gyroscope: range in °/s, FS_G and FS_125 bits (DS12140, CTRL2_G).
+const GYRO: [(u16, u8); 5] = [(125, 0b0010), (250, 0b0000), (500, 0b0100), (1000, 0b1000), (2000, 0b1100)];
+/// Accelerometer: range in g, FS_XL bits (CTRL1_XL); note that 16 g sits at code 1.
+const ACC: [(u8, u8); 4] = [(2, 0b0000), (4, 0b1000), (8, 0b1100), (16, 0b0100)];
+/// Accelerometer filter: divisor of the rate by HPCF_XL (CTRL8_XL); 2 is the first stage alone.
+const ACC_DIVISORS: [u16; 8] = [4, 10, 20, 45, 100, 200, 400, 800];
+
+/// SI value of a count for a range: 35 mdps per 1000 °/s, 0.122 mg per 4 g (mechanical characteristics); 256 LSB/°C at 25 °C.
+#[must_use]
+pub fn scale(gyro_range_dps: u16, acc_range_g: u8, mag_axes: Axes) -> Scale {
+    Scale {
+        gyro_rad_s: (f64::from(gyro_range_dps) * 35e-6).to_radians(),
+        acc_m_s2: f64::from(acc_range_g) * 0.0305e-3 * STANDARD_GRAVITY_M_S2,
+        mag_ut: lis2mdl::UT_PER_LSB,
+        mag_axes,
+        temp_c: 1.0 / 256.0,
+        temp_zero_c: 25.0,
+    }
+}
+
+impl Config {
+    /// Checks the settings and translates them.
+    ///
+    /// # Errors
+    /// The first setting that the parts do not have.
+    pub fn settings(&self) -> Result<Settings, ConfigError> {
+        let no = |field, value, allowed| ConfigError { part: Part::Lsm6dso, field, value, allowed };
+        if !matches!(self.address, 0x6A | 0x6B) {
+            return Err(no("address", f64::from(self.address), "106 (0x6A) or 107 (0x6B)"));
+        }
+        let (_, fs_g) = GYRO.into_iter().find(|(r, _)| *r == self.gyro_range_dps).ok_or(no(
+            "gyro_range_dps",
+            f64::from(self.gyro_range_dps),
+            "125, 250, 500, 1000 or 2000",
+        ))?;
+        let (_, fs_xl) =
+            ACC.into_iter().find(|(r, _)| *r == self.acc_range_g).ok_or(no("acc_range_g", f64::from(self.acc_range_g), "2, 4, 8 or 16"))?;
+        let (odr, rate_hz) = (1_u8..).zip(RATES_HZ).find(|(_, r)| *r >= self.rate_hz && self.rate_hz >= 1.0).ok_or(no(
+            "rate_hz",
+            self.rate_hz,
+            "1 to 6664",
+        ))?;
+        let divisor = ACC_DIVISORS.into_iter().position(|d| d == self.acc_filter_divisor);
+        if divisor.is_none() && self.acc_filter_divisor != 2 {
+            let allowed = "2, 4, 10, 20, 45, 100, 200, 400 or 800";
+            return Err(no("acc_filter_divisor", f64::from(self.acc_filter_divisor), allowed));
+        }
+        if let Some(bad) = self.gyro_filter.filter(|f| *f > 7) {
+            return Err(no("gyro_filter", f64::from(bad), "0 to 7, or leave it out"));
+        }
+        if !self.mag_axes.is_permutation() {
+            return Err(no("mag_axes", f64::NAN, "each of x, y and z once, with a sign"));
+        }
+        Ok(Settings {
+            address: self.address,
+            ctrl1: odr << 4 | fs_xl | if divisor.is_some() { 0x02 } else { 0 },
+            ctrl2: odr << 4 | fs_g,
+            ctrl4: if self.gyro_filter.is_some() { 0x02 } else { 0 },
+            ctrl6: self.gyro_filter.unwrap_or(0),
+            ctrl8: divisor.map_or(0, |d| (d as u8) << 5),
+            rate_hz,
+            // a quarter faster than the magnetometer, so that none of its values is missed
+            mag_every: (self.rate_hz / (1.25 * f64::from(self.mag_rate_hz))).floor().max(1.0) as u16,
+            canary_every: self.canary_every,
+            scale: scale(self.gyro_range_dps, self.acc_range_g, self.mag_axes),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_are_the_register_fields() {
+        let s = Config::default().settings().expect("default");
+        assert_eq!((s.ctrl1, s.ctrl2), (0x78, 0x74), "833 Hz; 4 g is code 2, 500 dps code 1");
+        assert_eq!((s.ctrl4, s.ctrl6, s.ctrl8, s.mag_every), (0, 0, 0, 4));
+        let filtered = Config { acc_filter_divisor: 20, gyro_filter: Some(5), ..Config::default() };
+        let s = filtered.settings().expect("filtered");
+        assert_eq!((s.ctrl1, s.ctrl4, s.ctrl6, s.ctrl8), (0x7A, 0x02, 5, 0x40));
+        let wide = Config { acc_range_g: 16, gyro_range_dps: 125, ..Config::default() };
+        let s = wide.settings().expect("wide");
+        assert_eq!((s.ctrl1, s.ctrl2), (0x74, 0x72));
+    }
+
+    #[test]
+    fn scales_are_the_data_sheets_sensitivities() {
+        for (dps, mdps) in [(125, 4.375), (250, 8.75), (500, 17.5), (1000, 35.0), (2000, 70.0)] {
+            let have = scale(dps, 2, Axes::ALIGNED).gyro_rad_s.to_degrees() * 1e3;
+            assert!((have - mdps).abs() < 1e-9, "{dps}: {have}");
+        }
+        for (g, mg) in [(2, 0.061), (4, 0.122), (8, 0.244), (16, 0.488)] {
+            let have = scale(500, g, Axes::ALIGNED).acc_m_s2 / STANDARD_GRAVITY_M_S2 * 1e3;
+            assert!((have - mg).abs() < 1e-9, "{g}: {have}");
+        }
+    }
+
+    #[test]
+    fn settings_name_what_is_wrong() {
+        let bad = [
+            (Config { address: 0x68, ..Config::default() }, "address"),
+            (Config { gyro_range_dps: 245, ..Config::default() }, "gyro_range_dps"),
+            (Config { acc_range_g: 6, ..Config::default() }, "acc_range_g"),
+            (Config { rate_hz: 7000.0, ..Config::default() }, "rate_hz"),
+            (Config { rate_hz: 0.0, ..Config::default() }, "rate_hz"),
+            (Config { gyro_filter: Some(8), ..Config::default() }, "gyro_filter"),
+            (Config { acc_filter_divisor: 3, ..Config::default() }, "acc_filter_divisor"),
+        ];
+        for (config, field) in bad {
+            assert_eq!(config.settings().expect_err(field).field, field);
+        }
+        let text = "part = \"lsm6dso_lis2mdl\"\nmag_axes = [\"-y\", \"+x\", \"+z\"]\nacc_range_g = 8\n";
+        let config: crate::hardware::imu::ImuConfig = toml::from_str(text).expect("valid");
+        let crate::hardware::imu::ImuConfig::Lsm6dsoLis2mdl(config) = config else { panic!("wrong part") };
+        assert_eq!(config.acc_range_g, 8);
+        let twice = Config { mag_axes: Axes([crate::hardware::imu::Axis::PlusX; 3]), ..Config::default() };
+        assert_eq!(twice.settings().expect_err("twice x").field, "mag_axes");
+        assert!(toml::from_str::<crate::hardware::imu::ImuConfig>("part = \"icm20948\"\nacc_rang_g = 8\n").is_err());
+        assert!(toml::from_str::<crate::hardware::imu::ImuConfig>("part = \"mpu6050\"\n").is_err());
+    }
+}

@@ -1,0 +1,271 @@
+//! Pins through the GPIO character device, line interface version 2 (Linux 5.10 and newer;
+//! `Documentation/userspace-api/gpio/chardev.rst`).
+//!
+//! All outputs are one request and all inputs another, so one change of levels is one ioctl that
+//! moves every line that differs, whatever their number, and nothing is allocated. The crate
+//! `gpio-cdev` speaks version 1 of the interface, sets whole requests only, knows no resistors and
+//! allocates for every read; that is why the five calls needed are made here directly.
+
+use crate::hardware::pins::config::Pull;
+use crate::hardware::pins::map::LineMap;
+use crate::hardware::pins::uapi::Uapi;
+use crate::hardware::pins::{PinError, Pins};
+use crate::motion::lines::Levels;
+use crate::motion::report::Inputs;
+use std::io;
+
+/// Most lines in one request.
+const LINES_MAX: usize = 64;
+
+/// What is asked of the kernel when lines are requested.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Request {
+    /// Line offsets; line i is bit i.
+    pub offsets: Vec<u32>,
+    /// Outputs with these voltages from the first moment on, or inputs with resistors, one a line.
+    pub kind: RequestKind,
+}
+
+/// Direction of the lines of a request.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum RequestKind {
+    /// Outputs, and their first voltages.
+    Outputs(u64),
+    /// Inputs, and their resistors.
+    Inputs(Vec<Pull>),
+}
+
+/// The kernel's side, so that everything above it can be tried without a chip.
+pub trait Kernel: Send {
+    /// An open chip.
+    type Chip: Send;
+    /// A granted request.
+    type Lines: Send;
+
+    /// Opens a chip and tells its number of lines.
+    ///
+    /// # Errors
+    /// What the kernel said.
+    fn open(&self, path: &str) -> io::Result<(Self::Chip, u32)>;
+
+    /// Requests lines.
+    ///
+    /// # Errors
+    /// What the kernel said.
+    fn request(&self, chip: &Self::Chip, request: &Request) -> io::Result<Self::Lines>;
+
+    /// Who holds a line; `None` when it is free or has no name.
+    ///
+    /// # Errors
+    /// What the kernel said.
+    fn holder(&self, chip: &Self::Chip, offset: u32) -> io::Result<Option<String>>;
+
+    /// Sets the lines of `mask` to `bits`.
+    ///
+    /// # Errors
+    /// What the kernel said.
+    fn set(&self, lines: &Self::Lines, mask: u64, bits: u64) -> io::Result<()>;
+
+    /// Reads the lines of `mask`.
+    ///
+    /// # Errors
+    /// What the kernel said.
+    fn get(&self, lines: &Self::Lines, mask: u64) -> io::Result<u64>;
+}
+
+/// Lines of one chip.
+#[derive(Debug)]
+pub struct CdevPins<K: Kernel = Uapi> {
+    kernel: K,
+    map: LineMap,
+    outputs: K::Lines,
+    inputs: Option<K::Lines>,
+    bits: u64,
+}
+
+impl CdevPins<Uapi> {
+    /// Requests the lines of a map from the chip at `path`.
+    ///
+    /// # Errors
+    /// [`PinError`]: no chip, no permission, no such line, or a line in use.
+    pub fn open(path: &str, map: LineMap) -> Result<Self, PinError> {
+        Self::open_with(Uapi, path, map)
+    }
+}
+
+impl<K: Kernel> CdevPins<K> {
+    /// The same through a given kernel.
+    ///
+    /// # Errors
+    /// As [`CdevPins::open`].
+    pub fn open_with(kernel: K, path: &str, map: LineMap) -> Result<Self, PinError> {
+        let (chip, lines) = kernel.open(path).map_err(|e| name_open(e, path))?;
+        let wanted = map.outputs().iter().chain(map.inputs().iter().map(|(pin, _)| pin));
+        if let Some(&pin) = wanted.clone().find(|pin| **pin >= lines) {
+            return Err(PinError::NoLine { chip: path.into(), pin, lines });
+        }
+        if map.outputs().len().max(map.inputs().len()) > LINES_MAX {
+            return Err(PinError::Pin { what: "request", why: format!("more than {LINES_MAX} lines") });
+        }
+        let bits = map.bits(&Levels::default());
+        let outputs = Request { offsets: map.outputs().to_vec(), kind: RequestKind::Outputs(bits) };
+        let outputs = request(&kernel, &chip, path, &outputs)?;
+        let (offsets, pulls): (Vec<u32>, Vec<Pull>) = map.inputs().iter().copied().unzip();
+        let inputs = match offsets.len() {
+            0 => None,
+            _ => Some(request(&kernel, &chip, path, &Request { offsets, kind: RequestKind::Inputs(pulls) })?),
+        };
+        Ok(Self { kernel, map, outputs, inputs, bits })
+    }
+}
+
+impl<K: Kernel> Pins for CdevPins<K> {
+    fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
+        let bits = self.map.bits(levels);
+        let mask = bits ^ self.bits;
+        if mask != 0 {
+            self.kernel.set(&self.outputs, mask, bits).map_err(|source| PinError::Io { what: "write", source })?;
+            self.bits = bits;
+        }
+        Ok(())
+    }
+
+    fn check_enable(&mut self) -> Result<(), PinError> {
+        let mask = self.map.enable();
+        if mask == 0 {
+            return Ok(());
+        }
+        let found = self.kernel.get(&self.outputs, mask).map_err(|source| PinError::Io { what: "read", source })?;
+        self.map.compare_enable(self.bits, found)
+    }
+
+    fn read(&mut self) -> Result<Inputs, PinError> {
+        let Some(lines) = &self.inputs else { return Ok(Inputs::default()) };
+        let mask = (1_u64 << self.map.inputs().len()) - 1;
+        let bits = self.kernel.get(lines, mask).map_err(|source| PinError::Io { what: "read", source })?;
+        Ok(self.map.meaning(bits))
+    }
+}
+
+/// Why a chip could not be opened.
+fn name_open(error: io::Error, path: &str) -> PinError {
+    match (error.kind(), error.raw_os_error()) {
+        (io::ErrorKind::NotFound, _) => PinError::NoChip { path: path.into() },
+        (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied { path: path.into() },
+        (_, Some(libc::ENOTTY | libc::EINVAL | libc::ENODEV)) => PinError::NotAChip { path: path.into() },
+        _ => PinError::Io { what: "open", source: error },
+    }
+}
+
+/// Requests lines; a refusal names the line that is taken and who has it.
+fn request<K: Kernel>(kernel: &K, chip: &K::Chip, path: &str, request: &Request) -> Result<K::Lines, PinError> {
+    kernel.request(chip, request).map_err(|error| match (error.kind(), error.raw_os_error()) {
+        (_, Some(libc::EBUSY)) => {
+            let held = request.offsets.iter().find_map(|&pin| match kernel.holder(chip, pin) {
+                Ok(Some(by)) => Some((pin, Some(by))),
+                _ => None,
+            });
+            let (pin, by) = held.unwrap_or((request.offsets[0], None));
+            PinError::Busy { pin, by }
+        }
+        (_, Some(libc::ENOTTY | libc::EINVAL)) => PinError::NotAChip { path: path.into() },
+        (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied { path: path.into() },
+        _ => PinError::Io { what: "request", source: error },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hardware::pins::config::{InputPin, PinsConfig};
+    use std::sync::{Arc, Mutex};
+
+    #[test]
+    fn an_enable_line_that_does_not_follow_is_named() {
+        let mut pins = CdevPins::open_with(Fake { inputs: 0, ..Fake::default() }, "chip", map()).unwrap();
+        let words = pins.check_enable().unwrap_err().to_string();
+        assert!(words.contains("EN on GPIO 5 stays low when driven high"), "{words}");
+        pins.write(&Levels { enable: true, ..Levels::default() }).unwrap();
+        pins.check_enable().unwrap();
+    }
+
+    /// A kernel made of a log: what was asked, and what to answer.
+    #[derive(Debug, Default, Clone)]
+    struct Fake {
+        log: Arc<Mutex<Vec<String>>>,
+        refuse: Option<i32>,
+        holder: Option<(u32, &'static str)>,
+        inputs: u64,
+    }
+
+    impl Kernel for Fake {
+        type Chip = ();
+        type Lines = ();
+        fn open(&self, _: &str) -> io::Result<((), u32)> {
+            Ok(((), 54))
+        }
+        fn request(&self, (): &(), request: &Request) -> io::Result<()> {
+            self.log.lock().unwrap().push(format!("{request:?}"));
+            self.refuse.map_or(Ok(()), |e| Err(io::Error::from_raw_os_error(e)))
+        }
+        fn holder(&self, (): &(), offset: u32) -> io::Result<Option<String>> {
+            Ok(self.holder.filter(|h| h.0 == offset).map(|h| h.1.to_string()))
+        }
+        fn set(&self, (): &(), mask: u64, bits: u64) -> io::Result<()> {
+            self.log.lock().unwrap().push(format!("set {mask:07b} {bits:07b}"));
+            Ok(())
+        }
+        fn get(&self, (): &(), mask: u64) -> io::Result<u64> {
+            Ok(self.inputs & mask)
+        }
+    }
+
+    fn map() -> LineMap {
+        let emergency_stop = Some(InputPin { pin: 26, active_low: true, pull: Pull::Up });
+        LineMap::new(&PinsConfig { emergency_stop, ..PinsConfig::default() }, 16).unwrap()
+    }
+
+    #[test]
+    fn one_ioctl_moves_all_lines_that_differ() {
+        let kernel = Fake::default();
+        let log = kernel.log.clone();
+        let mut pins = CdevPins::open_with(kernel, "chip", map()).unwrap();
+        let mut l = Levels { enable: true, dir: [true, false, true], step: [false; 3] };
+        pins.write(&l).unwrap();
+        pins.write(&l).unwrap();
+        l.step = [true; 3];
+        pins.write(&l).unwrap();
+        let log = log.lock().unwrap();
+        assert!(log[0].contains("[17, 23, 5, 27, 24, 22, 25]") && log[0].contains("Outputs(4)"), "{}", log[0]);
+        assert!(log[1].contains("[26]") && log[1].contains("Inputs([Up])"), "{}", log[1]);
+        assert_eq!(log[2..], ["set 1000110 1000010", "set 0101001 1101011"]);
+        assert!(pins.read().unwrap().emergency_stop, "low is pressed");
+    }
+
+    #[test]
+    fn a_refusal_says_who_and_what_to_do() {
+        let busy = Fake { refuse: Some(libc::EBUSY), holder: Some((27, "spi0 CS1")), ..Fake::default() };
+        let words = CdevPins::open_with(busy, "chip", map()).unwrap_err().to_string();
+        assert!(words.contains("GPIO 27 is in use by \"spi0 CS1\""), "{words}");
+        let old = Fake { refuse: Some(libc::EINVAL), ..Fake::default() };
+        assert!(matches!(CdevPins::open_with(old, "chip", map()), Err(PinError::NotAChip { .. })));
+    }
+
+    #[test]
+    fn a_line_the_chip_does_not_have_is_named() {
+        let mut config = PinsConfig::default();
+        config.channels[1].step = 54;
+        let map = LineMap::new(&config, 16).unwrap();
+        let words = CdevPins::open_with(Fake::default(), "/dev/gpiochip0", map).unwrap_err().to_string();
+        assert!(words.contains("has no line 54, only 0 to 53"), "{words}");
+    }
+
+    /// Against the real kernel of whatever machine runs the tests.
+    #[test]
+    fn files_that_are_no_chips_are_told_apart() {
+        let none = CdevPins::open("/dev/gpiochip-none", map()).unwrap_err();
+        assert!(matches!(none, PinError::NoChip { .. }), "{none}");
+        let null = CdevPins::open("/dev/null", map()).unwrap_err();
+        assert!(matches!(null, PinError::NotAChip { .. }), "{null}");
+    }
+}

@@ -1,0 +1,84 @@
+//! Pins through the mapped registers of a Raspberry Pi (crate `rppal`).
+//!
+//! The pins keep their last levels when the program ends: EN then stays as the shutdown left it,
+//! instead of floating to "energised" on boards that pull it down. A program that was killed leaves it
+//! as it was; drivers that are found energised stay so, for a bent tip would go soft in between.
+
+use crate::hardware::pins::PinError;
+use crate::hardware::pins::config::Pull;
+use crate::hardware::pins::hal::HalPins;
+use crate::hardware::pins::map::LineMap;
+use crate::motion::lines::Levels;
+use rppal::gpio::{Error, Gpio, InputPin, Level, Mode, OutputPin, Pin};
+
+/// Where `rppal` reaches the registers.
+const DEVICE: &str = "/dev/gpiomem";
+
+/// Opens the header of this Raspberry Pi with the lines of a map.
+///
+/// # Errors
+/// [`PinError`]: not a Raspberry Pi, no permission, no such line, or a line in use by this program.
+pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
+    let gpio = Gpio::new().map_err(|e| name(e, 0))?;
+    let lines = map.outputs().iter().map(|&pin| get(&gpio, pin)).collect::<Result<Vec<Pin>, PinError>>()?;
+    let driven = lines.iter().enumerate().filter(|(_, line)| line.mode() == Mode::Output).fold(0, |bits, (i, _)| bits | 1 << i);
+    let high = lines.iter().enumerate().filter(|(_, line)| line.read() == Level::High).fold(0, |bits, (i, _)| bits | 1 << i);
+    let energised = map.is_energised(driven, high);
+    let idle = map.bits(&Levels { enable: energised, ..Levels::default() });
+    let mut outputs = Vec::with_capacity(lines.len());
+    for (i, line) in lines.into_iter().enumerate() {
+        // The level is set as the line becomes an output, so no driver sees a wrong one in between.
+        let mut line = if idle >> i & 1 == 1 { line.into_output_high() } else { line.into_output_low() };
+        line.set_reset_on_drop(false);
+        outputs.push(line);
+    }
+    let mut inputs = Vec::with_capacity(map.inputs().len());
+    for &(pin, pull) in map.inputs() {
+        let line = get(&gpio, pin)?;
+        inputs.push(match pull {
+            Pull::Up => line.into_input_pullup(),
+            Pull::Down => line.into_input_pulldown(),
+            Pull::Off => line.into_input(),
+        });
+    }
+    Ok(HalPins::taking_over(map, outputs, inputs, energised)?.reading_back(OutputPin::is_set_high))
+}
+
+/// One line of the header.
+fn get(gpio: &Gpio, pin: u32) -> Result<Pin, PinError> {
+    let number = u8::try_from(pin).map_err(|_| PinError::NoLine { chip: "this board".into(), pin, lines: 54 })?;
+    gpio.get(number).map_err(|e| name(e, pin))
+}
+
+/// The crate's error in the words of this house.
+fn name(error: Error, pin: u32) -> PinError {
+    match error {
+        Error::UnknownModel => PinError::UnknownModel,
+        Error::PinUsed(_) => PinError::Busy { pin, by: Some("this program".into()) },
+        Error::PinNotAvailable(_) => PinError::NoLine { chip: "this board".into(), pin, lines: 54 },
+        Error::PermissionDenied(path) => PinError::PermissionDenied { path },
+        Error::Io(source) if source.kind() == std::io::ErrorKind::PermissionDenied => PinError::PermissionDenied { path: DEVICE.into() },
+        Error::Io(source) => PinError::Io { what: "open", source },
+        Error::ThreadPanic => PinError::Pin { what: "open", why: "a thread of the GPIO library died".into() },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_error_says_what_to_do() {
+        let denied = std::io::Error::from(std::io::ErrorKind::PermissionDenied);
+        for (error, words) in [
+            (Error::UnknownModel, "pins.backend = \"cdev\""),
+            (Error::PinUsed(17), "GPIO 17 is in use by \"this program\""),
+            (Error::PinNotAvailable(99), "has no line 17"),
+            (Error::PermissionDenied("/dev/gpiomem0".into()), "no permission for /dev/gpiomem0"),
+            (Error::Io(denied), "group gpio"),
+        ] {
+            let said = name(error, 17).to_string();
+            assert!(said.contains(words), "{said}");
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! Elongation and contraction of a bellow differ.
+//!
+//! Cause: a bellow opened by pressure and one folded by vacuum are two springs: a material or
+//! structure of two moduli (Jones, *Stress-strain relations for materials with different moduli in
+//! tension and compression*, AIAA J. 1977).
+//!
+//! Law: `q′_i = q_i + a_i (√(q_i² + ε²) − ε)`: slope 1 + a for long, 1 − a for short, rounded over
+//! ε = 0.3 mm.
+//!
+//! | parameter | unit | prior | typical |
+//! |---|---|---|---|
+//! | `difference` a, one per channel | – | 0 ± 0.1 | 0.03-0.2 (5-40 % between the slopes) |
+//!
+//! Signature: the slope changes at zero. Easily confused with `gas_compression` (no corner, the same in
+//! all channels) and, in orientation alone, `crosstalk` to both neighbours. Amplitudes of both signs and an
+//! offset of length, which moves the corner away, separate it.
+
+use crate::model::effects::smooth::magnitude;
+use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use nalgebra::Vector3;
+
+/// Rounding of the corner, mm.
+const EDGE_MM: f64 = 0.3;
+
+/// A corner at rest in each bellow's curve.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Asymmetry;
+
+impl Effect for Asymmetry {
+    fn name(&self) -> &'static str {
+        "asymmetry"
+    }
+    fn stage(&self) -> Stage {
+        Stage::Bellows
+    }
+    fn signature(&self) -> &'static str {
+        "slope of a channel changes at zero"
+    }
+    fn confused_with(&self) -> &'static [&'static str] {
+        &["gas_compression", "crosstalk"]
+    }
+    fn separated_by(&self) -> &'static str {
+        "amplitudes of both signs, with the length offset"
+    }
+    fn params(&self) -> Vec<Param> {
+        Vec::from(Param::new("difference", "", 0.0, 0.1, (-0.6, 0.6)).each())
+    }
+    fn starts(&self) -> Starts {
+        vec![vec![0.02; 3]]
+    }
+    fn bellows(&self, p: &[f64], _m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
+        for i in 0..3 {
+            q_mm[i] += p[i] * magnitude(q_mm[i], EDGE_MM);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::proof;
+
+    #[test]
+    fn keeps_the_rules() {
+        proof::keeps_the_rules(&Asymmetry);
+    }
+
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&Asymmetry, &[0.2, -0.1, 0.1]);
+    }
+
+    #[test]
+    fn slopes_differ_on_the_two_sides_and_only_there() {
+        let at = |q: f64| {
+            let mut v = Vector3::repeat(q);
+            Asymmetry.bellows(&[0.2, 0.0, -0.2], &mut Memory::default(), &proof::moment(0.0, v), &mut v);
+            v
+        };
+        let slope = |q: f64| (at(q + 0.01) - at(q - 0.01)) / 0.02;
+        assert!((slope(4.0) - Vector3::new(1.2, 1.0, 0.8)).norm() < 2e-3);
+        assert!((slope(-4.0) - Vector3::new(0.8, 1.0, 1.2)).norm() < 2e-3);
+        assert!((slope(4.0) - slope(2.0)).norm() < 5e-3, "straight beyond the corner");
+    }
+}

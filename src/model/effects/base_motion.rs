@@ -1,0 +1,108 @@
+//! The base turns during the log.
+//!
+//! Cause: the holder slips, a hand shifts, a table settles. Law: rigid-body rotation; from its attitude
+//! at rest the base has turned by the rotation vector
+//! `θ(t) = θ₁ s((t − t₁)/d₁) + θ₂ s((t − t₂)/d₂)`, s a cubic from 0 to 1. A slow turn is one event that
+//! lasts, a knock one that does not, there and back two of opposite sign.
+//!
+//! | parameter | unit | prior | typical |
+//! |---|---|---|---|
+//! | `t1_s`, `t2_s` starts of the events | s | 60, 150 ± 100 | – |
+//! | `lasting1`, `lasting2` d | s | 2 ± 40 | 0.2-300 |
+//! | `x1`, `y1`, `z1`, `x2`, `y2`, `z2` θ, base frame | rad | 0 ± 0.08 | 0.02-0.17 (1-10°) |
+//!
+//! Signature: all sensors turn together and no piston explains it. Easily confused with
+//! `missed_steps` (a jump that bends, so it depends on the pose), `thermal_drift` and `gyro_bias`
+//! (gyroscope only). A second IMU on the base separates it.
+//!
+//! The error surface is flat in an event's time but for the event itself: a fit has to search `t1_s`
+//! and `t2_s`.
+
+use crate::model::effects::smooth::smoothstep;
+use crate::model::effects::{Effect, Moment, Param, Stage, Starts};
+use nalgebra::{UnitQuaternion, Vector3};
+
+/// Turns of the base at up to two times.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct BaseMotion;
+
+impl Effect for BaseMotion {
+    fn name(&self) -> &'static str {
+        "base_motion"
+    }
+    fn stage(&self) -> Stage {
+        Stage::Base
+    }
+    fn signature(&self) -> &'static str {
+        "all sensors turn together and no piston explains it"
+    }
+    fn confused_with(&self) -> &'static [&'static str] {
+        &["missed_steps", "thermal_drift", "gyro_bias"]
+    }
+    fn separated_by(&self) -> &'static str {
+        "an IMU on the base; returning to a known pose"
+    }
+    fn params(&self) -> Vec<Param> {
+        let event = |time, lasting, turn: [&'static str; 3], start_s| {
+            let mut out = vec![Param::new(time, "s", start_s, 100.0, (0.0, 36_000.0)), Param::new(lasting, "s", 2.0, 40.0, (0.1, 900.0))];
+            out.extend(Param::new("", "rad", 0.0, 0.08, (-0.8, 0.8)).named(turn));
+            out
+        };
+        let mut out = event("t1_s", "lasting1", ["x1", "y1", "z1"], 60.0);
+        out.extend(event("t2_s", "lasting2", ["x2", "y2", "z2"], 150.0));
+        out
+    }
+    /// One slow turn from the beginning, then knocks at several times.
+    fn starts(&self) -> Starts {
+        let at = |first: f64, lasting: f64, second: f64| vec![first, lasting, 0.01, 0.01, 0.01, second, 2.0, 0.0, 0.0, 0.0];
+        vec![
+            at(5.0, 200.0, 150.0),
+            at(40.0, 2.0, 160.0),
+            at(80.0, 2.0, 200.0),
+            at(120.0, 2.0, 40.0),
+            at(160.0, 2.0, 80.0),
+            at(200.0, 2.0, 120.0),
+        ]
+    }
+    fn base(&self, p: &[f64], at: &Moment) -> Option<UnitQuaternion<f64>> {
+        let turned = p
+            .chunks_exact(5)
+            .fold(Vector3::zeros(), |sum: Vector3<f64>, e| sum + Vector3::new(e[2], e[3], e[4]) * smoothstep(at.t_s, e[0], e[1]));
+        (turned != Vector3::zeros()).then(|| UnitQuaternion::from_scaled_axis(turned))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::proof;
+
+    #[test]
+    fn keeps_the_rules() {
+        proof::keeps_the_rules(&BaseMotion);
+    }
+
+    fn turned(p: &[f64], t_s: f64) -> Vector3<f64> {
+        BaseMotion.base(p, &proof::moment(t_s, Vector3::zeros())).map_or(Vector3::zeros(), |q| q.scaled_axis())
+    }
+
+    #[test]
+    fn a_slow_turn_a_knock_and_there_and_back() {
+        let slow = [10.0, 100.0, 0.1, 0.0, 0.0, 150.0, 2.0, 0.0, 0.0, 0.0];
+        assert!((turned(&slow, 60.0).x - 0.05).abs() < 1e-9 && (turned(&slow, 200.0).x - 0.1).abs() < 1e-9);
+        let knock = [50.0, 0.3, 0.0, 0.1, 0.0, 150.0, 2.0, 0.0, 0.0, 0.0];
+        assert!(BaseMotion.base(&knock, &proof::moment(49.9, Vector3::zeros())).is_none());
+        assert!((turned(&knock, 50.4).y - 0.1).abs() < 1e-9);
+        let back = [50.0, 1.0, 0.0, 0.1, 0.05, 80.0, 1.0, 0.0, -0.1, -0.05];
+        assert!(turned(&back, 70.0).norm() > 0.1 && turned(&back, 90.0).norm() < 1e-12);
+    }
+
+    #[test]
+    fn the_tip_itself_does_not_bend() {
+        assert!(BaseMotion.sensing_only());
+        let p = &BaseMotion.starts()[0];
+        let run = proof::drive(&BaseMotion, p, 30.0, proof::exercise);
+        let clean = proof::drive(&BaseMotion, &proof::nothing(&BaseMotion), 30.0, proof::exercise);
+        assert_eq!(run, clean);
+    }
+}

@@ -1,0 +1,89 @@
+//! A camera cable or irrigation line makes bending anisotropic.
+//!
+//! Cause: a rod of unequal second moments of area bends less across its stiff axis and is pulled
+//! towards the soft one: unsymmetrical bending (Timoshenko, *Strength of Materials* part I, 3rd ed. 1955,
+//! §§ 47-48; continuum arms: Camarillo et al., *IEEE Trans. Robotics* 2008).
+//!
+//! Law: `b′ = b + S(x) b` with the traceless symmetric
+//! `S = [A B; B −A]`, `A + iB = s e^(2iψ)`: bends along ψ grow by s, bends across it shrink by s.
+//! The strength may change with bend: `A = A₀ + A₁ (x − 3/4)`, x = β/75°. The trace is a common gain and
+//! left to the gains; at constant length they absorb A₀ and B₀, too.
+//!
+//! | parameter | unit | prior | typical |
+//! |---|---|---|---|
+//! | `along` A₀, `aslant` B₀ | – | 0 ± 0.1 | 0.02-0.2 |
+//! | `along_grow` A₁, `aslant_grow` B₁ | – | 0 ± 0.1 | 0-0.2 |
+//!
+//! Signature: two-fold in the direction δ. Easily confused with unequal k_ε (whose common-mode length
+//! leaks into bend), `crosstalk` and `clocking`. Length changes separate it.
+
+use crate::model::effects::{Effect, Memory, Moment, Param, Pose, Stage, Starts};
+use nalgebra::Matrix2;
+
+/// Bend at which x is 1: 75°, rad.
+const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
+
+/// Two-fold anisotropy of the bend.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct CableStiffness;
+
+impl Effect for CableStiffness {
+    fn name(&self) -> &'static str {
+        "cable_stiffness"
+    }
+    fn stage(&self) -> Stage {
+        Stage::Shape
+    }
+    fn signature(&self) -> &'static str {
+        "gain of the bend is two-fold in the direction"
+    }
+    fn confused_with(&self) -> &'static [&'static str] {
+        &["crosstalk", "clocking", "stiffening"]
+    }
+    fn separated_by(&self) -> &'static str {
+        "length changes at several directions"
+    }
+    fn params(&self) -> Vec<Param> {
+        ["along", "aslant", "along_grow", "aslant_grow"].map(|name| Param::new(name, "", 0.0, 0.1, (-0.5, 0.5))).to_vec()
+    }
+    fn starts(&self) -> Starts {
+        vec![vec![0.02; 4]]
+    }
+    fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
+        let grown = pose.bend.norm() / REACH_RAD - 0.75;
+        let (a, b) = (p[0] + p[2] * grown, p[1] + p[3] * grown);
+        pose.bend += Matrix2::new(a, b, b, -a) * pose.bend;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::proof;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn keeps_the_rules() {
+        proof::keeps_the_rules(&CableStiffness);
+    }
+
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&CableStiffness, &[0.1, -0.15, 0.05, 0.1]);
+    }
+
+    #[test]
+    fn the_gain_is_two_fold_about_its_axis() {
+        let psi = 25.0f64;
+        let (sin, cos) = (2.0 * psi.to_radians()).sin_cos();
+        let gain = |delta: f64| {
+            let b = proof::bend_deg(50.0, delta);
+            let out = proof::shaped(&CableStiffness, &[0.15 * cos, 0.15 * sin, 0.0, 0.0], b, Vector3::z()).bend;
+            out.dot(&b) / b.norm_squared()
+        };
+        assert!((gain(psi) - 1.15).abs() < 1e-12 && (gain(psi + 90.0) - 0.85).abs() < 1e-12);
+        for delta in [0.0, 33.0, 71.0] {
+            assert!((gain(delta) - gain(delta + 180.0)).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! A pressurised lumen squeezes its neighbours; vacuum does not.
+//!
+//! Cause: the lumens of one extrusion share their walls. Pressure bulges a wall into the neighbours
+//! and displaces their air (thick-walled tube: Timoshenko and Goodier, *Theory of Elasticity*, 3rd
+//! ed. 1970, §28); under vacuum the profile of the lumen carries the load and its neighbours feel nothing.
+//!
+//! Law: `w_j += Σ_i c_ij w⁺_i`, i ≠ j: six couplings, since no extrusion is symmetric, with `w⁺` the
+//! pressurised part max(w, 0), rounded over 0.2 mm.
+//!
+//! | parameter | unit | prior | typical |
+//! |---|---|---|---|
+//! | `c12`…`c32` c_ij, from line i into line j | – | 0 ± 0.1 | 0.01-0.3 |
+//!
+//! Signature: other channels move when one is pressurised. Where both neighbours move alike, it differs from a slope change of the one bellow (`asymmetry`) by common-mode length only: the
+//! orientation cannot tell the two apart. Also confused with `clocking`, `cable_stiffness` (both
+//! signs of pressure alike). Single-channel moves and the common-mode length separate it.
+
+use crate::model::effects::smooth::positive;
+use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use nalgebra::Vector3;
+
+/// Slack over which the wall begins to bulge, mm.
+const EDGE_MM: f64 = 0.2;
+
+/// Couplings: name, from line, into line.
+const PAIRS: [(&str, usize, usize); 6] = [("c12", 0, 1), ("c13", 0, 2), ("c21", 1, 0), ("c23", 1, 2), ("c31", 2, 0), ("c32", 2, 1)];
+
+/// Coupling of pressurised lines into their neighbours.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Crosstalk;
+
+impl Effect for Crosstalk {
+    fn name(&self) -> &'static str {
+        "crosstalk"
+    }
+    fn stage(&self) -> Stage {
+        Stage::Transmission
+    }
+    fn signature(&self) -> &'static str {
+        "other channels move when one is pressurised, not when it is evacuated"
+    }
+    fn confused_with(&self) -> &'static [&'static str] {
+        &["asymmetry", "clocking", "cable_stiffness", "gas_compression"]
+    }
+    fn separated_by(&self) -> &'static str {
+        "single-channel moves of both signs; common-mode length"
+    }
+    fn params(&self) -> Vec<Param> {
+        PAIRS.iter().map(|(name, _, _)| Param::new(name, "", 0.0, 0.1, (-0.2, 0.6))).collect()
+    }
+    fn starts(&self) -> Starts {
+        vec![vec![0.05; PAIRS.len()]]
+    }
+    fn slack(&self, p: &[f64], _m: &mut Memory, _at: &Moment, w_mm: &mut Vector3<f64>) {
+        let pressed = w_mm.map(|w| positive(w, EDGE_MM));
+        for ((_, from, to), c) in PAIRS.iter().zip(p) {
+            w_mm[*to] += c * pressed[*from];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::proof;
+
+    #[test]
+    fn keeps_the_rules() {
+        proof::keeps_the_rules(&Crosstalk);
+    }
+
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::explained(&Crosstalk, &[0.1, 0.15, 0.05, 0.2, 0.08, 0.12]);
+    }
+
+    fn moved(set: &[(&str, f64)], w: Vector3<f64>) -> Vector3<f64> {
+        let p = proof::with(&Crosstalk, set);
+        proof::drive(&Crosstalk, &p, 0.0, |_| w)[0].w_mm - w
+    }
+
+    #[test]
+    fn only_pressure_reaches_the_neighbours() {
+        let both = [("c12", 0.2), ("c13", 0.1)];
+        let pressed = moved(&both, Vector3::x() * 10.0);
+        assert!(pressed.x.abs() < 1e-12 && (pressed.y - 2.0).abs() < 0.05 && (pressed.z - 1.0).abs() < 0.05);
+        assert!(moved(&both, -Vector3::x() * 10.0).norm() < 0.05);
+        assert!(moved(&both, Vector3::y() * 10.0).norm() < 0.05, "the second line squeezes nobody");
+    }
+}

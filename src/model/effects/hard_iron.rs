@@ -1,0 +1,76 @@
+//! A constant magnetic field that travels with the sensor.
+//!
+//! Cause: magnetised parts on the tip: camera, screws, the package itself (Renaudin, Afzal and
+//! Lachapelle, *Complete triaxis magnetometer calibration in the magnetic domain*, J. Sensors 2010).
+//!
+//! Law: `m′ = m + b`, sensor frame.
+//!
+//! | parameter | unit | prior | typical |
+//! |---|---|---|---|
+//! | `x`, `y`, `z` b | µT | 0 ± 10 | 1-50 |
+//!
+//! Signature: in the magnetometer only, fixed to the body. Easily confused with `motor_field` (fixed
+//! in the world, follows the motors) and `torsion`. A tumble with the motors off separates it.
+
+use crate::model::effects::{Effect, Memory, Moment, Param, Reading, Stage, Starts};
+use nalgebra::Vector3;
+
+/// Field of magnetised parts on the tip.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct HardIron;
+
+impl Effect for HardIron {
+    fn name(&self) -> &'static str {
+        "hard_iron"
+    }
+    fn stage(&self) -> Stage {
+        Stage::Sensor
+    }
+    fn signature(&self) -> &'static str {
+        "an offset of the magnetometer alone, fixed to the body"
+    }
+    fn confused_with(&self) -> &'static [&'static str] {
+        &["motor_field", "torsion", "mount_misalignment"]
+    }
+    fn separated_by(&self) -> &'static str {
+        "many attitudes with the motors off"
+    }
+    fn params(&self) -> Vec<Param> {
+        Param::new("", "µT", 0.0, 10.0, (-120.0, 120.0)).named(["x", "y", "z"]).to_vec()
+    }
+    fn starts(&self) -> Starts {
+        vec![vec![1.0; 3]]
+    }
+    fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut Reading) {
+        reading.mag_ut += Vector3::new(p[0], p[1], p[2]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::proof;
+
+    #[test]
+    fn keeps_the_rules() {
+        proof::keeps_the_rules(&HardIron);
+    }
+
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&HardIron, &[12.0, -25.0, 3.0]);
+    }
+
+    #[test]
+    fn the_offset_is_fixed_to_the_body() {
+        let p = [12.0, -7.0, 3.0];
+        let run = proof::drive(&HardIron, &p, 60.0, proof::exercise);
+        let clean = proof::drive(&HardIron, &[0.0; 3], 60.0, proof::exercise);
+        for (l, c) in run.iter().zip(&clean) {
+            assert!((l.reading.mag_ut - c.reading.mag_ut - Vector3::from(p)).norm() < 1e-12);
+            assert_eq!((l.reading.acc_m_s2, l.reading.gyro_rad_s), (c.reading.acc_m_s2, c.reading.gyro_rad_s));
+        }
+        let in_base = |k: usize| run[k].reading.r_base_sensor * (run[k].reading.mag_ut - clean[k].reading.mag_ut);
+        assert!((in_base(500) - in_base(4500)).norm() > 1.0, "in the world it turns with the tip");
+    }
+}

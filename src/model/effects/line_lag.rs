@@ -1,0 +1,98 @@
+//! Viscous flow through the lumen, beyond the mechanical lag τ₀.
+//!
+//! Cause: a long thin line of resistance R feeds the compliance C of the bellow, `τ = RC` (Schuder
+//! and Binder, *The response of pneumatic transmission lines to step inputs*, J. Basic Eng. 1959).
+//! Filling drives denser air through the line than draining, so the two may differ.
+//!
+//! Law: `τ_i(1 + a s) ż_i = w_i − z_i`, s the sign of `w_i − z_i`: `z` slack position at the bellow's
+//! end, `a` the difference of filling (+) and draining (−).
+//!
+//! | parameter | unit | prior | typical |
+//! |---|---|---|---|
+//! | `tau` τ, one per channel | s | 0 ± 0.2 | 0.05-1 |
+//! | `fill_drain` a | – | 0 ± 0.3 | −0.4-0.4 |
+//!
+//! Signature: error in proportion to speed, gone in holds within seconds. Easily confused with
+//! `transport_delay` (no rounding), play and `creep` (slower). Steps and a chirp separate it.
+
+use crate::model::effects::smooth::sign;
+use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use nalgebra::Vector3;
+
+/// Gap over which filling turns into draining, mm.
+const EDGE_MM: f64 = 0.05;
+
+/// First-order lag of each line.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LineLag;
+
+impl Effect for LineLag {
+    fn name(&self) -> &'static str {
+        "line_lag"
+    }
+    fn stage(&self) -> Stage {
+        Stage::Transmission
+    }
+    fn signature(&self) -> &'static str {
+        "error in proportion to speed that rounds off steps and is gone within seconds of a hold"
+    }
+    fn confused_with(&self) -> &'static [&'static str] {
+        &["transport_delay", "sensor_latency", "creep", "hysteresis"]
+    }
+    fn separated_by(&self) -> &'static str {
+        "steps and a chirp"
+    }
+    fn params(&self) -> Vec<Param> {
+        let mut out = Vec::from(Param::new("tau", "s", 0.0, 0.2, (0.0, 3.0)).each());
+        out.push(Param::new("fill_drain", "", 0.0, 0.3, (-0.9, 0.9)));
+        out
+    }
+    fn starts(&self) -> Starts {
+        [0.08, 0.4].map(|tau| vec![tau, tau, tau, 0.0]).to_vec()
+    }
+    /// Memory holds where the far end of each line stands.
+    fn slack(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
+        for i in 0..3 {
+            let gap_mm = w_mm[i] - m.0[i];
+            let tau_s = p[i] * (1.0 + p[3] * sign(gap_mm, EDGE_MM));
+            w_mm[i] -= gap_mm * tau_s / (tau_s + at.dt_s);
+            m.0[i] = w_mm[i];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::proof;
+
+    #[test]
+    fn keeps_the_rules() {
+        proof::keeps_the_rules(&LineLag);
+    }
+
+    #[test]
+    fn a_fit_finds_it_again() {
+        proof::found_again(&LineLag, &[0.3, 0.1, 0.6, -0.3]);
+    }
+
+    #[test]
+    fn a_step_arrives_with_its_time_constant() {
+        let p = proof::with(&LineLag, &[("tau", 0.4)]);
+        let run = proof::drive(&LineLag, &p, 10.0, |t| Vector3::repeat(if t > 0.0 { 8.0 } else { 0.0 }));
+        assert!((run[40].w_mm.y - 8.0 * (1.0 - (-1.0f64).exp())).abs() < 0.06, "{}", run[40].w_mm.y);
+        assert!((run[1000].w_mm.y - 8.0).abs() < 1e-6, "a hold has no error");
+    }
+
+    #[test]
+    fn on_a_ramp_it_is_tau_behind_and_draining_may_be_faster() {
+        let p = proof::with(&LineLag, &[("tau", 0.4), ("fill_drain", 0.5)]);
+        let behind = |speed: f64| {
+            let run = proof::drive(&LineLag, &p, 10.0, |t| Vector3::repeat(speed * t));
+            let last = run.last().expect("a drive has samples");
+            (last.u_mm.x - last.w_mm.x) / speed
+        };
+        assert!((behind(5.0) - 0.6).abs() < 0.001, "{}", behind(5.0));
+        assert!((behind(-5.0) - 0.2).abs() < 0.001, "{}", behind(-5.0));
+    }
+}

@@ -1,0 +1,69 @@
+//! The IMU is tilted against the tip.
+//!
+//! Cause: gluing and soldering (boresight: Titterton and Weston, *Strapdown Inertial Navigation
+//! Technology*, 2nd ed. 2004, ch. 10).
+//!
+//! Law: `v_tip = exp([θ]×) v_sensor` for all three sensors, θ constant.
+//!
+//! | parameter | unit | prior | typical |
+//! |---|---|---|---|
+//! | `x`, `y`, `z` θ | rad | 0 ± 0.1 | 0.02-0.26 (1-15°) |
+//!
+//! Signature: a constant rotation of all sensors, in their own frame. Easily confused with
+//! `clocking` (in the IMU alone a turn of all bellows is the turn about z), a tilted base and `accel_bias`. A known
+//! rotation of the base separates it.
+
+use crate::model::effects::{Effect, Param, Stage, Starts};
+use nalgebra::{UnitQuaternion, Vector3};
+
+/// Constant turn from sensor to tip.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct MountMisalignment;
+
+impl Effect for MountMisalignment {
+    fn name(&self) -> &'static str {
+        "mount_misalignment"
+    }
+    fn stage(&self) -> Stage {
+        Stage::Sensor
+    }
+    fn signature(&self) -> &'static str {
+        "a constant rotation of all sensors in their own frame"
+    }
+    fn confused_with(&self) -> &'static [&'static str] {
+        &["clocking", "accel_bias", "hard_iron"]
+    }
+    fn separated_by(&self) -> &'static str {
+        "a known rotation of the base; a reference"
+    }
+    fn params(&self) -> Vec<Param> {
+        Param::new("", "rad", 0.0, 0.1, (-0.6, 0.6)).named(["x", "y", "z"]).to_vec()
+    }
+    fn starts(&self) -> Starts {
+        vec![vec![0.01; 3]]
+    }
+    fn mount(&self, p: &[f64]) -> Option<UnitQuaternion<f64>> {
+        let turn = Vector3::new(p[0], p[1], p[2]);
+        (turn != Vector3::zeros()).then(|| UnitQuaternion::from_scaled_axis(turn))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::proof;
+
+    #[test]
+    fn keeps_the_rules() {
+        proof::keeps_the_rules(&MountMisalignment);
+    }
+
+    #[test]
+    fn it_is_a_turn_by_its_vector_and_nothing_at_zero() {
+        let turn = MountMisalignment.mount(&[0.0, 0.0, 0.2]).expect("a turn");
+        let seen = turn * Vector3::x();
+        assert!((seen - Vector3::new(0.2f64.cos(), 0.2f64.sin(), 0.0)).norm() < 1e-12);
+        assert!(MountMisalignment.mount(&[0.0; 3]).is_none());
+        assert!(MountMisalignment.sensing_only());
+    }
+}

@@ -1,0 +1,78 @@
+//! Words for writing down the parameters of an effect, and for showing them to people.
+//!
+//! Inside the catalogue angles are radians; [`Param::shown`] turns them to degrees at the border.
+
+use crate::model::effects::Param;
+
+impl Param {
+    /// A parameter that belongs to no channel: `start` is where the effect does nothing, `scale` the
+    /// standard deviation of its prior, `range` the least and the largest physical value.
+    #[must_use]
+    pub const fn new(name: &'static str, unit: &'static str, start: f64, scale: f64, range: (f64, f64)) -> Self {
+        Self { name, unit, channel: 0, start, scale, low: range.0, high: range.1 }
+    }
+    /// The same for one channel, 1 to 3.
+    #[must_use]
+    pub const fn on(self, channel: u8) -> Self {
+        Self { channel, ..self }
+    }
+    /// The same for each of the three channels.
+    #[must_use]
+    pub const fn each(self) -> [Self; 3] {
+        [self.on(1), self.on(2), self.on(3)]
+    }
+    /// The same for the three axes or other parts named.
+    #[must_use]
+    pub fn named(self, names: [&'static str; 3]) -> [Self; 3] {
+        names.map(|name| Self { name, ..self })
+    }
+    /// A value of this parameter as files and reports show it, with its unit: degrees for radians.
+    #[must_use]
+    pub fn shown(&self, value: f64) -> (f64, &'static str) {
+        match self.unit {
+            "rad" => (value.to_degrees(), "deg"),
+            "rad/s" => (value.to_degrees(), "deg/s"),
+            unit => (value, unit),
+        }
+    }
+}
+
+/// Parameters in one cell of a table: `rate ×3 (1/s), vacuum_ratio`.
+#[must_use]
+pub fn summary(params: &[Param]) -> String {
+    let mut seen: Vec<(&Param, usize)> = Vec::new();
+    for p in params {
+        match seen.iter_mut().find(|(q, _)| q.name == p.name) {
+            Some((_, count)) => *count += 1,
+            None => seen.push((p, 1)),
+        }
+    }
+    let words = seen.iter().map(|(p, count)| {
+        let times = if *count > 1 { format!(" ×{count}") } else { String::new() };
+        let unit = p.shown(0.0).1;
+        let unit = if unit.is_empty() { String::new() } else { format!(" ({unit})") };
+        format!("{}{times}{unit}", p.name)
+    });
+    words.collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn channels_fold_into_one_word() {
+        let mut params = Param::new("rate", "1/s", 0.0, 1.0, (0.0, 2.0)).each().to_vec();
+        params.push(Param::new("turn", "rad", 0.0, 1.0, (0.0, 2.0)));
+        params.push(Param::new("ratio", "", 0.0, 1.0, (0.0, 2.0)));
+        assert_eq!(summary(&params), "rate ×3 (1/s), turn (deg), ratio");
+        assert_eq!(params[2].channel, 3);
+    }
+
+    #[test]
+    fn angles_are_shown_in_degrees() {
+        let p = Param::new("bias", "rad/s", 0.0, 1.0, (0.0, 2.0));
+        assert_eq!(p.shown(std::f64::consts::PI), (180.0, "deg/s"));
+        assert_eq!(Param { unit: "mm", ..p }.shown(2.0), (2.0, "mm"));
+    }
+}

@@ -1,0 +1,88 @@
+//! Slow offset as the air in syringes and lines warms.
+//!
+//! Cause: motors and body heat warm the trapped air towards a steady temperature (Newton's law of
+//! cooling: Incropera et al., *Fundamentals of Heat and Mass Transfer*, 6th ed. 2007, ch. 5); at
+//! nearly constant pressure its volume grows in proportion.
+//!
+//! Law: `w_i += a_i (1 − e^(−t/τ))`, t since the start.
+//!
+//! | parameter | unit | prior | typical |
+//! |---|---|---|---|
+//! | `size` a, one per channel | mm of piston | 0 ± 0.8 | 0.1-1.6 (0.5-7°) |
+//! | `tau` τ | s | 60 ± 60 | 20-300 |
+//!
+//! Signature: follows the time since the start, not the command. Easily confused with `creep`
+//! (follows the command), `leak` (follows the pressure), `gyro_bias` (gyroscope only) and
+//! `base_motion`. An idle hold and a repeated pose separate it. Orientation does not see the part that
+//! lengthens all bellows alike, sizes in proportion to 1 + k_ε: there the prior decides.
+
+use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use nalgebra::Vector3;
+
+/// Warming of the three lines towards a steady state.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ThermalDrift;
+
+impl Effect for ThermalDrift {
+    fn name(&self) -> &'static str {
+        "thermal_drift"
+    }
+    fn stage(&self) -> Stage {
+        Stage::Transmission
+    }
+    fn signature(&self) -> &'static str {
+        "a slow offset that follows the time since the start, not the command"
+    }
+    fn confused_with(&self) -> &'static [&'static str] {
+        &["creep", "leak", "gyro_bias", "base_motion"]
+    }
+    fn separated_by(&self) -> &'static str {
+        "an idle hold; a pose repeated late"
+    }
+    fn params(&self) -> Vec<Param> {
+        let mut out = Vec::from(Param::new("size", "mm", 0.0, 0.8, (-6.0, 6.0)).each());
+        out.push(Param::new("tau", "s", 60.0, 60.0, (5.0, 900.0)));
+        out
+    }
+    fn starts(&self) -> Starts {
+        [30.0, 120.0].map(|tau| vec![0.1, 0.0, -0.1, tau]).to_vec()
+    }
+    fn slack(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
+        let warm = -(-at.t_s / p[3]).exp_m1();
+        *w_mm += Vector3::new(p[0], p[1], p[2]) * warm;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::proof;
+
+    #[test]
+    fn keeps_the_rules() {
+        proof::keeps_the_rules(&ThermalDrift);
+    }
+
+    #[test]
+    fn a_fit_finds_it_again_but_for_the_length() {
+        let truth = [1.5, -0.6, 0.8, 75.0];
+        let found = proof::explained(&ThermalDrift, &truth);
+        assert!((found[3] - truth[3]).abs() < 1.0, "{found:?}");
+        let off = Vector3::from_fn(|i, _| found[i] - truth[i]);
+        let length = proof::moment(0.0, Vector3::zeros()).k_epsilon.add_scalar(1.0);
+        assert!(off.cross(&length).norm() < 0.02, "{found:?}: wrong by more than a common length");
+    }
+
+    #[test]
+    fn it_follows_the_clock_and_not_the_command() {
+        let p = proof::with(&ThermalDrift, &[("size", 1.5), ("tau", 20.0)]);
+        let still = proof::drive(&ThermalDrift, &p, 100.0, |_| Vector3::zeros());
+        let moved = proof::drive(&ThermalDrift, &p, 100.0, proof::exercise);
+        for (s, m) in still.iter().zip(&moved) {
+            assert!((s.w_mm - (m.w_mm - m.u_mm)).norm() < 1e-12);
+        }
+        assert!(still[0].w_mm.norm() == 0.0 && still[100].w_mm.x < 0.1, "the rest is undisturbed");
+        assert!((still[2000].w_mm.x - 1.5 * (1.0 - (-1.0f64).exp())).abs() < 1e-9);
+        assert!((still[10_000].w_mm.x - 1.5).abs() < 0.02);
+    }
+}

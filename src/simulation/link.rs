@@ -1,0 +1,271 @@
+//! A foreign plant behind the newline-delimited JSON of the plant link.
+//!
+//! The program is started with its stdin and stdout as the link, stderr left to the terminal. A
+//! reader thread turns its lines into a channel so that silence can be told from thinking.
+
+use crate::primitives::frames::Rotation;
+use crate::primitives::sample::ImuSample;
+use crate::primitives::units::{Seconds, Steps};
+use crate::simulation::world::{Reply, World};
+use crate::supervisor::machine::{Nature, WorldError};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use serde::Deserialize;
+use std::io::{BufRead, BufReader, BufWriter, Read, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::time::Duration;
+
+/// Longest silence, s.
+const SILENCE_S: f64 = 5.0;
+/// Longest line that is read, bytes.
+const LINE_MAX: u64 = 64 * 1024;
+
+#[derive(Deserialize)]
+struct Hello {
+    plant: String,
+    protocol: u32,
+    imu_period_s: f64,
+    step_mm: f64,
+    rest_length_mm: f64,
+}
+
+#[derive(Deserialize)]
+struct Answer {
+    t: f64,
+    imu: Option<Imu>,
+    #[serde(rename = "ref")]
+    reference: Option<Reference>,
+}
+
+#[derive(Deserialize)]
+struct Imu {
+    acc: [f64; 3],
+    gyr: [f64; 3],
+    mag: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+struct Reference {
+    quat: [f64; 4],
+}
+
+/// A running foreign plant.
+pub struct Link {
+    child: Child,
+    to: BufWriter<ChildStdin>,
+    from: Receiver<std::io::Result<String>>,
+    nature: Nature,
+    n: u64,
+    last: String,
+}
+
+impl Link {
+    /// Starts `program` with `args` and reads its greeting.
+    ///
+    /// # Errors
+    /// [`WorldError`] when it cannot be started or does not greet as the protocol says.
+    pub fn start(program: &str, args: &[String]) -> Result<Self, WorldError> {
+        let fail = |source| WorldError::Start { program: program.to_owned(), source };
+        let mut child = Command::new(program).args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().map_err(fail)?;
+        let missing = || fail(std::io::Error::other("no pipe to it"));
+        let to = BufWriter::new(child.stdin.take().ok_or_else(missing)?);
+        let from = read_lines(child.stdout.take().ok_or_else(missing)?);
+        let nature = Nature { name: String::new(), period_s: 0.0, step_mm: 0.0, rest_length_mm: 0.0 };
+        let mut link = Self { child, to, from, nature, n: 0, last: "(nothing yet)".to_owned() };
+        link.nature = greeting(&link.line()?)?;
+        Ok(link)
+    }
+
+    fn line(&mut self) -> Result<String, WorldError> {
+        match self.from.recv_timeout(Duration::from_secs_f64(SILENCE_S)) {
+            Ok(Ok(line)) if !line.is_empty() => {
+                line.trim_end().clone_into(&mut self.last);
+                Ok(line)
+            }
+            Err(RecvTimeoutError::Timeout) => Err(WorldError::Silent { seconds: SILENCE_S, last: shown(&self.last) }),
+            Ok(Err(e)) => {
+                Err(WorldError::Malformed { line: shown(&self.last), problem: format!("then its output could not be read: {e}") })
+            }
+            Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => Err(self.died()),
+        }
+    }
+
+    fn died(&mut self) -> WorldError {
+        // its output closes a moment before it is gone
+        let ended = (0..50).find_map(|_| match self.child.try_wait() {
+            Ok(None) => {
+                std::thread::sleep(Duration::from_millis(10));
+                None
+            }
+            known => Some(known.ok().flatten()),
+        });
+        let status = ended.flatten().map_or(String::new(), |s| format!(" ({s})"));
+        WorldError::Died { last: shown(&self.last), status }
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        // it ends at end of file by contract; one that does not is ended here. Both calls fail only
+        // when the child is already gone, which is what is wanted
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl World for Link {
+    fn nature(&self) -> &Nature {
+        &self.nature
+    }
+
+    fn step(&mut self, steps: &Steps) -> Result<Reply, WorldError> {
+        self.n += 1;
+        let t = self.n as f64 * self.nature.period_s;
+        let [a, b, c] = steps.0;
+        let sent = writeln!(self.to, "{{\"t\":{t:.6},\"steps\":[{a},{b},{c}]}}").and_then(|()| self.to.flush());
+        if sent.is_err() {
+            // the reader may still hold its last words; its end is what counts
+            return Err(self.died());
+        }
+        let line = self.line()?;
+        reply(&line, t)
+    }
+}
+
+/// Splits a command line at blanks; a part in single or double quotes stays whole.
+///
+/// # Errors
+/// When a quote is not closed.
+pub fn words(line: &str) -> Result<Vec<String>, String> {
+    let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
+    for c in line.chars() {
+        match quote {
+            Some(q) if c == q => quote = None,
+            Some(_) => word.get_or_insert_default().push(c),
+            None if c == '\'' || c == '"' => {
+                quote = Some(c);
+                word.get_or_insert_default();
+            }
+            None if c.is_whitespace() => words.extend(word.take()),
+            None => word.get_or_insert_default().push(c),
+        }
+    }
+    words.extend(word);
+    quote.map_or(Ok(words), |q| Err(format!("the quote {q} is not closed")))
+}
+
+fn read_lines(out: ChildStdout) -> Receiver<std::io::Result<String>> {
+    let (tx, rx) = sync_channel(4);
+    std::thread::spawn(move || {
+        let mut reader = BufReader::new(out);
+        loop {
+            let mut line = String::new();
+            let read = reader.by_ref().take(LINE_MAX).read_line(&mut line).map(|_| line);
+            let end = !matches!(&read, Ok(l) if !l.is_empty());
+            if tx.send(read).is_err() || end {
+                return;
+            }
+        }
+    });
+    rx
+}
+
+fn shown(line: &str) -> String {
+    let cut: String = line.trim_end().chars().take(160).collect();
+    if cut.len() < line.trim_end().len() { format!("{cut}…") } else { cut }
+}
+
+fn malformed(line: &str, problem: impl Into<String>) -> WorldError {
+    WorldError::Malformed { line: shown(line), problem: problem.into() }
+}
+
+fn greeting(line: &str) -> Result<Nature, WorldError> {
+    let h: Hello = serde_json::from_str(line).map_err(|e| {
+        malformed(
+            line,
+            format!("not a greeting ({e}); expected {{\"plant\":…,\"protocol\":1,\"imu_period_s\":…,\"step_mm\":…,\"rest_length_mm\":…}}"),
+        )
+    })?;
+    if h.protocol != 1 {
+        return Err(malformed(line, format!("protocol {} is not spoken here, 1 is", h.protocol)));
+    }
+    let ranges = [
+        ("imu_period_s", h.imu_period_s, 0.0002, 0.05),
+        ("step_mm", h.step_mm, 1e-4, 1.0),
+        ("rest_length_mm", h.rest_length_mm, 5.0, 100.0),
+    ];
+    for (key, value, low, high) in ranges {
+        if !(low..=high).contains(&value) {
+            return Err(malformed(line, format!("{key} = {value} is outside {low} to {high}")));
+        }
+    }
+    Ok(Nature { name: h.plant, period_s: h.imu_period_s, step_mm: h.step_mm, rest_length_mm: h.rest_length_mm })
+}
+
+fn reply(line: &str, t: f64) -> Result<Reply, WorldError> {
+    let a: Answer = serde_json::from_str(line).map_err(|e| {
+        malformed(line, format!("not an answer ({e}); expected {{\"t\":…,\"imu\":{{…}} or null,\"ref\":{{\"quat\":[w,x,y,z]}}}}"))
+    })?;
+    if (a.t - t).abs() > 1e-4 {
+        return Err(malformed(line, format!("answers for t = {} s, asked was {t:.6} s", a.t)));
+    }
+    let truth = match a.reference {
+        None => None,
+        Some(r) => Some(orientation(&r.quat).ok_or_else(|| malformed(line, "ref.quat is not a unit quaternion [w,x,y,z]"))?),
+    };
+    let imu = a.imu.map(|i| ImuSample {
+        t: Seconds(t),
+        gyro_rad_s: Vector3::from(i.gyr),
+        acc_m_s2: Vector3::from(i.acc),
+        mag_ut: i.mag.map(Vector3::from),
+    });
+    Ok(Reply { t: Seconds(t), imu, truth })
+}
+
+fn orientation(q: &[f64; 4]) -> Option<Rotation<crate::primitives::frames::Base, crate::primitives::frames::Tip>> {
+    let q = Quaternion::new(q[0], q[1], q[2], q[3]);
+    ((q.norm() - 1.0).abs() < 1e-2).then(|| Rotation::assert_frames(UnitQuaternion::from_quaternion(q)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quotes_keep_words_together() {
+        assert_eq!(words(" a  'b c' d\"e f\" ''").unwrap(), ["a", "b c", "de f", ""]);
+        assert!(words("a 'b").unwrap_err().contains("not closed"));
+        assert!(words("  ").unwrap().is_empty());
+    }
+
+    #[test]
+    fn greetings_are_judged() {
+        let good = r#"{"plant":"x","protocol":1,"imu_period_s":0.005,"step_mm":0.029452,"rest_length_mm":20.0}"#;
+        assert_eq!(greeting(good).unwrap().period_s, 0.005);
+        for (bad, word) in [
+            (good.replace("\"protocol\":1", "\"protocol\":2"), "protocol 2"),
+            (good.replace("0.005", "5"), "imu_period_s = 5"),
+            (good.replace("0.029452", "-1"), "step_mm = -1"),
+            ("hello".to_owned(), "not a greeting"),
+        ] {
+            let why = greeting(&bad).unwrap_err().to_string();
+            assert!(why.contains(word) && why.contains(&shown(&bad)), "{why}");
+        }
+    }
+
+    #[test]
+    fn answers_are_judged() {
+        let good = r#"{"t":0.005,"imu":{"acc":[0,0,9.8],"gyr":[0,0,0],"mag":null},"ref":{"quat":[1,0,0,0]}}"#;
+        let r = reply(good, 0.005).unwrap();
+        assert!(r.imu.unwrap().mag_ut.is_none() && r.truth.is_some());
+        assert!(reply(r#"{"t":0.005,"imu":null}"#, 0.005).unwrap().imu.is_none());
+        for (bad, word) in [
+            (good.replace("0.005", "0.010"), "answers for t = 0.01"),
+            (good.replace("[1,0,0,0]", "[2,0,0,0]"), "unit quaternion"),
+            (good.replace("[0,0,9.8]", "[0,0]"), "not an answer"),
+        ] {
+            let why = reply(&bad, 0.005).unwrap_err().to_string();
+            assert!(why.contains(word), "{why}");
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! Simulated machines: the built-in plant, and plants of other programs over the plant link.
+
+pub mod link;
+pub mod lockstep;
+pub mod plant;
+pub mod sim;
+pub mod world;

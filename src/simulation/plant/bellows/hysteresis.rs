@@ -1,0 +1,160 @@
+//! Rubber's memory without time: many plies that yield one after another.
+//!
+//! `q − h (1 + η x/√(1 + x²)) Σ μⱼ eⱼ` with `x = q / 3 mm`. Ply `j` holds a strain `eⱼ` that follows `q` between
+//! `−κ ρⱼ` and `ρⱼ` and yields there: it gives way earlier when the bellow contracts. The yields `ρⱼ`
+//! stand on a geometric ladder, not evenly, with lognormal weights `μⱼ` around the typical one; `η`
+//! makes loops wider when the bellow is long, so that loops of one width at two places are not
+//! congruent, which no sum of plays can mimic.
+
+use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::check::{PlantError, range};
+use crate::simulation::plant::lot::Lot;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// `[effects.hysteresis]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Hysteresis {
+    /// Share h of the motion that the plies take up until they yield. Default 0 (none); typical 0.1
+    /// to 0.6, which makes loops 5 to 30 % of the range wide. Bigger gives wider loops.
+    pub share: f64,
+    /// Typical yield strain, mm of bellow. Default 1. Bigger needs longer reversals to cross the
+    /// loop.
+    pub yield_mm: f64,
+    /// Spread of the yields, standard deviation of their logarithm. Default 0.7. Bigger rounds the
+    /// loop.
+    pub spread: f64,
+    /// Yield on the way back as a share of that on the way out, κ. Default 0.8. Further from 1
+    /// shifts the loop aside.
+    pub back: f64,
+    /// How much wider loops are on the long side, η. Default 0.25. Bigger differs more.
+    pub long_side: f64,
+}
+
+impl Default for Hysteresis {
+    fn default() -> Self {
+        Self { share: 0.0, yield_mm: 1.0, spread: 0.7, back: 0.8, long_side: 0.25 }
+    }
+}
+
+impl Cause for Hysteresis {
+    fn check(&self) -> Result<(), PlantError> {
+        range("effects.hysteresis.share", self.share, 0.0..=0.75, "beyond 0.75 the bellow would move backwards")?;
+        range("effects.hysteresis.yield_mm", self.yield_mm, 0.01..=10.0, "around 1 mm is typical")?;
+        range("effects.hysteresis.spread", self.spread, 0.05..=2.0, "0.7 is typical")?;
+        range("effects.hysteresis.back", self.back, 0.1..=2.0, "1 yields alike both ways")?;
+        range("effects.hysteresis.long_side", self.long_side, -0.3..=0.3, "0.25 is typical")
+    }
+    fn size(&self) -> f64 {
+        self.share
+    }
+    fn scale(&mut self, factor: f64) {
+        self.share = (self.share * factor).min(0.75);
+    }
+    fn draw(severity: f64, lot: &mut Lot) -> Self {
+        Self {
+            share: lot.sized(0.15, 0.55, severity),
+            yield_mm: lot.between(0.6, 1.6),
+            spread: lot.between(0.5, 0.9),
+            back: lot.between(0.7, 1.1),
+            long_side: lot.between(0.0, 0.3),
+        }
+    }
+}
+
+/// Number of plies.
+const PLIES: usize = 11;
+/// Yields reach from the typical one over this factor to the typical one times it.
+const REACH: f64 = 8.0;
+/// Length change over which the long side's extra width comes, mm.
+const LONG_MM: f64 = 3.0;
+
+/// Plies of the three bellows with their strains.
+#[derive(Debug, Clone)]
+pub(crate) struct Plies {
+    config: Hysteresis,
+    yield_mm: [f64; PLIES],
+    weight: [f64; PLIES],
+    strain_mm: [[f64; PLIES]; 3],
+    last_mm: Vector3<f64>,
+}
+
+impl Plies {
+    pub(crate) fn new(config: Hysteresis) -> Self {
+        let ladder: [f64; PLIES] = std::array::from_fn(|j| REACH.ln() * (2.0 * j as f64 / (PLIES - 1) as f64 - 1.0));
+        let raw = ladder.map(|x| (-0.5 * (x / config.spread).powi(2)).exp());
+        let sum: f64 = raw.iter().sum();
+        Self {
+            yield_mm: ladder.map(|x| config.yield_mm * x.exp()),
+            weight: raw.map(|w| w / sum),
+            strain_mm: [[0.0; PLIES]; 3],
+            last_mm: Vector3::zeros(),
+            config,
+        }
+    }
+
+    /// What is left of the elongations `q_mm` after the plies took theirs.
+    pub(crate) fn step(&mut self, q_mm: &Vector3<f64>) -> Vector3<f64> {
+        let moved = q_mm - self.last_mm;
+        self.last_mm = *q_mm;
+        Vector3::from_fn(|i, _| {
+            let mut taken = 0.0;
+            for j in 0..PLIES {
+                let e = (self.strain_mm[i][j] + moved[i]).clamp(-self.config.back * self.yield_mm[j], self.yield_mm[j]);
+                self.strain_mm[i][j] = e;
+                taken += self.weight[j] * e;
+            }
+            let x = q_mm[i] / LONG_MM;
+            q_mm[i] - self.config.share * (1.0 + self.config.long_side * x / (1.0 + x * x).sqrt()) * taken
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(plies: &mut Plies, path: &[f64]) -> Vec<f64> {
+        let mut at = plies.last_mm.x;
+        path.iter()
+            .map(|&to| {
+                let n = 400;
+                let from = at;
+                at = to;
+                (1..=n).map(|k| plies.step(&Vector3::repeat(from + (to - from) * f64::from(k) / f64::from(n))).x).last().unwrap()
+            })
+            .collect()
+    }
+
+    fn plies() -> Plies {
+        Plies::new(Hysteresis { share: 0.4, ..Hysteresis::default() })
+    }
+
+    #[test]
+    fn loops_close_and_are_wide() {
+        let mut p = plies();
+        let cycle = [5.0, 0.0, -5.0, 0.0];
+        let (first, second, third) = (run(&mut p, &cycle), run(&mut p, &cycle), run(&mut p, &cycle));
+        assert!((first[0] - second[0]).abs() < 0.2 && second.iter().zip(&third).all(|(a, b)| (a - b).abs() < 1e-9));
+        let width = third[1] - third[3];
+        assert!((0.4..1.5).contains(&width), "{width}");
+    }
+
+    #[test]
+    fn a_bigger_loop_wipes_a_minor_one_out() {
+        let plain = run(&mut plies(), &[5.0, -5.0, 3.0]);
+        let nested = run(&mut plies(), &[5.0, -5.0, 1.0, -1.0, 3.0]);
+        assert!((plain[2] - nested[4]).abs() < 1e-9);
+    }
+
+    #[test]
+    fn equal_loops_at_two_places_are_not_congruent() {
+        let mut p = plies();
+        let width = |p: &mut Plies, at: f64| {
+            let y = run(p, &[at - 1.0, at + 1.0, at, at - 1.0, at]);
+            y[2] - y[4]
+        };
+        assert!(width(&mut p, 4.0) > 1.2 * width(&mut p, -4.0));
+    }
+}

@@ -1,0 +1,99 @@
+//! Outside the catalogue: a tip that rings after every move.
+//!
+//! A share of the motion passes through a lightly damped second-order system of unit gain,
+//! `ẍ + 2 ζ ω ẋ + ω² x = ω² u`, stepped by its exact solution for an input held over the step.
+
+use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::check::{PlantError, range};
+use crate::simulation::plant::lot::Lot;
+use nalgebra::{Matrix2, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// `[effects.outside.ringing]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ringing {
+    /// Share of the motion that rings. Default 0 (none); plausible 0.3 to 1. Bigger overshoots more.
+    pub share: f64,
+    /// Frequency, Hz. Default 4. Bigger rings faster.
+    pub frequency_hz: f64,
+    /// Damping ratio ζ. Default 0.08. Bigger dies out sooner.
+    pub damping: f64,
+}
+
+impl Default for Ringing {
+    fn default() -> Self {
+        Self { share: 0.0, frequency_hz: 4.0, damping: 0.08 }
+    }
+}
+
+impl Cause for Ringing {
+    fn check(&self) -> Result<(), PlantError> {
+        range("effects.outside.ringing.share", self.share, 0.0..=1.0, "a share of the motion")?;
+        range("effects.outside.ringing.frequency_hz", self.frequency_hz, 0.2..=50.0, "a few Hz are plausible")?;
+        range("effects.outside.ringing.damping", self.damping, 0.005..=0.95, "above 1 it is a lag")
+    }
+    fn size(&self) -> f64 {
+        self.share
+    }
+    fn scale(&mut self, factor: f64) {
+        self.share = (self.share * factor).min(1.0);
+    }
+    fn draw(severity: f64, lot: &mut Lot) -> Self {
+        Self { share: lot.sized(0.4, 0.9, severity), frequency_hz: lot.between(1.0, 4.0), damping: lot.between(0.03, 0.12) }
+    }
+}
+
+/// The ringing part's state: distance from the input and speed over ω.
+#[derive(Debug, Clone)]
+pub(crate) struct Rings {
+    config: Ringing,
+    dt_s: f64,
+    turn: Matrix2<f64>,
+    at_mm: Vector3<f64>,
+    speed: Vector3<f64>,
+}
+
+impl Rings {
+    pub(crate) fn new(config: Ringing) -> Self {
+        Self { config, dt_s: f64::NAN, turn: Matrix2::identity(), at_mm: Vector3::zeros(), speed: Vector3::zeros() }
+    }
+
+    pub(crate) fn step(&mut self, input_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+        if dt_s != self.dt_s {
+            self.dt_s = dt_s;
+            self.turn = self.transition(dt_s);
+        }
+        let away = self.at_mm - input_mm;
+        self.at_mm = input_mm + away * self.turn.m11 + self.speed * self.turn.m12;
+        self.speed = away * self.turn.m21 + self.speed * self.turn.m22;
+        input_mm + (self.at_mm - input_mm) * self.config.share
+    }
+
+    /// Matrix of (distance, speed/ω) over `dt_s`.
+    fn transition(&self, dt_s: f64) -> Matrix2<f64> {
+        let (omega, zeta) = (std::f64::consts::TAU * self.config.frequency_hz, self.config.damping);
+        let root = (1.0 - zeta * zeta).sqrt();
+        let (sin, cos) = (omega * root * dt_s).sin_cos();
+        let (fade, side) = ((-zeta * omega * dt_s).exp(), zeta / root);
+        Matrix2::new(cos + side * sin, sin / root, -sin / root, cos - side * sin) * fade
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn overshoots_at_its_frequency_and_settles() {
+        let mut r = Rings::new(Ringing { share: 1.0, ..Ringing::default() });
+        let path: Vec<f64> = (0..4000).map(|_| r.step(&Vector3::repeat(1.0), 0.001).x).collect();
+        let peak = (0..4000).max_by(|&a, &b| path[a].total_cmp(&path[b])).unwrap();
+        assert!((peak as f64 * 0.001 - 0.125).abs() < 0.003 && path[peak] > 1.7);
+        assert!((path[3999] - 1.0).abs() < 0.01);
+        // a coarse step meets the fine one
+        let mut coarse = Rings::new(Ringing { share: 1.0, ..Ringing::default() });
+        let far = (0..25).map(|_| coarse.step(&Vector3::repeat(1.0), 0.01).x).last().unwrap();
+        assert!((far - path[249]).abs() < 1e-9);
+    }
+}

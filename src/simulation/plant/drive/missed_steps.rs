@@ -1,0 +1,143 @@
+//! A motor that loses steps: torque asked for against torque there is.
+//!
+//! A stepper pulls out when inertia and speed together ask for more than it has:
+//! `|a| / a_max + |v| / v_max > 1`, with `v` the commanded rack speed seen through 10 ms and `a` the
+//! slope between 10 and 40 ms of smoothing. A rotor out of step stands still and loses what it is sent
+//! until it catches a pole again, `full_steps` later. The offset stays.
+
+use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::check::{PlantError, channel, range};
+use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::memory::Decay;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// `[effects.missed_steps]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MissedSteps {
+    /// Full steps lost each time the rotor falls out of step. Default 0 (none); typical 1 to 50.
+    /// Bigger leaves a bigger offset (0.47 mm of piston each).
+    pub full_steps: f64,
+    /// Channel that loses them, 1 to 3. Default 1.
+    pub channel: usize,
+    /// Acceleration of the rack at which torque runs out, mm/s². Default 60. Bigger stalls less.
+    pub accel_max_mm_s2: f64,
+    /// Speed at which torque runs out, mm/s. Default 80. Bigger stalls less.
+    pub speed_max_mm_s: f64,
+    /// No stall before this time, s. Default 10. Bigger keeps more of the log clean.
+    pub after_s: f64,
+    /// Stalls at most. Default 2. Bigger adds up more jumps.
+    pub stalls_max: u32,
+}
+
+impl Default for MissedSteps {
+    fn default() -> Self {
+        Self { full_steps: 0.0, channel: 1, accel_max_mm_s2: 60.0, speed_max_mm_s: 80.0, after_s: 10.0, stalls_max: 2 }
+    }
+}
+
+impl Cause for MissedSteps {
+    fn check(&self) -> Result<(), PlantError> {
+        range("effects.missed_steps.full_steps", self.full_steps, 0.0..=400.0, "1 to 50 is typical")?;
+        channel("effects.missed_steps.channel", self.channel)?;
+        range("effects.missed_steps.accel_max_mm_s2", self.accel_max_mm_s2, 1.0..=1e6, "60 stalls at ordinary starts")?;
+        range("effects.missed_steps.speed_max_mm_s", self.speed_max_mm_s, 1.0..=1e6, "the rack moves at up to 30 mm/s")?;
+        range("effects.missed_steps.after_s", self.after_s, 0.0..=1e9, "seconds since the start")
+    }
+    fn size(&self) -> f64 {
+        self.full_steps
+    }
+    fn scale(&mut self, factor: f64) {
+        self.full_steps *= factor;
+    }
+    fn draw(severity: f64, lot: &mut Lot) -> Self {
+        Self {
+            full_steps: lot.sized(1.5, 30.0, severity).round(),
+            channel: lot.channel(),
+            accel_max_mm_s2: lot.between(30.0, 70.0),
+            after_s: lot.between(8.0, 40.0),
+            stalls_max: if lot.chance(0.5) { 1 } else { 2 },
+            ..Self::default()
+        }
+    }
+}
+
+/// A motor that can stall, with its state.
+#[derive(Debug, Clone)]
+pub(crate) struct Stall {
+    config: MissedSteps,
+    step_mm: f64,
+    microsteps: f64,
+    quick: (Decay, f64),
+    slow: (Decay, f64),
+    to_lose: f64,
+    stalls: u32,
+    ready: bool,
+}
+
+/// Smoothing of the commanded speed, s: what a rotor's inertia does.
+const QUICK_S: f64 = 0.01;
+const SLOW_S: f64 = 0.04;
+
+impl Stall {
+    pub(crate) fn new(config: MissedSteps, step_mm: f64, microsteps: f64) -> Self {
+        let (quick, slow) = ((Decay::new(QUICK_S), 0.0), (Decay::new(SLOW_S), 0.0));
+        Self { config, step_mm, microsteps, quick, slow, to_lose: 0.0, stalls: 0, ready: true }
+    }
+
+    /// Takes from `turned` (microsteps of this step) what a stalled rotor does not follow.
+    pub(crate) fn hold_back(&mut self, turned: &mut Vector3<f64>, t: f64, dt_s: f64) {
+        let sent = &mut turned[self.config.channel - 1];
+        if self.overloaded(*sent * self.step_mm / dt_s, dt_s) && t >= self.config.after_s && self.stalls < self.config.stalls_max {
+            self.stalls += 1;
+            self.to_lose = self.config.full_steps * self.microsteps;
+        }
+        let lost = sent.abs().min(self.to_lose);
+        self.to_lose -= lost;
+        *sent -= lost * sent.signum();
+    }
+
+    /// True once each time the torque asked for passes what there is.
+    fn overloaded(&mut self, speed_mm_s: f64, dt_s: f64) -> bool {
+        self.quick.1 += (speed_mm_s - self.quick.1) * self.quick.0.share(dt_s);
+        self.slow.1 += (speed_mm_s - self.slow.1) * self.slow.0.share(dt_s);
+        let slope = (self.quick.1 - self.slow.1) / (SLOW_S - QUICK_S);
+        let load = slope.abs() / self.config.accel_max_mm_s2 + self.quick.1.abs() / self.config.speed_max_mm_s;
+        let fires = load > 1.0 && self.ready;
+        self.ready = load < 0.3 || (self.ready && load <= 1.0);
+        fires
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Drives 0 → 300 → 0 microsteps at `rate` microsteps a millisecond; returns what was lost.
+    fn lost(config: MissedSteps, rate: f64) -> f64 {
+        let mut stall = Stall::new(config, 0.029452, 16.0);
+        let (mut sent, mut turned, mut t) = (0.0, 0.0, 20.0);
+        for leg in [300.0, 0.0] {
+            while sent != leg {
+                let step: f64 = f64::clamp(leg - sent, -rate, rate);
+                let mut v = Vector3::new(step, 0.0, 0.0);
+                stall.hold_back(&mut v, t, 0.001);
+                (sent, turned, t) = (sent + step, turned + v.x, t + 0.001);
+            }
+            for _ in 0..500 {
+                stall.hold_back(&mut Vector3::zeros(), t, 0.001);
+                t += 0.001;
+            }
+        }
+        turned
+    }
+
+    #[test]
+    fn a_hard_start_loses_steps_and_a_soft_one_none() {
+        let config = MissedSteps { full_steps: 3.0, stalls_max: 1, ..MissedSteps::default() };
+        assert_eq!(lost(config.clone(), 1.0), -48.0);
+        assert_eq!(lost(config.clone(), 0.02), 0.0);
+        assert_eq!(lost(MissedSteps { after_s: 100.0, ..config }, 1.0), 0.0);
+    }
+}

@@ -1,0 +1,251 @@
+//! A 9-axis MEMS chip: bias, noise, range and digits.
+//!
+//! White noise of density `d` sampled at `f` has the standard deviation `d √(f/2)`; beside it a slow
+//! Gauss-Markov wander per axis. Defaults are the ICM-20948's (DS-000189 rev 1.3, tables 1-3) at
+//! ±500 °/s and ±4 g, with its AK09916 at 100 Hz.
+
+use crate::primitives::sample::ImuSample;
+use crate::primitives::units::Seconds;
+use crate::simulation::plant::check::{PlantError, range, ranges};
+use crate::simulation::plant::imu::feeling::{Feeling, GRAVITY_M_S2};
+use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::memory::Wander;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// `[imu]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ImuConfig {
+    /// Time between samples, s. Default 0.002 (500 Hz). Bigger is slower; samples come at the end of
+    /// the plant's own steps, so a plant stepped more coarsely samples more coarsely.
+    pub period_s: f64,
+    /// Time between magnetometer readings, s. Default 0.01. Bigger corrects the heading less often.
+    pub mag_period_s: f64,
+    /// White noise of the gyroscope, °/s/√Hz. Default 0.015. Bigger is noisier.
+    pub gyro_noise_deg_s_rthz: f64,
+    /// White noise of the accelerometer, mg/√Hz. Default 0.23. Bigger is noisier.
+    pub acc_noise_mg_rthz: f64,
+    /// Noise of one magnetometer reading, µT. Default 0.3. Bigger is noisier.
+    pub mag_noise_ut: f64,
+    /// Slow wander of the gyroscope's bias, °/s. Default 0.01. Bigger drifts more within a minute.
+    pub gyro_wander_deg_s: f64,
+    /// Slow wander of the accelerometer's bias, mg. Default 0.15. Bigger drifts more within a minute.
+    pub acc_wander_mg: f64,
+    /// Slow wander of the magnetometer, µT. Default 0.05. Bigger drifts more within a minute.
+    pub mag_wander_ut: f64,
+    /// Correlation time of the wanders, s. Default 60. Bigger is slower.
+    pub wander_s: f64,
+    /// Constant bias of the gyroscope, °/s. Default 0; the chip's is within ±5. A start at rest
+    /// finds it.
+    pub gyro_bias_deg_s: [f64; 3],
+    /// Constant bias of the accelerometer, mg. Default 0; the chip's is within ±50 as delivered.
+    /// 17 mg tilt the vertical by 1°.
+    pub acc_bias_mg: [f64; 3],
+    /// Constant bias of the magnetometer, µT. Default 0. Bigger turns the heading with attitude.
+    pub mag_bias_ut: [f64; 3],
+    /// Last digit of the gyroscope, °/s. Default 0.015267 (±500 °/s in 16 bit). 0 has no digits.
+    pub gyro_digit_deg_s: f64,
+    /// Last digit of the accelerometer, mg. Default 0.12207 (±4 g in 16 bit). 0 has no digits.
+    pub acc_digit_mg: f64,
+    /// Last digit of the magnetometer, µT. Default 0.15. 0 has no digits.
+    pub mag_digit_ut: f64,
+    /// Range of the gyroscope, ±°/s. Default 500. Smaller clips fast motion.
+    pub gyro_range_deg_s: f64,
+    /// Range of the accelerometer, ±g. Default 4. Smaller clips knocks.
+    pub acc_range_g: f64,
+    /// Range of the magnetometer, ±µT. Default 4900. Smaller clips near magnets.
+    pub mag_range_ut: f64,
+    /// How the chip's axes are turned against the tip's by design, a rotation vector in degrees.
+    /// Default 0. The controller is told; what it is not told is `effects.mount_misalignment`.
+    pub mount_deg: [f64; 3],
+}
+
+impl Default for ImuConfig {
+    fn default() -> Self {
+        Self {
+            period_s: 0.002,
+            mag_period_s: 0.01,
+            gyro_noise_deg_s_rthz: 0.015,
+            acc_noise_mg_rthz: 0.23,
+            mag_noise_ut: 0.3,
+            gyro_wander_deg_s: 0.01,
+            acc_wander_mg: 0.15,
+            mag_wander_ut: 0.05,
+            wander_s: 60.0,
+            gyro_bias_deg_s: [0.0; 3],
+            acc_bias_mg: [0.0; 3],
+            mag_bias_ut: [0.0; 3],
+            gyro_digit_deg_s: 1.0 / 65.5,
+            acc_digit_mg: 1000.0 / 8192.0,
+            mag_digit_ut: 0.15,
+            gyro_range_deg_s: 500.0,
+            acc_range_g: 4.0,
+            mag_range_ut: 4900.0,
+            mount_deg: [0.0; 3],
+        }
+    }
+}
+
+impl ImuConfig {
+    /// A chip without any error, for tests of what is behind it.
+    #[must_use]
+    pub fn perfect() -> Self {
+        Self {
+            gyro_noise_deg_s_rthz: 0.0,
+            acc_noise_mg_rthz: 0.0,
+            mag_noise_ut: 0.0,
+            gyro_wander_deg_s: 0.0,
+            acc_wander_mg: 0.0,
+            mag_wander_ut: 0.0,
+            gyro_digit_deg_s: 0.0,
+            acc_digit_mg: 0.0,
+            mag_digit_ut: 0.0,
+            ..Self::default()
+        }
+    }
+    /// The same make with no constant bias.
+    pub(crate) fn unbiased(&self) -> Self {
+        Self { gyro_bias_deg_s: [0.0; 3], acc_bias_mg: [0.0; 3], mag_bias_ut: [0.0; 3], ..self.clone() }
+    }
+    pub(crate) fn validate(&self) -> Result<(), PlantError> {
+        range("imu.period_s", self.period_s, 1e-4..=0.2, "0.002 is 500 Hz")?;
+        range("imu.mag_period_s", self.mag_period_s, 1e-4..=2.0, "0.01 is 100 Hz")?;
+        range("imu.gyro_noise_deg_s_rthz", self.gyro_noise_deg_s_rthz, 0.0..=10.0, "0.015 is the ICM-20948")?;
+        range("imu.acc_noise_mg_rthz", self.acc_noise_mg_rthz, 0.0..=100.0, "0.23 is the ICM-20948")?;
+        range("imu.mag_noise_ut", self.mag_noise_ut, 0.0..=50.0, "0.3 is typical")?;
+        range("imu.gyro_wander_deg_s", self.gyro_wander_deg_s, 0.0..=10.0, "0.01 is typical")?;
+        range("imu.acc_wander_mg", self.acc_wander_mg, 0.0..=100.0, "0.15 is typical")?;
+        range("imu.mag_wander_ut", self.mag_wander_ut, 0.0..=50.0, "0.05 is typical")?;
+        range("imu.wander_s", self.wander_s, 0.01..=1e6, "60 is typical")?;
+        ranges("imu.gyro_bias_deg_s", &self.gyro_bias_deg_s, -50.0..=50.0, "±5 is the data sheet's")?;
+        ranges("imu.acc_bias_mg", &self.acc_bias_mg, -500.0..=500.0, "±50 is the data sheet's")?;
+        ranges("imu.mag_bias_ut", &self.mag_bias_ut, -2000.0..=2000.0, "tens of µT are typical")?;
+        range("imu.gyro_digit_deg_s", self.gyro_digit_deg_s, 0.0..=10.0, "0.015 is ±500 °/s in 16 bit")?;
+        range("imu.acc_digit_mg", self.acc_digit_mg, 0.0..=100.0, "0.122 is ±4 g in 16 bit")?;
+        range("imu.mag_digit_ut", self.mag_digit_ut, 0.0..=50.0, "0.15 is the AK09916")?;
+        range("imu.gyro_range_deg_s", self.gyro_range_deg_s, 10.0..=1e5, "250, 500, 1000 or 2000")?;
+        range("imu.acc_range_g", self.acc_range_g, 1.5..=1000.0, "2, 4, 8 or 16")?;
+        range("imu.mag_range_ut", self.mag_range_ut, 100.0..=1e6, "4900 is the AK09916")?;
+        ranges("imu.mount_deg", &self.mount_deg, -180.0..=180.0, "a rotation vector is at most half a turn long")
+    }
+}
+
+/// One quantity of the chip in SI units.
+#[derive(Debug, Clone)]
+struct Axes {
+    bias: Vector3<f64>,
+    sigma: f64,
+    wander: Wander,
+    digit: f64,
+    range: f64,
+}
+
+impl Axes {
+    fn new(bias: &[f64; 3], sigma: f64, wander: (f64, f64), digit: f64, range: f64, unit: f64, lot: &mut Lot) -> Self {
+        let wander = Wander::new(wander.0 * unit, wander.1, lot);
+        Self { bias: Vector3::from(*bias) * unit, sigma: sigma * unit, wander, digit: digit * unit, range: range * unit }
+    }
+    fn read(&mut self, truth: &Vector3<f64>, dt_s: f64, lot: &mut Lot) -> Vector3<f64> {
+        let mut x = truth + self.bias + self.wander.step(dt_s, lot);
+        if self.sigma > 0.0 {
+            x += lot.normals() * self.sigma;
+        }
+        x.map(|x| {
+            let clipped = x.clamp(-self.range, self.range);
+            if self.digit > 0.0 { (clipped / self.digit).round() * self.digit } else { clipped }
+        })
+    }
+}
+
+/// The chip with its noise.
+#[derive(Debug, Clone)]
+pub(crate) struct Chip {
+    period_s: f64,
+    mag_period_s: f64,
+    gyro: Axes,
+    acc: Axes,
+    mag: Axes,
+    lot: Lot,
+    mag_dt_s: f64,
+}
+
+impl Chip {
+    pub(crate) fn new(config: &ImuConfig, mut lot: Lot) -> Self {
+        let white = (0.5 / config.period_s).sqrt();
+        let (deg, mg) = (1f64.to_radians(), 1e-3 * GRAVITY_M_S2);
+        let c = config;
+        let gyro = Axes::new(
+            &c.gyro_bias_deg_s,
+            c.gyro_noise_deg_s_rthz * white,
+            (c.gyro_wander_deg_s, c.wander_s),
+            c.gyro_digit_deg_s,
+            c.gyro_range_deg_s,
+            deg,
+            &mut lot,
+        );
+        let acc = Axes::new(
+            &c.acc_bias_mg,
+            c.acc_noise_mg_rthz * white,
+            (c.acc_wander_mg, c.wander_s),
+            c.acc_digit_mg,
+            c.acc_range_g * 1000.0,
+            mg,
+            &mut lot,
+        );
+        let mag = Axes::new(&c.mag_bias_ut, c.mag_noise_ut, (c.mag_wander_ut, c.wander_s), c.mag_digit_ut, c.mag_range_ut, 1.0, &mut lot);
+        Self { period_s: c.period_s, mag_period_s: c.mag_period_s, gyro, acc, mag, lot, mag_dt_s: 0.0 }
+    }
+    pub(crate) fn period_s(&self) -> f64 {
+        self.period_s
+    }
+    pub(crate) fn mag_period_s(&self) -> f64 {
+        self.mag_period_s
+    }
+    /// A sample of what the chip feels; its time is the caller's to set.
+    pub(crate) fn read(&mut self, feeling: &Feeling, dt_s: f64, with_mag: bool) -> ImuSample {
+        self.mag_dt_s += dt_s;
+        let gyro_rad_s = self.gyro.read(&feeling.rate, dt_s, &mut self.lot);
+        let acc_m_s2 = self.acc.read(&feeling.force, dt_s, &mut self.lot);
+        let mag_ut = with_mag.then(|| self.mag.read(&feeling.field, std::mem::take(&mut self.mag_dt_s), &mut self.lot));
+        ImuSample { t: Seconds(0.0), gyro_rad_s, acc_m_s2, mag_ut }
+    }
+    /// Full scale on every axis of rate and force, on the side it is already on.
+    pub(crate) fn pin_to_range(&self, sample: &mut ImuSample) {
+        sample.gyro_rad_s = sample.gyro_rad_s.map(|x| self.gyro.range.copysign(x));
+        sample.acc_m_s2 = sample.acc_m_s2.map(|x| self.acc.range.copysign(x));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::plant::lot::Stream;
+
+    fn still() -> Feeling {
+        Feeling { rate: Vector3::zeros(), force: Vector3::new(0.0, 0.0, GRAVITY_M_S2), field: Vector3::new(20.0, 0.0, -43.0) }
+    }
+
+    #[test]
+    fn noise_is_as_dense_as_it_says() {
+        let config = ImuConfig { gyro_wander_deg_s: 0.0, gyro_digit_deg_s: 0.0, ..ImuConfig::default() };
+        let mut chip = Chip::new(&config, Lot::new(5, Stream::TipImu));
+        let n = 20_000;
+        let square: f64 = (0..n).map(|_| chip.read(&still(), 0.002, false).gyro_rad_s.norm_squared() / 3.0).sum();
+        let density = (square / f64::from(n)).sqrt().to_degrees() / 250f64.sqrt();
+        assert!((density / 0.015 - 1.0).abs() < 0.02, "{density}");
+    }
+
+    #[test]
+    fn has_digits_range_and_bias() {
+        let config = ImuConfig { acc_bias_mg: [10.0, 0.0, 0.0], ..ImuConfig::default() };
+        let mut chip = Chip::new(&config, Lot::new(5, Stream::TipImu));
+        let n = 5000;
+        let mean: Vector3<f64> = (0..n).map(|_| chip.read(&still(), 0.002, false).acc_m_s2).sum::<Vector3<f64>>() / f64::from(n);
+        assert!((mean - Vector3::new(0.0981, 0.0, GRAVITY_M_S2)).norm() < 0.01, "{mean}");
+        let s = chip.read(&Feeling { rate: Vector3::new(99.0, 0.0, -99.0), ..still() }, 0.002, true);
+        assert!((s.gyro_rad_s.x.to_degrees() - 500.0).abs() < 0.02 && (s.gyro_rad_s.z.to_degrees() + 500.0).abs() < 0.02);
+        let mag = s.mag_ut.unwrap();
+        assert!(mag.iter().all(|x| ((x / 0.15).round() - x / 0.15).abs() < 1e-6));
+    }
+}

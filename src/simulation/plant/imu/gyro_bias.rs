@@ -1,0 +1,87 @@
+//! A gyroscope whose bias drifts: it warms up, and it wanders.
+//!
+//! Warm-up as a stretched exponential, `b (1 − e^(−(t/τ)^0.7))`: fast at first and never quite done;
+//! beside it a Gauss-Markov wander of 40 s correlation time.
+
+use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::check::{PlantError, range, ranges};
+use crate::simulation::plant::lot::{Lot, Stream};
+use crate::simulation::plant::memory::Wander;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// `[effects.gyro_bias]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GyroBias {
+    /// Change b of the bias by the end of the warm-up, °/s per axis. Default 0 (none); typical 0.1
+    /// to 5. Bigger turns the integrated attitude faster.
+    pub warm_up_deg_s: [f64; 3],
+    /// Time constant τ of the warm-up, s. Default 40. Bigger drifts for longer.
+    pub over_s: f64,
+    /// Standard deviation of the wander, °/s. Default 0. Bigger is less predictable.
+    pub wander_deg_s: f64,
+}
+
+impl Default for GyroBias {
+    fn default() -> Self {
+        Self { warm_up_deg_s: [0.0; 3], over_s: 40.0, wander_deg_s: 0.0 }
+    }
+}
+
+impl Cause for GyroBias {
+    fn check(&self) -> Result<(), PlantError> {
+        ranges("effects.gyro_bias.warm_up_deg_s", &self.warm_up_deg_s, -50.0..=50.0, "0.1 to 5 °/s is typical")?;
+        range("effects.gyro_bias.over_s", self.over_s, 0.1..=1e6, "a minute or so is typical")?;
+        range("effects.gyro_bias.wander_deg_s", self.wander_deg_s, 0.0..=20.0, "tenths of °/s are typical")
+    }
+    fn size(&self) -> f64 {
+        largest(&self.warm_up_deg_s).max(self.wander_deg_s)
+    }
+    fn scale(&mut self, factor: f64) {
+        scale_all(&mut self.warm_up_deg_s, factor);
+        self.wander_deg_s *= factor;
+    }
+    fn draw(severity: f64, lot: &mut Lot) -> Self {
+        let size = lot.sized(0.5, 4.0, severity);
+        Self { warm_up_deg_s: (lot.direction() * size).into(), over_s: lot.between(15.0, 70.0), wander_deg_s: 0.1 * size }
+    }
+}
+
+/// A bias that drifts, with where it has wandered.
+#[derive(Debug, Clone)]
+pub(crate) struct Drifting {
+    config: GyroBias,
+    wander: Wander,
+    lot: Lot,
+    start: Vector3<f64>,
+}
+
+impl Drifting {
+    pub(crate) fn new(config: GyroBias, seed: u64) -> Self {
+        let mut lot = Lot::new(seed, Stream::GyroBias);
+        let mut wander = Wander::new(config.wander_deg_s.to_radians(), 40.0, &mut lot);
+        // what it starts with is the constant bias, which is nobody's fault
+        let start = wander.step(0.0, &mut lot);
+        Self { config, wander, lot, start }
+    }
+    /// Bias at time `t`, `dt_s` after the last, rad/s.
+    pub(crate) fn rate(&mut self, t: f64, dt_s: f64) -> Vector3<f64> {
+        let warm = -(-(t / self.config.over_s).powf(0.7)).exp_m1();
+        let drift = Vector3::from(self.config.warm_up_deg_s).map(f64::to_radians) * warm;
+        drift + self.wander.step(dt_s, &mut self.lot) - self.start
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn starts_at_nothing_and_ends_at_its_size() {
+        let mut d = Drifting::new(GyroBias { warm_up_deg_s: [1.0, 0.0, -2.0], ..GyroBias::default() }, 1);
+        assert_eq!(d.rate(0.0, 0.0).norm(), 0.0);
+        let end = d.rate(5000.0, 1.0).map(f64::to_degrees);
+        assert!((end - Vector3::new(1.0, 0.0, -2.0)).norm() < 1e-9);
+    }
+}

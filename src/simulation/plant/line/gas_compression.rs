@@ -1,0 +1,91 @@
+//! Boyle: trapped air is a spring that stiffens with pressure and softens under vacuum.
+//!
+//! With dead volume V_d (in mm of piston), polytropic exponent n and gauge pressure p over the
+//! atmosphere P: `(P + p)(V_d − ε)ⁿ = P V_dⁿ`. V_d is not free: for small signals the spring is the
+//! nominal one, `V_d = n P k_ε / c` with `c` the kPa per mm of bellow. Hence, with strength `s` (how
+//! much stiffer than nominal the bellow is at the same k_ε, so how much pressure the air really sees),
+//! `ε = (V_d / s) (1 − (1 + s p/P)^(−1/n))`, and `s → 0` is the linear spring.
+
+use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::check::{PlantError, range};
+use crate::simulation::plant::lot::Lot;
+use serde::{Deserialize, Serialize};
+
+/// `[effects.gas_compression]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GasCompression {
+    /// Pressure that the air really sees, per pressure of the nominal line. Default 0 (linear
+    /// spring); typical 0.3 to 2, which changes the gain by 5 to 30 % at full bend. Bigger bends the
+    /// curve more.
+    pub strength: f64,
+    /// Polytropic exponent n: 1 for slow, 1.4 for fast compression. Default 1.2. Bigger curves less.
+    pub polytropic: f64,
+    /// Pressure of the atmosphere, kPa. Default 101.3. Bigger curves less.
+    pub atmosphere_kpa: f64,
+}
+
+impl Default for GasCompression {
+    fn default() -> Self {
+        Self { strength: 0.0, polytropic: 1.2, atmosphere_kpa: 101.3 }
+    }
+}
+
+impl Cause for GasCompression {
+    fn check(&self) -> Result<(), PlantError> {
+        range("effects.gas_compression.strength", self.strength, 0.0..=3.0, "beyond 3 a full bend needs absolute vacuum")?;
+        range("effects.gas_compression.polytropic", self.polytropic, 1.0..=1.67, "1 is isothermal, 1.4 adiabatic air")?;
+        range("effects.gas_compression.atmosphere_kpa", self.atmosphere_kpa, 30.0..=200.0, "101.3 at sea level")
+    }
+    fn size(&self) -> f64 {
+        self.strength
+    }
+    fn scale(&mut self, factor: f64) {
+        self.strength = (self.strength * factor).min(3.0);
+    }
+    fn draw(severity: f64, lot: &mut Lot) -> Self {
+        Self { strength: lot.sized(0.5, 2.2, severity), polytropic: lot.between(1.05, 1.35), ..Self::default() }
+    }
+}
+
+/// Share of the atmosphere below which the curve goes on along its tangent: no vacuum is perfect.
+const VACUUM_FLOOR: f64 = 0.1;
+
+impl GasCompression {
+    /// Pressure that a linear spring would need for the same strain, kPa, and its slope: ε(p) and
+    /// dε/dp of the true gas divided by those of the nominal spring at rest.
+    pub(crate) fn linearised_kpa(&self, pressure_kpa: f64) -> (f64, f64) {
+        let (n, s) = (self.polytropic, self.strength / self.atmosphere_kpa);
+        let ratio = 1.0 + s * pressure_kpa;
+        let bounded = ratio.max(VACUUM_FLOOR);
+        let shrunk = (-bounded.ln() / n).exp();
+        let slope = shrunk / bounded;
+        (n / s * (1.0 - shrunk) + slope * (ratio - bounded) / s, slope)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn obeys_boyle_and_is_linear_for_small_signals() {
+        let g = GasCompression { strength: 1.0, ..GasCompression::default() };
+        let volume = g.polytropic * g.atmosphere_kpa; // dead volume in the unit of the result
+        for p in [-80.0, -40.0, -10.0, 5.0, 40.0] {
+            let (eps, slope) = g.linearised_kpa(p);
+            let before = g.atmosphere_kpa * volume.powf(g.polytropic);
+            let after = (g.atmosphere_kpa + p) * (volume - eps).powf(g.polytropic);
+            assert!((after / before - 1.0).abs() < 1e-12);
+            let h = 1e-4;
+            let numeric = (g.linearised_kpa(p + h).0 - g.linearised_kpa(p - h).0) / (2.0 * h);
+            assert!((numeric - slope).abs() < 1e-7);
+        }
+        assert!((g.linearised_kpa(1e-6).0 - 1e-6).abs() < 1e-12);
+        // beyond the floor it goes on straight
+        let (a, slope) = g.linearised_kpa(-95.0);
+        assert!((g.linearised_kpa(-105.0).0 - (a - 10.0 * slope)).abs() < 1e-9);
+        // pressure meets a stiffer spring than vacuum
+        assert!(g.linearised_kpa(17.0).0 < 17.0 && g.linearised_kpa(-17.0).0 < -17.0);
+    }
+}

@@ -1,0 +1,105 @@
+//! Flow through the long thin lumen: laminar in the bore, turbulent at the ports.
+//!
+//! The strain across the line (mm of piston) drives the flow: `Δ = τ f + (τ o / 10) f |f|`, `f` in
+//! mm/s and `o` the share of port loss at 10 mm/s. The flow for a strain is the root of that
+//! quadratic; the step relaxes over the time constant `Δ/f` that the flow has at its start, which is
+//! exact when `o = 0` and stable for every step.
+
+use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::check::{PlantError, range, ranges};
+use crate::simulation::plant::lot::Lot;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// `[effects.line_lag]`
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LineLag {
+    /// Time constant τ of each line for slow flow, s. Default 0 (none); typical 0.05 to 1. Bigger is
+    /// slower.
+    pub lag_s: [f64; 3],
+    /// Port loss at 10 mm/s as a share of the bore's. Default 0.5. Bigger makes fast motion lag more
+    /// than slow motion.
+    pub port: f64,
+}
+
+impl Default for LineLag {
+    fn default() -> Self {
+        Self { lag_s: [0.0; 3], port: 0.5 }
+    }
+}
+
+impl Cause for LineLag {
+    fn check(&self) -> Result<(), PlantError> {
+        ranges("effects.line_lag.lag_s", &self.lag_s, 0.0..=20.0, "0.05 to 1 s is typical")?;
+        range("effects.line_lag.port", self.port, 0.0..=20.0, "a share of the loss in the bore")
+    }
+    fn size(&self) -> f64 {
+        largest(&self.lag_s)
+    }
+    fn scale(&mut self, factor: f64) {
+        scale_all(&mut self.lag_s, factor);
+    }
+    fn draw(severity: f64, lot: &mut Lot) -> Self {
+        let tau = lot.sized(0.12, 0.9, severity);
+        Self { lag_s: std::array::from_fn(|_| tau * lot.between(0.85, 1.15)), port: lot.between(0.2, 1.0) }
+    }
+}
+
+/// Three lumens with what has passed them.
+#[derive(Debug, Clone)]
+pub(crate) struct Lumen {
+    config: LineLag,
+    passed_mm: Vector3<f64>,
+}
+
+impl Lumen {
+    pub(crate) fn new(config: LineLag) -> Self {
+        Self { config, passed_mm: Vector3::zeros() }
+    }
+    pub(crate) fn step(&mut self, pushed_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+        for i in 0..3 {
+            let strain = pushed_mm[i] - self.passed_mm[i];
+            let tau = self.tau_at(i, strain.abs());
+            self.passed_mm[i] += if tau > 0.0 { -strain * (-dt_s / tau).exp_m1() } else { strain };
+        }
+        self.passed_mm
+    }
+    /// Δ / f for a strain Δ ≥ 0.
+    fn tau_at(&self, i: usize, strain_mm: f64) -> f64 {
+        let tau = self.config.lag_s[i];
+        if tau <= 0.0 {
+            return 0.0;
+        }
+        // f = 2 Δ / (τ + √(τ² + 4 b Δ)) with b = τ o / 10: the root without cancellation
+        let b = tau * self.config.port / 10.0;
+        0.5 * (tau + (tau * tau + 4.0 * b * strain_mm).sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Time to cover 63 % of a step of `size_mm`, s.
+    fn rise(size_mm: f64) -> f64 {
+        let mut l = Lumen::new(LineLag { lag_s: [0.2; 3], port: 1.0 });
+        let n = (1..5000).find(|_| l.step(&Vector3::repeat(size_mm), 0.001).x > 0.632 * size_mm).unwrap();
+        f64::from(n) * 0.001
+    }
+
+    #[test]
+    fn small_steps_take_tau_and_big_ones_longer() {
+        assert!((rise(0.01) - 0.2).abs() < 0.01);
+        assert!(rise(10.0) > 0.3);
+    }
+
+    #[test]
+    fn never_overshoots_whatever_the_step() {
+        let mut l = Lumen::new(LineLag { lag_s: [0.05, 0.5, 0.0], port: 0.5 });
+        for _ in 0..100 {
+            let z = l.step(&Vector3::repeat(3.0), 0.01);
+            assert!(z.iter().all(|z| (0.0..=3.0).contains(z)));
+        }
+    }
+}

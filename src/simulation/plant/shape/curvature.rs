@@ -1,0 +1,60 @@
+//! The tip bends by more or less than constant curvature says, alike in all directions.
+//!
+//! End caps stay straight and the middle bends first: `β' = β + A (β/β₀) tanh((β/β₀)²) / tanh 1`,
+//! which is `A` at `β₀ = 60°`, flat at rest and proportional far out.
+
+use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::check::{PlantError, range};
+use crate::simulation::plant::lot::Lot;
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+
+/// `[effects.curvature]`
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Curvature {
+    /// Extra bend A at 60°, degrees. Default 0 (none); typical ±1 to 10. Bigger bends more at large
+    /// angles only.
+    pub excess_deg: f64,
+}
+
+/// Angle at which the excess is counted, rad.
+const FULL: f64 = std::f64::consts::FRAC_PI_3;
+
+impl Cause for Curvature {
+    fn check(&self) -> Result<(), PlantError> {
+        range("effects.curvature.excess_deg", self.excess_deg, -25.0..=25.0, "±1 to 10 is typical")
+    }
+    fn size(&self) -> f64 {
+        self.excess_deg
+    }
+    fn scale(&mut self, factor: f64) {
+        self.excess_deg *= factor;
+    }
+    fn draw(severity: f64, lot: &mut Lot) -> Self {
+        Self { excess_deg: lot.sign() * lot.sized(3.0, 10.0, severity) }
+    }
+}
+
+impl Curvature {
+    /// The bend vector as the tip really bends, rad.
+    pub(crate) fn bent(&self, bend: &Vector2<f64>) -> Vector2<f64> {
+        let x2 = bend.norm_squared() / (FULL * FULL);
+        bend * (1.0 + self.excess_deg.to_radians() / FULL * x2.tanh() / 1f64.tanh())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn is_isotropic_and_its_own_size_at_sixty_degrees() {
+        let c = Curvature { excess_deg: 5.0 };
+        for deg in [0.0, 77.0, 200.0f64] {
+            let u = Vector2::new(deg.to_radians().cos(), deg.to_radians().sin());
+            assert!((c.bent(&(u * FULL)).norm().to_degrees() - 65.0).abs() < 1e-9);
+            assert!((c.bent(&(u * 0.1)).norm() / 0.1 - 1.0).abs() < 2e-3);
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! One unit of a make: what the file says, give or take its spread.
+//!
+//! A unit is drawn once, from its seed alone, and then is what it is.
+
+use crate::simulation::plant::config::PlantConfig;
+use crate::simulation::plant::lot::{Lot, Stream};
+use crate::simulation::plant::spread::Spread;
+
+/// Draws beyond this many standard deviations are taken at it: such units are not sold.
+const SOLD: f64 = 2.5;
+
+impl PlantConfig {
+    /// The unit of this make that the seed stands for: gains, geometry, sizes of effects, attitude,
+    /// field and IMU biases drawn from `spread`, which is used up by it.
+    #[must_use]
+    pub fn drawn(&self, seed: u64) -> PlantConfig {
+        let (spread, mut lot) = (&self.spread, Lot::new(seed, Stream::Unit));
+        let mut unit = PlantConfig { spread: Spread::default(), ..self.clone() };
+        unit.effects = self.effects.varied(spread.effects, &mut lot);
+        let mut about = |sigma: f64| sigma * lot.normal().clamp(-SOLD, SOLD);
+        for i in 0..3 {
+            unit.line.k_epsilon[i] *= 1.0 + about(spread.k_epsilon);
+            unit.line.k_lambda_mm[i] *= 1.0 + about(spread.k_lambda);
+            unit.shape.r_mm[i] *= 1.0 + about(spread.r);
+            unit.shape.angle_deg[i] += about(spread.angle_deg);
+            unit.imu.gyro_bias_deg_s[i] += about(spread.gyro_bias_deg_s);
+            unit.imu.acc_bias_mg[i] += about(spread.acc_bias_mg);
+            unit.imu.mag_bias_ut[i] += about(spread.mag_bias_ut);
+        }
+        unit.line.lag_s *= 1.0 + about(spread.lag);
+        unit.field.strength_ut *= 1.0 + about(spread.field);
+        unit.field.dip_deg = (unit.field.dip_deg + about(spread.dip_deg)).clamp(-90.0, 90.0);
+        unit.base.pitch_deg = wrapped(unit.base.pitch_deg + about(spread.tilt_deg));
+        unit.base.roll_deg = wrapped(unit.base.roll_deg + about(spread.tilt_deg));
+        unit.base.yaw_deg = wrapped(unit.base.yaw_deg + spread.heading_deg * lot.between(-1.0, 1.0));
+        unit
+    }
+}
+
+/// The same angle in −180..180 degrees.
+fn wrapped(deg: f64) -> f64 {
+    (deg + 180.0).rem_euclid(360.0) - 180.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spread() -> Spread {
+        Spread {
+            k_epsilon: 0.06,
+            k_lambda: 0.1,
+            r: 0.01,
+            angle_deg: 1.0,
+            lag: 0.2,
+            effects: 0.2,
+            tilt_deg: 5.0,
+            heading_deg: 180.0,
+            field: 0.1,
+            dip_deg: 4.0,
+            gyro_bias_deg_s: 0.5,
+            acc_bias_mg: 5.0,
+            mag_bias_ut: 0.5,
+        }
+    }
+
+    #[test]
+    fn units_differ_and_repeat() {
+        let make = PlantConfig { spread: spread(), ..PlantConfig::default() };
+        assert_eq!(make.drawn(3), make.drawn(3));
+        assert_ne!(make.drawn(3), make.drawn(4));
+        let gains: Vec<f64> = (0..400).map(|s| make.drawn(s).line.k_epsilon[0] / 2.22).collect();
+        let mean = gains.iter().sum::<f64>() / 400.0;
+        let sigma = (gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / 400.0).sqrt();
+        assert!((mean - 1.0).abs() < 0.01 && (sigma - 0.06).abs() < 0.01, "{mean} {sigma}");
+        for s in 0..400 {
+            make.drawn(s).validate().unwrap();
+        }
+    }
+
+    #[test]
+    fn no_spread_is_the_unit_itself() {
+        let make = PlantConfig::default();
+        assert_eq!(make.drawn(9), make);
+    }
+}
