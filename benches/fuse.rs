@@ -8,7 +8,7 @@ use divan::{AllocProfiler, Bencher, black_box};
 use nalgebra::{UnitQuaternion, Vector3};
 use retroflex::estimation::fusion::align::Alignment;
 use retroflex::estimation::fusion::base::BaseTurn;
-use retroflex::estimation::fusion::bend::{BendFilter, BendFilterConfig, Heed};
+use retroflex::estimation::fusion::bend::{BendFilter, BendFilterConfig, MeasurementMask};
 use retroflex::estimation::fusion::{FilterName, OrientationFilter, Periods};
 use retroflex::primitives::sample::ImuSample;
 use retroflex::primitives::units::Seconds;
@@ -88,7 +88,7 @@ fn bend_filter(first: &ImuSample) -> BendFilter {
     BendFilter::new(&BendFilterConfig::default(), &rest)
 }
 
-const HEED: Heed = Heed { acc: true, mag: true, still: false };
+const HEED: MeasurementMask = MeasurementMask { acc: true, mag: true, still: false };
 
 #[divan::bench]
 fn bend(bencher: Bencher) {

@@ -9,11 +9,11 @@ use rand::{RngExt, SeedableRng};
 use retroflex::motion::cruise::arrive_in;
 use retroflex::motion::lines::PulseTiming;
 use retroflex::motion::plan::Plan;
-use retroflex::motion::pulse::{Action, StepCore};
+use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::TimedSegment;
 use retroflex::motion::solver::{Ruckig, Solver};
 use retroflex::motion::steps::ChannelSteps;
-use retroflex::motion::{Limits, Motion, MotionConfig, Segment, State, StepperConfig};
+use retroflex::motion::{MotionLimits, Motion, MotionConfig, Segment, MotionState, StepperConfig};
 use std::collections::VecDeque;
 
 const STEP_MM: f64 = 0.029_452;
@@ -22,8 +22,8 @@ fn main() {
     divan::main();
 }
 
-fn limits() -> Limits {
-    let Ok(limits) = Limits::try_from(&MotionConfig::default()) else { unreachable!("the defaults are tested to be valid") };
+fn limits() -> MotionLimits {
+    let Ok(limits) = MotionLimits::try_from(&MotionConfig::default()) else { unreachable!("the defaults are tested to be valid") };
     limits
 }
 
@@ -50,7 +50,7 @@ fn tick_resting(bencher: Bencher) {
 
 #[divan::bench]
 fn tick_following(bencher: Bencher) {
-    let mut motion = Motion::new(&Limits { travel_max_mm: 1e6, ..limits() });
+    let mut motion = Motion::new(&MotionLimits { travel_max_mm: 1e6, ..limits() });
     motion.tick([1e6, -1e6, 5e5], 1e-3);
     bencher.bench_local(|| motion.tick(black_box([1e6, -1e6, 5e5]), 1e-9));
 }
@@ -70,14 +70,14 @@ fn tick_replanning_wild(bencher: Bencher) {
 #[divan::bench]
 fn solver_alone(bencher: Bencher) {
     let (l, mut solver, mut plan) = (limits(), Ruckig::default(), Plan::default());
-    let from = [3.0, -7.0, 1.0].map(|v| State { velocity_mm_s: v, acceleration_mm_s2: 40.0, ..State::rest(0.5) });
+    let from = [3.0, -7.0, 1.0].map(|v| MotionState { velocity_mm_s: v, acceleration_mm_s2: 40.0, ..State::rest(0.5) });
     bencher.bench_local(|| solver.solve(&l, black_box(&from), &[4.0, -2.0, 7.0], &mut plan).is_ok());
 }
 
 #[divan::bench]
 fn verify_a_plan(bencher: Bencher) {
     let (l, mut plan) = (limits(), Plan::default());
-    let from = [3.0, -7.0, 1.0].map(|v| State { velocity_mm_s: v, ..State::rest(0.5) });
+    let from = [3.0, -7.0, 1.0].map(|v| MotionState { velocity_mm_s: v, ..State::rest(0.5) });
     if Ruckig::default().solve(&l, &from, &[4.0, -2.0, 7.0], &mut plan).is_ok() {
         bencher.bench_local(|| black_box(&plan).verify(&from, &l).is_ok());
     }
@@ -86,7 +86,7 @@ fn verify_a_plan(bencher: Bencher) {
 #[divan::bench]
 fn one_channel_by_cruise(bencher: Bencher) {
     let l = limits();
-    let from = State { velocity_mm_s: 3.0, acceleration_mm_s2: 40.0, ..State::rest(0.5) };
+    let from = MotionState { velocity_mm_s: 3.0, acceleration_mm_s2: 40.0, ..State::rest(0.5) };
     bencher.bench_local(|| arrive_in(&l, black_box(&from), 4.0, 0.6, 20.0));
 }
 
@@ -123,8 +123,8 @@ fn step_core_one_second(bencher: Bencher) {
         let mut now = 0;
         while now < 1_000_000_000 {
             match core.poll(now, &mut queue) {
-                Action::WaitUntil(t) => now = t,
-                Action::Write(_) => {
+                PulseAction::WaitUntil(t) => now = t,
+                PulseAction::Write(_) => {
                     now += 300;
                     core.wrote(now);
                 }

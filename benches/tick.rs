@@ -8,8 +8,8 @@ use retroflex::config::board::{Board, PlantSection};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
-use retroflex::control::tick::{Command, Config, Frame, Input, State, tick};
-use retroflex::estimation::fusion::health::Outcome;
+use retroflex::control::tick::{Command, LoopConfig, Frame, Input, LoopState, tick};
+use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
@@ -32,15 +32,15 @@ fn sim() -> Sim {
     Sim::new(&plant.make(), 1, 1, plant.period_s).unwrap()
 }
 
-fn config() -> Config {
+fn config() -> LoopConfig {
     let board: Board = source::parse("boards/sim.toml", include_str!("../boards/sim.toml")).unwrap();
     let calib: Calibration = source::parse("calib/paper.toml", include_str!("../calib/paper.toml")).unwrap();
     for_world(&assemble(&board, &calib, &Gains::default()), &sim())
 }
 
 /// What a loop is told during a minute of the experiment, recorded once.
-fn inputs(config: &Config) -> Vec<Input> {
-    let (mut world, mut state) = (sim(), State::new(config));
+fn inputs(config: &LoopConfig) -> Vec<Input> {
+    let (mut world, mut state) = (sim(), LoopState::new(config));
     let mut input = Input { dt_s: world.nature().period_s, ..Input::default() };
     let mut poses = paper().into_iter().cycle();
     let mut all = Vec::new();
@@ -51,7 +51,7 @@ fn inputs(config: &Config) -> Vec<Input> {
         all.push(input);
         let frame = tick(config, &mut state, &input);
         let reply = world.step(&frame.steps).unwrap();
-        input = Input { t: reply.t, imu: Outcome::from_world(reply.imu), steps: frame.steps, command: None, ..input };
+        input = Input { t: reply.t, imu: ImuReading::from_world(reply.imu), steps: frame.steps, command: None, ..input };
     }
     all
 }
@@ -62,7 +62,7 @@ fn one_tick(bencher: Bencher<'_, '_>) {
     let config = config();
     let inputs = inputs(&config);
     bencher.counter(ItemsCount::new(inputs.len())).bench_local(|| {
-        let mut state = State::new(&config);
+        let mut state = LoopState::new(&config);
         let mut last: Option<Frame> = None;
         for input in &inputs {
             last = Some(tick(&config, &mut state, black_box(input)));

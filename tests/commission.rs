@@ -5,7 +5,7 @@ mod common;
 
 use common::plant;
 use nalgebra::{UnitQuaternion, Vector3};
-use retroflex::estimation::fusion::health::Outcome;
+use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::primitives::units::{Seconds, Steps};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::plant::PlantConfig;
@@ -14,7 +14,7 @@ use retroflex::supervisor::commission::hand::{Hand, HandError};
 use retroflex::supervisor::commission::homing::{self, Homed, HomingConfig, HomingError};
 use retroflex::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
 use retroflex::supervisor::machine::{Inputs, Machine, Sensed};
-use retroflex::supervisor::machine::{Nature, WorldError};
+use retroflex::supervisor::machine::{MachineInfo, MachineError};
 
 /// A simulated machine whose lines reach other bellows, whose motors turn the wrong way, whose sensor is
 /// turned, or whose line is cut.
@@ -36,10 +36,10 @@ fn machine(change: impl FnOnce(&mut PlantConfig)) -> Miswired {
 }
 
 impl Machine for Miswired {
-    fn nature(&self) -> &Nature {
+    fn nature(&self) -> &MachineInfo {
         self.inner.nature()
     }
-    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, WorldError> {
+    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let mut there = [0; 3];
         for i in 0..3 {
             let n = if self.inverted[i] { -wanted.0[i] } else { wanted.0[i] };
@@ -48,7 +48,7 @@ impl Machine for Miswired {
         let mut said = self.inner.turn(now, &Steps(there))?;
         // what was pulsed, whatever came of it
         said.counted = *wanted;
-        if let Outcome::Sample(s, _) = &mut said.imu {
+        if let ImuReading::Sample(s, _) = &mut said.imu {
             let r = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -self.turned_rad);
             (s.gyro_rad_s, s.acc_m_s2) = (r * s.gyro_rad_s, r * s.acc_m_s2);
         }
@@ -132,7 +132,7 @@ fn the_red_button_and_a_caller_who_wants_no_more_end_a_move() {
 
 /// Three racks with home switches; where they stand at the start is not known to the counts.
 struct Racks {
-    nature: Nature,
+    nature: MachineInfo,
     start_mm: [f64; 3],
     zero: [i32; 3],
     counted: [i32; 3],
@@ -147,7 +147,7 @@ struct Racks {
 
 impl Racks {
     fn new(start_mm: [f64; 3]) -> Self {
-        let nature = Nature { name: "racks".into(), period_s: 0.002, step_mm: 0.029_452, rest_length_mm: 20.0 };
+        let nature = MachineInfo { name: "racks".into(), period_s: 0.002, step_mm: 0.029_452, rest_length_mm: 20.0 };
         Self {
             nature,
             start_mm,
@@ -167,10 +167,10 @@ impl Racks {
 }
 
 impl Machine for Racks {
-    fn nature(&self) -> &Nature {
+    fn nature(&self) -> &MachineInfo {
         &self.nature
     }
-    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, WorldError> {
+    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         if self.on {
             // at most 30 mm/s, as the motion of real hardware
             for i in 0..3 {
@@ -186,7 +186,7 @@ impl Machine for Racks {
         });
         let inputs = Inputs { emergency_stop: false, home };
         let (counted, energised) = (Steps(self.counted), self.on);
-        Ok(Sensed { t: now, imu: Outcome::Nothing, base_imu: None, counted, energised, inputs, alarm: None, truth: None })
+        Ok(Sensed { t: now, imu: ImuReading::Nothing, base_imu: None, counted, energised, inputs, alarm: None, truth: None })
     }
     fn energise(&mut self, on: bool) {
         self.on = on;

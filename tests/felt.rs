@@ -11,16 +11,16 @@ use retroflex::config::assemble;
 use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
-use retroflex::control::tick::{Command, Config, Frame, Input, State, tick};
+use retroflex::control::tick::{Command, LoopConfig, Frame, Input, LoopState, tick};
 use retroflex::estimation::fusion::estimator::Choice;
-use retroflex::estimation::fusion::health::Outcome;
+use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::model::bend::Bend;
 use retroflex::primitives::units::Mm;
 use tip::{Field, TipPlant};
 
 const DT_S: f64 = 0.005;
 
-fn config(plant: &TipPlant, filter: Choice) -> Config {
+fn config(plant: &TipPlant, filter: Choice) -> LoopConfig {
     let mut config = assemble(&Board::default(), &Calibration::default(), &Gains::default());
     // the calibration of the unit, as good as Algorithm 1 makes it
     config.lines = plant.lines;
@@ -31,8 +31,8 @@ fn config(plant: &TipPlant, filter: Choice) -> Config {
 /// A loop on a plant.
 struct Life {
     plant: TipPlant,
-    config: Config,
-    state: State,
+    config: LoopConfig,
+    state: LoopState,
     input: Input,
     with_base_imu: bool,
 }
@@ -40,7 +40,7 @@ struct Life {
 impl Life {
     fn new(plant: TipPlant, filter: Choice) -> Self {
         let config = config(&plant, filter);
-        let state = State::new(&config);
+        let state = LoopState::new(&config);
         Self { plant, config, state, input: Input { dt_s: DT_S, ..Input::default() }, with_base_imu: false }
     }
     fn tick(&mut self) -> Frame {
@@ -49,7 +49,7 @@ impl Life {
         let sample = self.plant.sample();
         let base_imu = self.with_base_imu.then(|| self.plant.base_sample());
         self.input =
-            Input { t: sample.t, dt_s: DT_S, imu: Outcome::from_world(Some(sample)), base_imu, steps: frame.steps, ..Input::default() };
+            Input { t: sample.t, dt_s: DT_S, imu: ImuReading::from_world(Some(sample)), base_imu, steps: frame.steps, ..Input::default() };
         frame
     }
     fn command(&mut self, bend_deg: f64, dir_deg: f64) {

@@ -11,11 +11,11 @@ use retroflex::config::assemble;
 use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
-use retroflex::control::tick::{Command, Config, Frame, Input, State, tick};
-use retroflex::estimation::fusion::health::{Action, Cause, Outcome};
+use retroflex::control::tick::{Command, LoopConfig, Frame, Input, LoopState, tick};
+use retroflex::estimation::fusion::health::{HealthAction, HealthCause, ImuReading};
 use retroflex::hardware::imu::fake::{FakeBus, FakeIcm20948};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
-use retroflex::hardware::imu::{Supervisor, SupervisorConfig};
+use retroflex::hardware::imu::{ImuRecovery, RecoveryConfig};
 use retroflex::model::bend::Bend;
 use retroflex::primitives::units::{Mm, Seconds};
 use tip::TipPlant;
@@ -27,9 +27,9 @@ const ADDRESS: u8 = 0x68;
 struct Case {
     name: &'static str,
     lasts_s: f64,
-    cause: Cause,
+    cause: HealthCause,
     /// The mildest action that counts as an answer.
-    action: Action,
+    action: HealthAction,
     /// Largest true bend error during the fault, degrees, beyond what the motion has anyway.
     error_max_deg: f64,
 }
@@ -37,14 +37,14 @@ struct Case {
 /// A loop whose sensor is a chip on a bus.
 struct Chip {
     plant: TipPlant,
-    config: Config,
-    state: State,
+    config: LoopConfig,
+    state: LoopState,
     input: Input,
     bus: FakeBus,
-    imu: Supervisor<Icm20948<FakeBus>>,
+    imu: ImuRecovery<Icm20948<FakeBus>>,
     /// What happens to a sample on its way, by name of the case.
     spoil: Option<&'static str>,
-    held: Option<Outcome>,
+    held: Option<ImuReading>,
 }
 
 impl Chip {
@@ -54,10 +54,10 @@ impl Chip {
         config.lines = plant.lines;
         let bus = FakeBus::new();
         bus.machine().attach(FakeIcm20948::new(ADDRESS, 3));
-        let chip = Icm20948::new(bus.clone(), &icm20948::Config::default()).unwrap();
-        let mut imu = Supervisor::new(Box::new(chip), SupervisorConfig::default());
+        let chip = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
+        let mut imu = ImuRecovery::new(Box::new(chip), RecoveryConfig::default());
         imu.start(&mut bus.delay()).unwrap();
-        let state = State::new(&config);
+        let state = LoopState::new(&config);
         Self { plant, config, state, input: Input { dt_s: DT_S, ..Input::default() }, bus, imu, spoil: None, held: None }
     }
 
@@ -71,7 +71,7 @@ impl Chip {
     }
 
     /// What the sensor thread does.
-    fn read(&mut self, now: Seconds) -> Outcome {
+    fn read(&mut self, now: Seconds) -> ImuReading {
         self.bus.machine().set_motion(&self.plant.motion());
         self.bus.machine().advance(DT_S);
         let said = self.imu.read(&mut self.bus.delay(), now);
@@ -79,8 +79,8 @@ impl Chip {
     }
 
     /// Faults between chip and loop.
-    fn spoilt(&mut self, said: Outcome) -> Outcome {
-        let (Some(name), Outcome::Sample(mut sample, quality)) = (self.spoil, said) else {
+    fn spoilt(&mut self, said: ImuReading) -> ImuReading {
+        let (Some(name), ImuReading::Sample(mut sample, quality)) = (self.spoil, said) else {
             self.held = Some(said);
             return said;
         };
@@ -89,10 +89,10 @@ impl Chip {
             "stale stamp" => return self.held.unwrap_or(said),
             "stamp jumps ahead" => sample.t = Seconds(sample.t.0 + 0.4),
             "stamp runs back" => sample.t = Seconds(sample.t.0 - 0.3),
-            "silence" => return Outcome::Nothing,
+            "silence" => return ImuReading::Nothing,
             _ => {}
         }
-        Outcome::Sample(sample, quality)
+        ImuReading::Sample(sample, quality)
     }
 
     /// Begins or ends the fault called `name`.
@@ -136,7 +136,7 @@ impl Chip {
 #[derive(Debug, Default)]
 struct Seen {
     detected_s: Option<f64>,
-    worst: Option<Action>,
+    worst: Option<HealthAction>,
     during_deg: f64,
     after_deg: f64,
     felt_jump_deg: f64,
@@ -203,23 +203,23 @@ fn every_fault_is_seen_answered_and_survived() {
     use Action::{CoastOnGyro, GravityOnly, Hold, Skip};
     let case = |name, lasts_s, cause, action, error_max_deg| Case { name, lasts_s, cause, action, error_max_deg };
     let cases = [
-        case("nack", 0.02, Cause::Nack, Skip, 12.0),
-        case("short read", 0.02, Cause::ShortRead, Skip, 12.0),
-        case("stuck bus", 0.4, Cause::StuckBus, Hold, 25.0),
-        case("wrong chip", 0.4, Cause::WrongId, Hold, 25.0),
-        case("brown-out", 0.02, Cause::BrownOut, Hold, 25.0),
-        case("frozen", 0.4, Cause::Frozen, Hold, 25.0),
-        case("not a number", 0.03, Cause::NotFinite, Skip, 12.0),
-        case("spike", 0.02, Cause::Spike, Skip, 12.0),
-        case("saturated", 0.2, Cause::Saturated, Hold, 25.0),
-        case("stale stamp", 0.1, Cause::StaleTimestamp, Skip, 12.0),
-        case("stamp jumps ahead", 0.03, Cause::JumpingTimestamp, Skip, 12.0),
-        case("stamp runs back", 0.03, Cause::JumpingTimestamp, Skip, 12.0),
-        case("silence", 0.5, Cause::StaleTimestamp, Hold, 25.0),
-        case("field overflow", 0.8, Cause::MagOverflow, GravityOnly, 12.0),
-        case("magnetometer dead", 0.8, Cause::MagSilent, GravityOnly, 12.0),
-        case("iron nearby", 0.8, Cause::FieldDisturbed, GravityOnly, 12.0),
-        case("shaken", 0.8, Cause::AccelDisturbed, CoastOnGyro, 12.0),
+        case("nack", 0.02, HealthCause::Nack, Skip, 12.0),
+        case("short read", 0.02, HealthCause::ShortRead, Skip, 12.0),
+        case("stuck bus", 0.4, HealthCause::StuckBus, Hold, 25.0),
+        case("wrong chip", 0.4, HealthCause::WrongId, Hold, 25.0),
+        case("brown-out", 0.02, HealthCause::BrownOut, Hold, 25.0),
+        case("frozen", 0.4, HealthCause::Frozen, Hold, 25.0),
+        case("not a number", 0.03, HealthCause::NotFinite, Skip, 12.0),
+        case("spike", 0.02, HealthCause::Spike, Skip, 12.0),
+        case("saturated", 0.2, HealthCause::Saturated, Hold, 25.0),
+        case("stale stamp", 0.1, HealthCause::StaleTimestamp, Skip, 12.0),
+        case("stamp jumps ahead", 0.03, HealthCause::JumpingTimestamp, Skip, 12.0),
+        case("stamp runs back", 0.03, HealthCause::JumpingTimestamp, Skip, 12.0),
+        case("silence", 0.5, HealthCause::StaleTimestamp, Hold, 25.0),
+        case("field overflow", 0.8, HealthCause::MagOverflow, GravityOnly, 12.0),
+        case("magnetometer dead", 0.8, HealthCause::MagSilent, GravityOnly, 12.0),
+        case("iron nearby", 0.8, HealthCause::FieldDisturbed, GravityOnly, 12.0),
+        case("shaken", 0.8, HealthCause::AccelDisturbed, CoastOnGyro, 12.0),
     ];
     println!("fault               seen after  policy         pistons  error during  after   felt jump  target jump  over after");
     for c in &cases {
@@ -270,7 +270,7 @@ fn a_tip_that_leaps_is_felt_where_it_went() {
             let mut chip = Chip::new();
             chip.plant = TipPlant::new(7, tilt, DT_S);
             chip.config.lines = chip.plant.lines;
-            chip.state = State::new(&chip.config);
+            chip.state = LoopState::new(&chip.config);
             while chip.tick().felt.is_none() {}
             for (bend, dir) in [(30.0, 0.0), (50.0, 90.0), (20.0, 200.0), (45.0, 130.0)] {
                 chip.command(bend, dir);

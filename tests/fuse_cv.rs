@@ -50,7 +50,7 @@ fn periods(r: &Recording) -> Periods {
 }
 
 fn totals(recordings: &[Recording], make: &Maker) -> Vec<f64> {
-    recordings.par_iter().map(|r| imu_score::score_with(r, &mut *make(r)).unwrap().total_deg).collect()
+    recordings.par_iter().map(|r| score::score_with(r, &mut *make(r)).unwrap().total_deg).collect()
 }
 
 fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {

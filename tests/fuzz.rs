@@ -167,7 +167,7 @@ fn bend_logs() {
 
 /// A memory with something in every field.
 fn remembered() -> memory::Memory {
-    let kept = retroflex::control::tick::Kept {
+    let kept = retroflex::control::tick::RestartState {
         steps: Steps([5, -7, 100]),
         bend_rad: [0.1, -0.2],
         slack_mm: [0.1, 0.2, 0.3],
@@ -178,7 +178,7 @@ fn remembered() -> memory::Memory {
         rest: None,
     };
     let mut whole = memory::Memory { kept: Some(kept), tip: "A".to_owned(), armed: true, ..memory::Memory::default() };
-    whole.fault(memory::Fault { unix_s: 1.0, cause: "late".to_owned(), words: "é".to_owned() });
+    whole.fault(memory::RecordedFault { unix_s: 1.0, cause: "late".to_owned(), words: "é".to_owned() });
     whole
 }
 
@@ -208,7 +208,7 @@ fn tapes() {
     for k in 0..4 {
         let sensed = retroflex::supervisor::machine::Sensed {
             t: Seconds(f64::from(k)),
-            imu: retroflex::estimation::fusion::health::Outcome::Nothing,
+            imu: retroflex::estimation::fusion::health::ImuReading::Nothing,
             base_imu: None,
             counted: Steps([k; 3]),
             energised: true,

@@ -3,12 +3,12 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use retroflex::primitives::units::Steps;
-use retroflex::supervisor::gate::{Cause, Following, Gate, Limits, On, Passed, Safe, Told};
+use retroflex::supervisor::gate::{TripCause, Following, Gate, GateLimits, SafeStates, GateOutput, SafeState, GateInput};
 
 const DT: f64 = 1e-3;
 
-fn limits() -> Limits {
-    Limits {
+fn limits() -> GateLimits {
+    GateLimits {
         step_mm: 0.03,
         tick_s: DT,
         travel_mm: 30.0,
@@ -22,12 +22,12 @@ fn limits() -> Limits {
         late_s: 0.05,
         brake_mm_s2: 600.0,
         relax_mm_s: 8.0,
-        on: On::default(),
+        on: SafeStates::default(),
     }
 }
 
-fn told(wanted: [i32; 3]) -> Told {
-    Told {
+fn told(wanted: [i32; 3]) -> GateInput {
+    GateInput {
         dt_s: DT,
         wanted: Steps(wanted),
         armed: true,
@@ -45,12 +45,12 @@ fn at(counts: i32) -> Gate {
     Gate::new(&limits(), &Steps([counts; 3]))
 }
 
-fn trips(gate: &mut Gate, t: &Told) -> Option<Cause> {
+fn trips(gate: &mut Gate, t: &GateInput) -> Option<TripCause> {
     gate.pass(t).tripped
 }
 
 /// Drives channel `i` at a steady speed (mm/s), slowly brought up to it, for so long; the first trip.
-fn steady(gate: &mut Gate, i: usize, speed_mm_s: f64, seconds: f64) -> Option<Cause> {
+fn steady(gate: &mut Gate, i: usize, speed_mm_s: f64, seconds: f64) -> Option<TripCause> {
     let (mut mm, mut v) = (0.0, 0.0f64);
     for _ in 0..(seconds / DT) as usize {
         v = (v + 500.0 * DT).min(speed_mm_s);
@@ -77,7 +77,7 @@ fn moving() -> (Gate, i32) {
 fn what_is_within_all_limits_passes_as_it_is() {
     let mut gate = at(0);
     let passed = gate.pass(&told([0, 0, 0]));
-    assert_eq!(passed, Passed { steps: Steps([0; 3]), energise: true, tripped: None, rested: false });
+    assert_eq!(passed, GateOutput { steps: Steps([0; 3]), energise: true, tripped: None, rested: false });
     for i in 0..3 {
         let mut gate = at(0);
         assert_eq!(steady(&mut gate, i, 30.0, 0.6), None);
@@ -96,7 +96,7 @@ fn travel_trips_beyond_and_not_at_the_limit_on_every_channel_and_side() {
             assert_eq!(trips(&mut gate, &told(counts)), None, "30.0 mm is allowed");
             counts[i] = side * 1001;
             let passed = gate.pass(&told(counts));
-            assert_eq!(passed.tripped, Some(Cause::Travel));
+            assert_eq!(passed.tripped, Some(TripCause::Travel));
             assert_eq!(passed.steps.0[i], side * 1000, "what tripped does not go out");
         }
     }
@@ -106,9 +106,9 @@ fn travel_trips_beyond_and_not_at_the_limit_on_every_channel_and_side() {
 fn speed_trips_above_its_limit_and_one_step_of_grain() {
     // a window of 16 ms is 18.4 steps at the limit, and one step is grain
     assert_eq!(steady(&mut at(0), 1, 34.4, 0.5), None);
-    assert_eq!(steady(&mut at(0), 2, 38.5, 0.5), Some(Cause::Rate));
+    assert_eq!(steady(&mut at(0), 2, 38.5, 0.5), Some(TripCause::Rate));
     let mut gate = at(0);
-    assert_eq!(trips(&mut gate, &told([0, 0, 14])), Some(Cause::Acceleration), "a jump is a push first");
+    assert_eq!(trips(&mut gate, &told([0, 0, 14])), Some(TripCause::Acceleration), "a jump is a push first");
 }
 
 #[test]
@@ -116,12 +116,12 @@ fn a_slow_window_is_judged_by_the_time_it_took() {
     // the same counts, spread over late ticks, are no speed: 32 ticks of 2 ms at 1 step each
     let mut gate = at(0);
     for k in 1..=64 {
-        let t = Told { dt_s: 2.0 * DT, ..told([k, 0, 0]) };
+        let t = GateInput { dt_s: 2.0 * DT, ..told([k, 0, 0]) };
         assert_eq!(trips(&mut gate, &t), None, "tick {k}");
     }
     // and squeezed into half the time they are
     let mut gate = at(0);
-    let first = (1..=64).find_map(|k| trips(&mut gate, &Told { dt_s: DT / 2.0, ..told([k, 0, 0]) }));
+    let first = (1..=64).find_map(|k| trips(&mut gate, &GateInput { dt_s: DT / 2.0, ..told([k, 0, 0]) }));
     assert!(first.is_some());
 }
 
@@ -129,13 +129,13 @@ fn a_slow_window_is_judged_by_the_time_it_took() {
 /// compared nor once it has left them.
 #[test]
 fn a_long_tick_at_a_steady_speed_is_no_acceleration() {
-    let mut gate = Gate::new(&Limits { acceleration_mm_s2: 300.0, ..limits() }, &Steps([0; 3]));
+    let mut gate = Gate::new(&GateLimits { acceleration_mm_s2: 300.0, ..limits() }, &Steps([0; 3]));
     let (mut mm, mut v) = (0.0, 0.0f64);
     for tick in 0..400 {
         let dt_s = if tick == 250 { 0.045 } else { DT };
         v = (v + 200.0 * dt_s).min(30.0);
         mm += v * dt_s;
-        let t = Told { dt_s, ..told([(mm / 0.03f64).round() as i32, 0, 0]) };
+        let t = GateInput { dt_s, ..told([(mm / 0.03f64).round() as i32, 0, 0]) };
         assert_eq!(trips(&mut gate, &t), None, "tick {tick}");
     }
 }
@@ -148,13 +148,13 @@ fn acceleration_trips_on_a_push_and_on_a_reversal() {
         (1..=16).find_map(|k| trips(&mut gate, &told([n * k / 16, 0, 0])))
     };
     assert_eq!(push(11), None);
-    assert_eq!(push(13), Some(Cause::Acceleration));
+    assert_eq!(push(13), Some(TripCause::Acceleration));
     let (mut gate, mut counts) = moving();
     let reversal = (0..40).find_map(|k| {
         counts -= i32::from(k % 2 == 0);
         trips(&mut gate, &told([counts, 0, 0]))
     });
-    assert_eq!(reversal, Some(Cause::Acceleration));
+    assert_eq!(reversal, Some(TripCause::Acceleration));
 }
 
 #[test]
@@ -163,38 +163,38 @@ fn pressure_trips_on_moves_and_not_on_standing() {
     for (side, channel) in [(1, 1usize), (-1, 1)] {
         let mut gate = Gate::new(&limits(), &Steps([0, side * 900, 0]));
         let mut counts = [0, side * 900, 0];
-        let t = Told { felt_bellow_mm: felt(-2.6 * f64::from(side)), ..told(counts) };
+        let t = GateInput { felt_bellow_mm: felt(-2.6 * f64::from(side)), ..told(counts) };
         assert_eq!(trips(&mut gate, &t), None, "29.6 mm that are there already do not trip");
         counts[channel] += side;
-        let t = Told { felt_bellow_mm: felt(-2.4 * f64::from(side)), ..told(counts) };
+        let t = GateInput { felt_bellow_mm: felt(-2.4 * f64::from(side)), ..told(counts) };
         assert_eq!(trips(&mut gate, &t), None, "29.43 mm are allowed");
         counts[channel] += side;
-        let t = Told { felt_bellow_mm: felt(-2.5 * f64::from(side)), ..told(counts) };
-        assert_eq!(trips(&mut gate, &t), Some(Cause::Pressure));
+        let t = GateInput { felt_bellow_mm: felt(-2.5 * f64::from(side)), ..told(counts) };
+        assert_eq!(trips(&mut gate, &t), Some(TripCause::Pressure));
     }
 }
 
 #[test]
 fn pressure_relaxes_and_releases_at_zero() {
     let mut gate = at(100);
-    let t = Told { felt_bellow_mm: Some([-40.0, 3.0, 3.0]), ..told([101, 100, 100]) };
+    let t = GateInput { felt_bellow_mm: Some([-40.0, 3.0, 3.0]), ..told([101, 100, 100]) };
     let passed = gate.pass(&t);
-    assert_eq!((passed.tripped, passed.energise), (Some(Cause::Pressure), true));
+    assert_eq!((passed.tripped, passed.energise), (Some(TripCause::Pressure), true));
     assert!(gate.is_busy());
     let ticks = (0..10_000).find(|_| gate.pass(&told([0; 3])).rested).unwrap();
     // 3 mm at 8 mm/s, braking on √(600 s): between 0.37 and 0.6 s
     assert!((370..600).contains(&ticks), "{ticks}");
     let passed = gate.pass(&told([50; 3]));
     assert_eq!((passed.steps, passed.energise, passed.rested), (Steps([0; 3]), false, false));
-    assert_eq!(gate.latched(), Some(Cause::Pressure));
+    assert_eq!(gate.latched(), Some(TripCause::Pressure));
     assert!(!gate.is_busy());
 }
 
 #[test]
 fn lateness_trips_above_its_limit_and_on_no_number() {
-    for (dt_s, cause) in [(0.05, None), (0.0501, Some(Cause::Late)), (f64::NAN, Some(Cause::Late))] {
+    for (dt_s, cause) in [(0.05, None), (0.0501, Some(TripCause::Late)), (f64::NAN, Some(TripCause::Late))] {
         let mut gate = at(5);
-        let passed = gate.pass(&Told { dt_s, ..told([5; 3]) });
+        let passed = gate.pass(&GateInput { dt_s, ..told([5; 3]) });
         assert_eq!((passed.tripped, passed.steps), (cause, Steps([5; 3])), "{dt_s}");
         let next = gate.pass(&told([5; 3]));
         assert_eq!((next.tripped, next.steps), (None, Steps([5; 3])));
@@ -205,28 +205,28 @@ fn lateness_trips_above_its_limit_and_on_no_number() {
 fn nothing_moves_that_is_not_armed() {
     for i in 0..3 {
         let mut gate = at(7);
-        assert_eq!(trips(&mut gate, &Told { armed: false, ..told([7; 3]) }), None);
+        assert_eq!(trips(&mut gate, &GateInput { armed: false, ..told([7; 3]) }), None);
         let mut counts = [7; 3];
         counts[i] += 1;
-        let passed = gate.pass(&Told { armed: false, ..told(counts) });
-        assert_eq!((passed.tripped, passed.steps), (Some(Cause::Unarmed), Steps([7; 3])));
+        let passed = gate.pass(&GateInput { armed: false, ..told(counts) });
+        assert_eq!((passed.tripped, passed.steps), (Some(TripCause::Unarmed), Steps([7; 3])));
     }
 }
 
 #[test]
 fn staleness_and_disagreement_count_while_armed() {
-    let cases: [(f64, bool, Option<Cause>); 4] =
-        [(0.5, false, None), (0.501, false, Some(Cause::Stale)), (0.0, true, Some(Cause::Disagreement)), (0.6, true, Some(Cause::Stale))];
+    let cases: [(f64, bool, Option<TripCause>); 4] =
+        [(0.5, false, None), (0.501, false, Some(TripCause::Stale)), (0.0, true, Some(TripCause::Disagreement)), (0.6, true, Some(TripCause::Stale))];
     for (stale_s, disagree, cause) in cases {
-        assert_eq!(trips(&mut at(0), &Told { stale_s, disagree, ..told([0; 3]) }), cause);
-        assert_eq!(trips(&mut at(0), &Told { stale_s, disagree, armed: false, ..told([0; 3]) }), None);
+        assert_eq!(trips(&mut at(0), &GateInput { stale_s, disagree, ..told([0; 3]) }), cause);
+        assert_eq!(trips(&mut at(0), &GateInput { stale_s, disagree, armed: false, ..told([0; 3]) }), None);
     }
 }
 
 /// Ticks until the gate trips on a felt bend that is off by so much (rad), at most two seconds.
-fn astray(gate: &mut Gate, off: [f64; 2], armed: bool) -> Option<(usize, Cause)> {
+fn astray(gate: &mut Gate, off: [f64; 2], armed: bool) -> Option<(usize, TripCause)> {
     let following = Some(Following { setpoint: [0.5, -0.2], felt: [0.5 + off[0], -0.2 + off[1]] });
-    (1..=2000).find_map(|k| trips(gate, &Told { following, armed, ..told([0; 3]) }).map(|c| (k, c)))
+    (1..=2000).find_map(|k| trips(gate, &GateInput { following, armed, ..told([0; 3]) }).map(|c| (k, c)))
 }
 
 #[test]
@@ -235,12 +235,12 @@ fn following_trips_after_its_time_and_not_within_its_distance() {
     assert_eq!(astray(&mut at(0), [0.0, -0.349], true), None);
     for off in [[0.36, 0.0], [0.0, -0.36], [0.26, 0.26]] {
         let (ticks, cause) = astray(&mut at(0), off, true).unwrap();
-        assert_eq!(cause, Cause::Following);
+        assert_eq!(cause, TripCause::Following);
         assert!((500..=502).contains(&ticks), "{ticks}");
     }
     assert_eq!(astray(&mut at(0), [1.0, 0.0], false), None);
     let (_, cause) = astray(&mut at(0), [f64::NAN, 0.0], true).unwrap();
-    assert_eq!(cause, Cause::Following, "what is no number is nowhere");
+    assert_eq!(cause, TripCause::Following, "what is no number is nowhere");
 }
 
 #[test]
@@ -251,7 +251,7 @@ fn following_forgets_when_it_is_back_or_there_is_nothing_to_follow() {
         let mut gate = at(0);
         for k in 0..1500 {
             let following = if k % 450 == 449 { relief } else { off };
-            assert_eq!(trips(&mut gate, &Told { following, ..told([0; 3]) }), None, "tick {k}");
+            assert_eq!(trips(&mut gate, &GateInput { following, ..told([0; 3]) }), None, "tick {k}");
         }
     }
 }
@@ -263,17 +263,17 @@ fn following_allows_for_the_speed_of_the_set_point() {
         let mut gate = at(0);
         (0..ticks).find_map(|k| {
             let setpoint = [1.5 * DT * k as f64, 0.0];
-            trips(&mut gate, &Told { following: Some(Following { setpoint, felt: [setpoint[0] - off, 0.0] }), ..told([0; 3]) })
+            trips(&mut gate, &GateInput { following: Some(Following { setpoint, felt: [setpoint[0] - off, 0.0] }), ..told([0; 3]) })
         })
     };
     assert_eq!(moving(0.94, 2000), None);
-    assert_eq!(moving(0.96, 2000), Some(Cause::Following));
+    assert_eq!(moving(0.96, 2000), Some(TripCause::Following));
     let mut gate = at(0);
     let mut tripped_at = None;
     for k in 0..4000usize {
         let x = 1.5 * DT * k.min(1000) as f64;
         let following = Some(Following { setpoint: [x, 0.0], felt: [x - 0.65, 0.0] });
-        if trips(&mut gate, &Told { following, ..told([0; 3]) }).is_some() {
+        if trips(&mut gate, &GateInput { following, ..told([0; 3]) }).is_some() {
             tripped_at = Some(k);
             break;
         }
@@ -286,30 +286,30 @@ fn following_allows_for_the_speed_of_the_set_point() {
 #[test]
 fn an_emergency_stop_releases_at_once_whatever_goes_on() {
     let (mut gate, counts) = moving();
-    let pressed = Told { emergency_stop: true, ..told([counts + 1, 0, 0]) };
+    let pressed = GateInput { emergency_stop: true, ..told([counts + 1, 0, 0]) };
     let passed = gate.pass(&pressed);
-    assert_eq!(passed, Passed { steps: Steps([counts, 0, 0]), energise: false, tripped: Some(Cause::EmergencyStop), rested: false });
+    assert_eq!(passed, GateOutput { steps: Steps([counts, 0, 0]), energise: false, tripped: Some(TripCause::EmergencyStop), rested: false });
     let passed = gate.pass(&pressed);
     assert_eq!((passed.tripped, passed.steps.0[0]), (None, counts), "it is said once, and nothing moves");
     assert!(!gate.is_busy());
     // on the way back after another fault, and unarmed
     let mut gate = at(50);
-    gate.pass(&Told { stale_s: 1.0, ..told([50; 3]) });
+    gate.pass(&GateInput { stale_s: 1.0, ..told([50; 3]) });
     gate.relax();
     gate.pass(&told([50; 3]));
-    let passed = gate.pass(&Told { emergency_stop: true, armed: false, ..told([50; 3]) });
-    assert_eq!((passed.tripped, passed.energise), (Some(Cause::EmergencyStop), false));
-    assert_eq!(gate.latched(), Some(Cause::Stale), "the first cause is kept");
+    let passed = gate.pass(&GateInput { emergency_stop: true, armed: false, ..told([50; 3]) });
+    assert_eq!((passed.tripped, passed.energise), (Some(TripCause::EmergencyStop), false));
+    assert_eq!(gate.latched(), Some(TripCause::Stale), "the first cause is kept");
 }
 
 #[test]
 fn an_alarm_of_the_step_generator_counts_at_any_time_and_after_the_emergency_stop() {
-    assert_eq!(trips(&mut at(0), &Told { alarm: true, armed: false, ..told([0; 3]) }), Some(Cause::StepGenerator));
-    assert_eq!(trips(&mut at(0), &Told { alarm: true, emergency_stop: true, ..told([0; 3]) }), Some(Cause::EmergencyStop));
+    assert_eq!(trips(&mut at(0), &GateInput { alarm: true, armed: false, ..told([0; 3]) }), Some(TripCause::StepGenerator));
+    assert_eq!(trips(&mut at(0), &GateInput { alarm: true, emergency_stop: true, ..told([0; 3]) }), Some(TripCause::EmergencyStop));
     let mut gate = at(60);
     gate.relax();
-    let passed = gate.pass(&Told { alarm: true, ..told([60; 3]) });
-    assert_eq!((passed.tripped, passed.energise), (Some(Cause::StepGenerator), true));
+    let passed = gate.pass(&GateInput { alarm: true, ..told([60; 3]) });
+    assert_eq!((passed.tripped, passed.energise), (Some(TripCause::StepGenerator), true));
     let rest = gate.pass(&told([0; 3])).steps;
     for _ in 0..500 {
         assert_eq!(gate.pass(&told([0; 3])).steps, rest, "the way back has ended");
@@ -320,48 +320,48 @@ fn an_alarm_of_the_step_generator_counts_at_any_time_and_after_the_emergency_sto
 #[test]
 fn a_second_cause_is_said_when_it_comes_and_not_while_it_stands() {
     for (second, cause) in [
-        (Told { alarm: true, ..told([50; 3]) }, Cause::StepGenerator),
-        (Told { emergency_stop: true, ..told([50; 3]) }, Cause::EmergencyStop),
+        (GateInput { alarm: true, ..told([50; 3]) }, TripCause::StepGenerator),
+        (GateInput { emergency_stop: true, ..told([50; 3]) }, TripCause::EmergencyStop),
     ] {
         let mut gate = at(50);
-        gate.pass(&Told { stale_s: 1.0, ..told([50; 3]) });
+        gate.pass(&GateInput { stale_s: 1.0, ..told([50; 3]) });
         for _ in 0..2 {
             assert_eq!(trips(&mut gate, &second), Some(cause));
             assert_eq!((0..50).find_map(|_| trips(&mut gate, &second)), None, "{cause:?} is said once");
             assert_eq!(trips(&mut gate, &told([50; 3])), None);
         }
-        assert_eq!(gate.latched(), Some(Cause::Stale));
+        assert_eq!(gate.latched(), Some(TripCause::Stale));
     }
     // the same cause again, pressed anew on the way back
     let mut gate = at(50);
-    gate.pass(&Told { emergency_stop: true, ..told([50; 3]) });
+    gate.pass(&GateInput { emergency_stop: true, ..told([50; 3]) });
     gate.pass(&told([50; 3]));
     gate.relax();
     assert!(gate.pass(&told([50; 3])).energise);
-    let passed = gate.pass(&Told { emergency_stop: true, ..told([50; 3]) });
-    assert_eq!((passed.tripped, passed.energise), (Some(Cause::EmergencyStop), false));
+    let passed = gate.pass(&GateInput { emergency_stop: true, ..told([50; 3]) });
+    assert_eq!((passed.tripped, passed.energise), (Some(TripCause::EmergencyStop), false));
 }
 
 #[test]
 fn drivers_that_were_let_go_stay_off_when_a_milder_cause_follows() {
     let mut gate = at(50);
-    gate.pass(&Told { emergency_stop: true, ..told([50; 3]) });
-    let passed = gate.pass(&Told { emergency_stop: true, alarm: true, ..told([50; 3]) });
-    assert_eq!((passed.tripped, passed.energise), (Some(Cause::StepGenerator), false));
-    let on = On { step_generator: Safe::Relax, ..On::default() };
-    let mut gate = Gate::new(&Limits { on, ..limits() }, &Steps([50; 3]));
-    gate.pass(&Told { emergency_stop: true, ..told([50; 3]) });
-    let passed = gate.pass(&Told { alarm: true, ..told([50; 3]) });
-    assert_eq!((passed.tripped, passed.energise, gate.is_returning()), (Some(Cause::StepGenerator), false, false));
+    gate.pass(&GateInput { emergency_stop: true, ..told([50; 3]) });
+    let passed = gate.pass(&GateInput { emergency_stop: true, alarm: true, ..told([50; 3]) });
+    assert_eq!((passed.tripped, passed.energise), (Some(TripCause::StepGenerator), false));
+    let on = SafeStates { step_generator: SafeState::Relax, ..On::default() };
+    let mut gate = Gate::new(&GateLimits { on, ..limits() }, &Steps([50; 3]));
+    gate.pass(&GateInput { emergency_stop: true, ..told([50; 3]) });
+    let passed = gate.pass(&GateInput { alarm: true, ..told([50; 3]) });
+    assert_eq!((passed.tripped, passed.energise, gate.is_returning()), (Some(TripCause::StepGenerator), false, false));
 }
 
 /// A way back begins where the step generator stopped, not where it had been sent.
 #[test]
 fn a_way_back_begins_where_the_counts_say() {
     let (mut gate, counts) = moving();
-    gate.pass(&Told { alarm: true, ..told([counts; 3]) });
+    gate.pass(&GateInput { alarm: true, ..told([counts; 3]) });
     gate.recount(&Steps([100, -40, 7]));
-    assert_eq!(gate.latched(), Some(Cause::StepGenerator), "it stays latched");
+    assert_eq!(gate.latched(), Some(TripCause::StepGenerator), "it stays latched");
     assert!(!gate.is_returning());
     gate.relax();
     assert!(gate.is_returning());
@@ -376,8 +376,8 @@ fn a_way_back_begins_where_the_counts_say() {
 #[test]
 fn after_a_trip_it_brakes_within_its_limit_and_stands() {
     let (mut gate, counts) = moving();
-    let mut last = gate.pass(&Told { disagree: true, ..told([counts + 1, 0, 0]) });
-    assert_eq!(last.tripped, Some(Cause::Disagreement));
+    let mut last = gate.pass(&GateInput { disagree: true, ..told([counts + 1, 0, 0]) });
+    assert_eq!(last.tripped, Some(TripCause::Disagreement));
     assert!(gate.is_busy());
     let mut ticks = 0;
     while gate.is_busy() {
@@ -399,16 +399,16 @@ fn after_a_trip_it_brakes_within_its_limit_and_stands() {
 #[test]
 fn it_stays_latched_until_it_is_reset_and_then_passes_from_where_it_is() {
     let mut gate = at(40);
-    assert_eq!(trips(&mut gate, &Told { stale_s: 1.0, ..told([40; 3]) }), Some(Cause::Stale));
+    assert_eq!(trips(&mut gate, &GateInput { stale_s: 1.0, ..told([40; 3]) }), Some(TripCause::Stale));
     for _ in 0..100 {
-        assert_eq!(gate.pass(&told([41; 3])), Passed { steps: Steps([40; 3]), energise: true, tripped: None, rested: false });
+        assert_eq!(gate.pass(&told([41; 3])), GateOutput { steps: Steps([40; 3]), energise: true, tripped: None, rested: false });
     }
     gate.reset(&Steps([40; 3]));
     assert_eq!(gate.latched(), None);
     assert_eq!(gate.pass(&told([41; 3])).steps, Steps([41; 3]));
     // a reset forgets speeds: pistons at rest elsewhere are no jump
     gate.reset(&Steps([-500; 3]));
-    assert_eq!(gate.pass(&told([-500; 3])), Passed { steps: Steps([-500; 3]), energise: true, tripped: None, rested: false });
+    assert_eq!(gate.pass(&told([-500; 3])), GateOutput { steps: Steps([-500; 3]), energise: true, tripped: None, rested: false });
 }
 
 #[test]
@@ -469,9 +469,9 @@ fn a_late_tick_is_no_reason_for_a_leap_on_the_way_back() {
         gate.pass(&told([0; 3]));
     }
     let before = gate.pass(&told([0; 3])).steps.0[0];
-    let after = gate.pass(&Told { dt_s: 0.04, ..told([0; 3]) }).steps.0[0];
+    let after = gate.pass(&GateInput { dt_s: 0.04, ..told([0; 3]) }).steps.0[0];
     assert!(before - after <= 1, "{} steps at once", before - after);
-    let frozen = gate.pass(&Told { dt_s: -1.0, ..told([0; 3]) }).steps.0[0];
+    let frozen = gate.pass(&GateInput { dt_s: -1.0, ..told([0; 3]) }).steps.0[0];
     assert_eq!(frozen, after, "time that runs backwards moves nothing");
 }
 
@@ -484,7 +484,7 @@ fn braking_does_not_leave_the_travel() {
         v = (v + 500.0 * DT).min(20.0);
         mm += v * DT;
         let wanted = near - 194 + (mm / 0.03f64).round() as i32;
-        if gate.pass(&Told { disagree: wanted >= near - 1, ..told([wanted, 0, 0]) }).tripped.is_some() {
+        if gate.pass(&GateInput { disagree: wanted >= near - 1, ..told([wanted, 0, 0]) }).tripped.is_some() {
             break;
         }
     }
@@ -495,27 +495,27 @@ fn braking_does_not_leave_the_travel() {
 
 #[test]
 fn every_cause_leads_where_the_board_says() {
-    let pressure = Told { felt_bellow_mm: Some([-40.0, 0.0, 0.0]), ..told([31, 30, 30]) };
-    type Case = (Cause, Told, fn(&mut On, Safe));
+    let pressure = GateInput { felt_bellow_mm: Some([-40.0, 0.0, 0.0]), ..told([31, 30, 30]) };
+    type Case = (TripCause, GateInput, fn(&mut SafeStates, SafeState));
     let cases: [Case; 10] = [
-        (Cause::EmergencyStop, Told { emergency_stop: true, ..told([30; 3]) }, |on, s| on.emergency_stop = s),
-        (Cause::StepGenerator, Told { alarm: true, ..told([30; 3]) }, |on, s| on.step_generator = s),
-        (Cause::Late, Told { dt_s: 0.2, ..told([30; 3]) }, |on, s| on.late = s),
-        (Cause::Unarmed, Told { armed: false, ..told([31; 3]) }, |on, s| on.unarmed = s),
-        (Cause::Travel, told([3000; 3]), |on, s| on.travel = s),
-        (Cause::Acceleration, told([44; 3]), |on, s| on.acceleration = s),
-        (Cause::Pressure, pressure, |on, s| on.pressure = s),
-        (Cause::Stale, Told { stale_s: 9.0, ..told([30; 3]) }, |on, s| on.stale = s),
-        (Cause::Disagreement, Told { disagree: true, ..told([30; 3]) }, |on, s| on.disagreement = s),
-        (Cause::Following, Told { following: Some(Following { setpoint: [0.0; 2], felt: [2.0, 0.0] }), ..told([30; 3]) }, |on, s| {
+        (TripCause::EmergencyStop, GateInput { emergency_stop: true, ..told([30; 3]) }, |on, s| on.emergency_stop = s),
+        (TripCause::StepGenerator, GateInput { alarm: true, ..told([30; 3]) }, |on, s| on.step_generator = s),
+        (TripCause::Late, GateInput { dt_s: 0.2, ..told([30; 3]) }, |on, s| on.late = s),
+        (TripCause::Unarmed, GateInput { armed: false, ..told([31; 3]) }, |on, s| on.unarmed = s),
+        (TripCause::Travel, told([3000; 3]), |on, s| on.travel = s),
+        (TripCause::Acceleration, told([44; 3]), |on, s| on.acceleration = s),
+        (TripCause::Pressure, pressure, |on, s| on.pressure = s),
+        (TripCause::Stale, GateInput { stale_s: 9.0, ..told([30; 3]) }, |on, s| on.stale = s),
+        (TripCause::Disagreement, GateInput { disagree: true, ..told([30; 3]) }, |on, s| on.disagreement = s),
+        (TripCause::Following, GateInput { following: Some(Following { setpoint: [0.0; 2], felt: [2.0, 0.0] }), ..told([30; 3]) }, |on, s| {
             on.following = s
         }),
     ];
     for (cause, t, set) in cases {
-        for safe in [Safe::Hold, Safe::Relax, Safe::Release] {
+        for safe in [SafeState::Hold, SafeState::Relax, SafeState::Release] {
             // the other causes lead elsewhere, so that a mix-up shows
-            let other = if safe == Safe::Hold { Safe::Release } else { Safe::Hold };
-            let mut on = On {
+            let other = if safe == SafeState::Hold { SafeState::Release } else { SafeState::Hold };
+            let mut on = SafeStates {
                 emergency_stop: other,
                 step_generator: other,
                 late: other,
@@ -529,37 +529,37 @@ fn every_cause_leads_where_the_board_says() {
                 following: other,
             };
             set(&mut on, safe);
-            let mut gate = Gate::new(&Limits { on, ..limits() }, &Steps([30; 3]));
+            let mut gate = Gate::new(&GateLimits { on, ..limits() }, &Steps([30; 3]));
             let tripped = (0..600).find_map(|_| trips(&mut gate, &t));
             assert_eq!(tripped, Some(cause));
-            let passed: Vec<Passed> = (0..1000).map(|_| gate.pass(&told([30; 3]))).collect();
+            let passed: Vec<GateOutput> = (0..1000).map(|_| gate.pass(&told([30; 3]))).collect();
             let last = passed.last().unwrap();
             let (steps, energise) = match safe {
-                Safe::Hold => ([30; 3], true),
-                Safe::Relax => ([0; 3], false),
-                Safe::Release => ([30; 3], false),
+                SafeState::Hold => ([30; 3], true),
+                SafeState::Relax => ([0; 3], false),
+                SafeState::Release => ([30; 3], false),
             };
             assert_eq!((last.steps.0, last.energise), (steps, energise), "{cause:?} {safe:?}");
-            assert_eq!(passed.iter().filter(|p| p.rested).count(), usize::from(safe == Safe::Relax));
+            assert_eq!(passed.iter().filter(|p| p.rested).count(), usize::from(safe == SafeState::Relax));
         }
     }
     // the one that takes time to bring about
-    let mut gate = Gate::new(&Limits { on: On { rate: Safe::Release, ..On::default() }, ..limits() }, &Steps([0; 3]));
-    assert_eq!(steady(&mut gate, 0, 40.0, 0.5), Some(Cause::Rate));
+    let mut gate = Gate::new(&GateLimits { on: SafeStates { rate: SafeState::Release, ..On::default() }, ..limits() }, &Steps([0; 3]));
+    assert_eq!(steady(&mut gate, 0, 40.0, 0.5), Some(TripCause::Rate));
     assert!(!gate.pass(&told([0; 3])).energise);
 }
 
 #[test]
 fn defaults_are_as_documented() {
-    let on = On::default();
+    let on = SafeStates::default();
     let hold = [on.step_generator, on.late, on.unarmed, on.travel, on.rate, on.acceleration, on.stale, on.disagreement, on.following];
-    assert!(hold.iter().all(|s| *s == Safe::Hold));
-    assert_eq!((on.emergency_stop, on.pressure), (Safe::Release, Safe::Relax));
+    assert!(hold.iter().all(|s| *s == SafeState::Hold));
+    assert_eq!((on.emergency_stop, on.pressure), (SafeState::Release, SafeState::Relax));
 }
 
 /// Limits and times that binary numbers hold exactly, so that "at the limit" means it.
-fn exact() -> Limits {
-    Limits {
+fn exact() -> GateLimits {
+    GateLimits {
         step_mm: 1.0 / 32.0,
         tick_s: 1.0 / 1024.0,
         travel_mm: 64.0,
@@ -576,38 +576,38 @@ fn exact() -> Limits {
 
 #[test]
 fn at_the_limit_is_within_it() {
-    let tick = Told { dt_s: 1.0 / 1024.0, ..told([0; 3]) };
+    let tick = GateInput { dt_s: 1.0 / 1024.0, ..told([0; 3]) };
     // 18 steps in 16 ticks are 36 mm/s, and 2 mm/s are grain
     let run = |steps: i32| {
         let mut gate = Gate::new(&exact(), &Steps([0; 3]));
-        (1..=16).find_map(|k| trips(&mut gate, &Told { wanted: Steps([steps * k / 16, 0, 0]), ..tick }))
+        (1..=16).find_map(|k| trips(&mut gate, &GateInput { wanted: Steps([steps * k / 16, 0, 0]), ..tick }))
     };
-    assert_eq!((run(18), run(19)), (None, Some(Cause::Rate)));
+    assert_eq!((run(18), run(19)), (None, Some(TripCause::Rate)));
     // the air that 944 steps of a piston compress is 29.5 mm
     let press = |steps: i32| {
         let mut gate = Gate::new(&exact(), &Steps([steps - 1, 0, 0]));
-        trips(&mut gate, &Told { wanted: Steps([steps, 0, 0]), felt_bellow_mm: Some([0.0; 3]), ..tick })
+        trips(&mut gate, &GateInput { wanted: Steps([steps, 0, 0]), felt_bellow_mm: Some([0.0; 3]), ..tick })
     };
-    assert_eq!((press(944), press(945)), (None, Some(Cause::Pressure)));
+    assert_eq!((press(944), press(945)), (None, Some(TripCause::Pressure)));
     // an error of the allowed size is none, and one that lasts as long as it may is allowed
     let follow = |off: f64, ticks: usize| {
         let mut gate = Gate::new(&exact(), &Steps([0; 3]));
         let following = Some(Following { setpoint: [1.0, 0.0], felt: [1.0 - off, 0.0] });
-        (0..ticks).find_map(|_| trips(&mut gate, &Told { dt_s: 0.25, following, ..tick }))
+        (0..ticks).find_map(|_| trips(&mut gate, &GateInput { dt_s: 0.25, following, ..tick }))
     };
-    assert_eq!((follow(0.25, 50), follow(0.5, 2), follow(0.5, 3)), (None, None, Some(Cause::Following)));
+    assert_eq!((follow(0.25, 50), follow(0.5, 2), follow(0.5, 3)), (None, None, Some(TripCause::Following)));
     // a push of exactly the limit: n·4 mm/s over 1/64 s, less two grains of 4 mm/s
     let push = |steps: i32| {
-        let limits = Limits { step_mm: 1.0 / 16.0, acceleration_mm_s2: 2048.0, speed_mm_s: 1e9, ..exact() };
+        let limits = GateLimits { step_mm: 1.0 / 16.0, acceleration_mm_s2: 2048.0, speed_mm_s: 1e9, ..exact() };
         let mut gate = Gate::new(&limits, &Steps([0; 3]));
-        (1..=16).find_map(|k| trips(&mut gate, &Told { wanted: Steps([steps * k / 16, 0, 0]), ..tick }))
+        (1..=16).find_map(|k| trips(&mut gate, &GateInput { wanted: Steps([steps * k / 16, 0, 0]), ..tick }))
     };
-    assert_eq!((push(10), push(11)), (None, Some(Cause::Acceleration)));
+    assert_eq!((push(10), push(11)), (None, Some(TripCause::Acceleration)));
     // and a stop of exactly the limit
-    let limits = Limits { step_mm: 1.0 / 16.0, acceleration_mm_s2: 2048.0, speed_mm_s: 1e9, ..exact() };
+    let limits = GateLimits { step_mm: 1.0 / 16.0, acceleration_mm_s2: 2048.0, speed_mm_s: 1e9, ..exact() };
     let mut gate = Gate::new(&limits, &Steps([0; 3]));
     for k in 1..=64 {
         let steps = 10 * k.min(16) / 16;
-        assert_eq!(trips(&mut gate, &Told { wanted: Steps([steps, 0, 0]), ..tick }), None, "tick {k}");
+        assert_eq!(trips(&mut gate, &GateInput { wanted: Steps([steps, 0, 0]), ..tick }), None, "tick {k}");
     }
 }

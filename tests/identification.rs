@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use retroflex::config::calib::Calibration;
 use retroflex::config::source;
 use retroflex::control::learning::batch::{Measurement, Prior, solve};
-use retroflex::control::tick::{Command, Config};
+use retroflex::control::tick::{Command, LoopConfig};
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::identify::{Identified, algorithm_1, with_prior};
@@ -23,18 +23,18 @@ use retroflex::primitives::units::Mm;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
 
-fn identified(seed: u64) -> (Config, Identified) {
+fn identified(seed: u64) -> (LoopConfig, Identified) {
     let mut world = unit(seed, 0);
     let config = for_world(&uncalibrated(), &world);
     let found = algorithm_1(&config, &mut world, &paper(), &mut |_| ()).unwrap();
-    (Config { lines: found.lines(), dynamics: found.dynamics, ..config }, found)
+    (LoopConfig { lines: found.lines(), dynamics: found.dynamics, ..config }, found)
 }
 
 /// The gains that Eq. 16 has on this unit: the least-squares fit to what really happened, with nothing
 /// of the loop's sensing in it, after `warm` rounds of the same poses (air and rubber settle meanwhile).
-fn effective(config: &Config, mut world: Sim, warm: usize) -> [Line; 3] {
+fn effective(config: &LoopConfig, mut world: Sim, warm: usize) -> [Line; 3] {
     let (mut last, mut side, mut travel) = (Vector3::<f64>::zeros(), Vector3::zeros(), Vector3::zeros());
-    let open = Config { feedback: None, ..config.clone() };
+    let open = LoopConfig { feedback: None, ..config.clone() };
     let mut rig = Rig::new(open, &mut world);
     rig.align().unwrap();
     let mut data = Vec::new();
@@ -65,7 +65,7 @@ fn effective(config: &Config, mut world: Sim, warm: usize) -> [Line; 3] {
 /// k_ε of every channel at the poses that the closed loop reaches: least squares on the slack, by the play
 /// operator from the pulses, and the true bellow lengths. The loop makes the tip go further against its
 /// stiff side than the same gains do open loop, so these are not the gains of Algorithm 1.
-fn effective_closed(config: &Config, mut world: Sim) -> [f64; 3] {
+fn effective_closed(config: &LoopConfig, mut world: Sim) -> [f64; 3] {
     let (mut slack, mut square, mut product) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
     let mut rig = Rig::new(config.clone(), &mut world);
     rig.align().unwrap();
@@ -145,7 +145,7 @@ fn a_gain_thirty_percent_off_comes_within_five_in_one_experiment() {
     for by in [0.7, 1.0, 1.3] {
         let mut world = unit(1, 70);
         let start = [0, 1, 2].map(|i: usize| Line { k_epsilon: by * truth[i], ..found.lines()[i] });
-        let mut rig = Rig::new(Config { lines: start, ..config.clone() }, &mut world);
+        let mut rig = Rig::new(LoopConfig { lines: start, ..config.clone() }, &mut world);
         let result = arm::run("closed", &mut rig, &paper(), &mut || ()).unwrap();
         let end = rig.state.lines().map(|l| l.k_epsilon);
         let off = (0..3).map(|i| (end[i] / truth[i] - 1.0).abs()).fold(0.0, f64::max);

@@ -7,8 +7,8 @@ use embedded_hal::i2c::{ErrorKind, NoAcknowledgeSource};
 use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use retroflex::estimation::fusion::health::{Cause, Fault, FieldReference, Health, Reading, State};
-use retroflex::estimation::imu_calibration::{self, Correction, ImuCalibration, Limits, Pedigree};
+use retroflex::estimation::fusion::health::{HealthCause, ReadFault, FieldReference, Health, TimedReading, HealthState};
+use retroflex::estimation::imu_calibration::{self, Correction, ImuCalibration, CalibrationLimits, Pedigree};
 use retroflex::hardware::imu::fake::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, Motion, Noise};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
@@ -103,7 +103,7 @@ fn burst(st1: u8, mag: [i16; 3], st2: u8) -> Vec<u8> {
 fn scripted_icm(tail: Vec<Transaction>, canary_every: u16, reads: usize) -> Vec<Result<RawImu, ImuError>> {
     let mut script = icm_init_script();
     script.extend(tail);
-    let config = icm20948::Config { canary_every, ..Default::default() };
+    let config = icm20948::IcmConfig { canary_every, ..Default::default() };
     let mut imu = Icm20948::new(Mock::new(&script), &config).unwrap();
     imu.init(&mut NoopDelay::new()).unwrap();
     let results = (0..reads).map(|_| imu.read()).collect();
@@ -124,7 +124,7 @@ fn icm_reads_nine_axes_in_one_burst() {
     assert_eq!(r.iter().map(|r| r.mag).collect::<Vec<_>>(), [Some([10, 20, -30]), None, Some([10, 21, -30]), Some([10, 20, -30])]);
     assert_eq!(r.iter().map(|r| r.fresh).collect::<Vec<_>>(), [true, false, false, false]);
     assert!(r[3].mag_overflow && !r[0].mag_overflow);
-    let mut unused = Icm20948::new(Mock::new(&[]), &icm20948::Config::default()).unwrap();
+    let mut unused = Icm20948::new(Mock::new(&[]), &icm20948::IcmConfig::default()).unwrap();
     let s = unused.scale().sample(&r[0], Seconds(3.0));
     assert!((s.acc_m_s2.z - STANDARD_GRAVITY_M_S2).abs() < 1e-9, "8192 counts at 4 g");
     assert!((s.gyro_rad_s.x.to_degrees() - 100.0 / 65.5).abs() < 1e-12);
@@ -136,7 +136,7 @@ fn icm_reads_nine_axes_in_one_burst() {
 
 #[test]
 fn icm_names_a_stranger_a_mute_and_a_broken_bus() {
-    let config = icm20948::Config::default();
+    let config = icm20948::IcmConfig::default();
     let init = |script: &[Transaction]| {
         let mut imu = Icm20948::new(Mock::new(script), &config).unwrap();
         let result = imu.init(&mut NoopDelay::new());
@@ -149,11 +149,11 @@ fn icm_names_a_stranger_a_mute_and_a_broken_bus() {
     let nack = ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address);
     let mute = init(&[put(ICM, 0x7F, 0).with_error(nack)]);
     assert_eq!(mute, ImuError::Nack { part: Part::Icm20948, address: ICM });
-    assert_eq!(mute.fault(), Fault::Nack);
+    assert_eq!(mute.fault(), ReadFault::Nack);
     let broken = init(&[put(ICM, 0x7F, 0).with_error(ErrorKind::ArbitrationLoss)]);
-    assert_eq!(broken.fault(), Fault::Bus);
+    assert_eq!(broken.fault(), ReadFault::Bus);
     let script = [put(ICM, 0x7F, 0), get(ICM, 0, &[0xEA]).with_error(ErrorKind::Overrun)];
-    assert_eq!(init(&script).fault(), Fault::ShortRead);
+    assert_eq!(init(&script).fault(), ReadFault::ShortRead);
 }
 
 #[test]
@@ -224,7 +224,7 @@ fn lsm_and_lis_put_the_data_sheets_bytes_on_the_wire() {
         get(LIS, 0x60, &[0x8C, 0x02, 0x10]),
         get(LSM, 0x1E, &inertial).with_error(nack),
     ];
-    let config = lsm6dso::Config { rate_hz: 120.0, canary_every: 2, ..Default::default() };
+    let config = lsm6dso::LsmConfig { rate_hz: 120.0, canary_every: 2, ..Default::default() };
     let mut imu = Lsm6dsoLis2mdl::new(Mock::new(&script), &config).unwrap();
     let id = imu.init(&mut NoopDelay::new()).unwrap();
     assert_eq!((id.rate_hz, id.magnetic.part), (208.0, Part::Lis2mdl));
@@ -234,7 +234,7 @@ fn lsm_and_lis_put_the_data_sheets_bytes_on_the_wire() {
     let raw = imu.read().unwrap();
     let fault = ImuError::Nack { part: Part::Lis2mdl, address: LIS };
     assert_eq!((raw.acc, raw.mag, raw.mag_fault), ([1, -2, 8196], None, Some(fault)), "six axes are kept");
-    assert_eq!(imu.read().unwrap_err().fault(), Fault::Nack);
+    assert_eq!(imu.read().unwrap_err().fault(), ReadFault::Nack);
     imu.release().done();
 }
 
@@ -273,10 +273,10 @@ fn all_configs() -> Vec<(ImuConfig, f64, f64)> {
             let rate_hz = 200.0;
             let gyro = f64::from(gyro_range_dps).to_radians() / 28_000.0;
             let acc = f64::from(acc_range_g) * 9.81 / 32_000.0;
-            let lsm = lsm6dso::Config { acc_range_g, gyro_range_dps, rate_hz, ..Default::default() };
+            let lsm = lsm6dso::LsmConfig { acc_range_g, gyro_range_dps, rate_hz, ..Default::default() };
             all.push((ImuConfig::Lsm6dsoLis2mdl(lsm), gyro, acc));
             if gyro_range_dps > 125 {
-                let icm = icm20948::Config { acc_range_g, gyro_range_dps, rate_hz, ..Default::default() };
+                let icm = icm20948::IcmConfig { acc_range_g, gyro_range_dps, rate_hz, ..Default::default() };
                 all.push((ImuConfig::Icm20948(icm), gyro, acc));
             }
         }
@@ -316,7 +316,7 @@ fn every_range_gives_the_true_motion_back() {
 fn a_turned_magnetometer_is_turned_back() {
     let axes = Axes([Axis::MinusZ, Axis::PlusX, Axis::MinusY]);
     let bus = lsm_bus(Noise::NONE, axes);
-    let config = lsm6dso::Config { mag_axes: axes, rate_hz: 100.0, ..Default::default() };
+    let config = lsm6dso::LsmConfig { mag_axes: axes, rate_hz: 100.0, ..Default::default() };
     let mut imu = Lsm6dsoLis2mdl::new(bus.clone(), &config).unwrap();
     imu.init(&mut bus.delay()).unwrap();
     bus.machine().set_motion(&odd_motion());
@@ -331,8 +331,8 @@ fn a_turned_magnetometer_is_turned_back() {
 fn a_second_sensor_shares_the_bus() {
     let bus = icm_bus(Noise::NONE);
     bus.machine().attach(FakeIcm20948::new(0x69, 99));
-    let mut tip = Icm20948::new(bus.clone(), &icm20948::Config::default()).unwrap();
-    let mut base = Icm20948::new(bus.clone(), &icm20948::Config { address: 0x69, ..Default::default() }).unwrap();
+    let mut tip = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
+    let mut base = Icm20948::new(bus.clone(), &icm20948::IcmConfig { address: 0x69, ..Default::default() }).unwrap();
     tip.init(&mut bus.delay()).unwrap();
     assert_eq!(base.init(&mut bus.delay()).unwrap().inertial.address, 0x69);
     bus.machine().device(0x69).unwrap().set_motion(&odd_motion());
@@ -345,7 +345,7 @@ fn a_second_sensor_shares_the_bus() {
 fn the_magnetometer_misses_nothing_and_repeats_nothing_at_500_hz() {
     for part in 0..2 {
         let bus = if part == 0 { icm_bus(Noise::TYPICAL) } else { lsm_bus(Noise::TYPICAL, Axes::ALIGNED) };
-        let config = if part == 0 { ImuConfig::default() } else { ImuConfig::Lsm6dsoLis2mdl(lsm6dso::Config::default()) };
+        let config = if part == 0 { ImuConfig::default() } else { ImuConfig::Lsm6dsoLis2mdl(lsm6dso::LsmConfig::default()) };
         let mut imu = open(&config, bus.clone()).unwrap();
         imu.init(&mut bus.delay()).unwrap();
         let mut fresh = 0;
@@ -368,18 +368,18 @@ fn bus_time_of_a_reading_is_as_documented() {
         (bus.machine().bus_time_s(400e3) - before) / f64::from(n)
     };
     let bus = icm_bus(Noise::TYPICAL);
-    let config = icm20948::Config { canary_every: 0, ..Default::default() };
+    let config = icm20948::IcmConfig { canary_every: 0, ..Default::default() };
     let mut icm = Icm20948::new(bus.clone(), &config).unwrap();
     icm.init(&mut bus.delay()).unwrap();
     let t = per_reading(&bus, &mut icm, 100);
     assert!((t - 595e-6).abs() < 1e-6, "ICM-20948 without canary: {:.1} us", t * 1e6);
-    let mut icm = Icm20948::new(bus.clone(), &icm20948::Config::default()).unwrap();
+    let mut icm = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
     icm.init(&mut bus.delay()).unwrap();
     let t = per_reading(&bus, &mut icm, 1000);
     println!("ICM-20948 mean reading with canary: {:.1} us", t * 1e6);
     assert!(t < 605e-6);
     let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
-    let mut lsm = Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::Config::default()).unwrap();
+    let mut lsm = Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::LsmConfig::default()).unwrap();
     lsm.init(&mut bus.delay()).unwrap();
     let t = per_reading(&bus, &mut lsm, 1000);
     println!("LSM6DSO + LIS2MDL mean reading: {:.1} us", t * 1e6);
@@ -390,7 +390,7 @@ fn bus_time_of_a_reading_is_as_documented() {
 
 fn running_icm() -> (FakeBus, Icm20948<FakeBus>) {
     let bus = icm_bus(Noise::TYPICAL);
-    let mut imu = Icm20948::new(bus.clone(), &icm20948::Config::default()).unwrap();
+    let mut imu = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
     imu.init(&mut bus.delay()).unwrap();
     (bus, imu)
 }
@@ -439,7 +439,7 @@ fn a_stuck_bus_is_not_a_missing_chip() {
     let (bus, mut imu) = running_icm();
     bus.machine().stuck = true;
     let error = next(&bus, &mut imu).unwrap_err();
-    assert_eq!((error.fault(), matches!(error, ImuError::Bus { .. })), (Fault::Bus, true));
+    assert_eq!((error.fault(), matches!(error, ImuError::Bus { .. })), (ReadFault::Bus, true));
     bus.machine().stuck = false;
     assert!(next(&bus, &mut imu).is_ok());
 }
@@ -453,7 +453,7 @@ fn a_brown_out_is_found_at_once_and_mended_by_init() {
     bus.machine().brown_out();
     let error = next(&bus, &mut imu).unwrap_err();
     assert!(matches!(error, ImuError::ResetToDefaults { register: 0x03, have: 0x00, want: 0x20, .. }), "{error}");
-    assert_eq!(next(&bus, &mut imu).unwrap_err().fault(), Fault::BrownOut);
+    assert_eq!(next(&bus, &mut imu).unwrap_err().fault(), ReadFault::BrownOut);
     imu.init(&mut bus.delay()).unwrap();
     assert!(next(&bus, &mut imu).unwrap().mag.is_some());
 }
@@ -471,7 +471,7 @@ fn a_changed_range_is_found_by_the_canary() {
 #[test]
 fn lsm_brown_out_and_dead_magnetometer() {
     let bus = lsm_bus(Noise::TYPICAL, Axes::ALIGNED);
-    let mut imu = Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::Config::default()).unwrap();
+    let mut imu = Lsm6dsoLis2mdl::new(bus.clone(), &lsm6dso::LsmConfig::default()).unwrap();
     imu.init(&mut bus.delay()).unwrap();
     bus.machine().nack(LIS, u32::MAX);
     for _ in 0..200 {
@@ -490,7 +490,7 @@ fn lsm_brown_out_and_dead_magnetometer() {
 fn init_meets_a_stranger_or_a_dead_magnetometer() {
     let (bus, mut imu) = running_icm();
     bus.machine().spoil(ICM, |q| q.wrong_id = Some(0x12));
-    assert_eq!(imu.init(&mut bus.delay()).unwrap_err().fault(), Fault::WrongId);
+    assert_eq!(imu.init(&mut bus.delay()).unwrap_err().fault(), ReadFault::WrongId);
     bus.machine().spoil(ICM, |q| (q.wrong_id, q.mag_dead) = (None, true));
     let error = imu.init(&mut bus.delay()).unwrap_err();
     assert_eq!(error, ImuError::Nack { part: Part::Ak09916, address: 0x0C });
@@ -502,7 +502,7 @@ fn init_meets_a_stranger_or_a_dead_magnetometer() {
 fn a_warm_magnetometer_from_another_program_is_taken_over() {
     let (bus, mut imu) = running_icm();
     next(&bus, &mut imu).unwrap();
-    let slow = icm20948::Config { mag_rate_hz: 10, rate_hz: 200.0, ..Default::default() };
+    let slow = icm20948::IcmConfig { mag_rate_hz: 10, rate_hz: 200.0, ..Default::default() };
     let mut second = Icm20948::new(bus.clone(), &slow).unwrap();
     second.init(&mut bus.delay()).unwrap();
     let mut fresh = 0;
@@ -527,9 +527,9 @@ fn bypass_shows_the_magnetometer_outside() {
 // ------------------------------------------------- from a spoilt chip to the judge's verdict
 
 /// What the judge sees within a second after a fault is put on the chip or the bus.
-fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<Cause> {
+fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<HealthCause> {
     let (bus, mut imu) = running_icm();
-    let (config, mut state) = (Default::default(), State::default());
+    let (config, mut state) = (Default::default(), HealthState::default());
     let rest = Motion::default();
     state.set_reference(FieldReference::from_rest(&rest.acc_m_s2, &rest.mag_ut));
     let mut seen = Vec::new();
@@ -540,7 +540,7 @@ fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<Cause> {
         }
         let now = Seconds(f64::from(n) * 0.002);
         let outcome = outcome(&next(&bus, &mut imu), &imu.scale(), &Correction::NONE, now);
-        seen.extend(Health::judge(&config, &mut state, Reading { now, outcome }).raised.iter());
+        seen.extend(Health::judge(&config, &mut state, TimedReading { now, outcome }).raised.iter());
     }
     seen
 }
@@ -597,7 +597,7 @@ fn a_flawed_sensor_is_calibrated_through_the_driver() {
     let rest = record(1500, &|_| Vector3::zeros());
     let tumble = record(20_000, &|t| Vector3::new(1.1, 0.9 * (0.31 * t).sin(), 0.8 * (0.17 * t).cos()));
 
-    let (limits, from) = (Limits::default(), Pedigree { date: "2025-01-31", source: "fake" });
+    let (limits, from) = (CalibrationLimits::default(), Pedigree { date: "2025-01-31", source: "fake" });
     let mut calibration = ImuCalibration::default();
     calibration.set_gyro(&calib_imu::gyro::at_rest(&rest, &limits).unwrap(), from);
     let field: Vec<_> = tumble.iter().filter_map(|s| s.mag_ut).collect();
@@ -648,7 +648,7 @@ fn a_published_driver_reads_the_same_numbers() {
 
         let bus = icm_bus(Noise::NONE);
         bus.machine().set_motion(&motion);
-        let config = icm20948::Config { acc_range_g: 2 << i, gyro_range_dps: 250 << i, ..Default::default() };
+        let config = icm20948::IcmConfig { acc_range_g: 2 << i, gyro_range_dps: 250 << i, ..Default::default() };
         let mut ours = Icm20948::new(bus.clone(), &config).unwrap();
         ours.init(&mut bus.delay()).unwrap();
         bus.machine().advance(0.1);

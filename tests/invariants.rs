@@ -5,7 +5,7 @@ mod common;
 
 use common::{uncalibrated, unit};
 use nalgebra::{UnitQuaternion, Vector3};
-use retroflex::control::tick::{Command, Config, Frame};
+use retroflex::control::tick::{Command, LoopConfig, Frame};
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::paper;
@@ -13,14 +13,14 @@ use retroflex::model::transmission::Line;
 use retroflex::primitives::frames::Rotation;
 use retroflex::primitives::units::{Mm, Steps};
 use retroflex::simulation::world::{Reply, World};
-use retroflex::supervisor::machine::{Nature, WorldError};
+use retroflex::supervisor::machine::{MachineInfo, MachineError};
 
 /// Thirty seconds of closed loop on a world.
 fn frames(world: &mut dyn World) -> Vec<Frame> {
     let config = for_world(&uncalibrated(), world);
     let lines = [2.3, 2.4, 2.2].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.8 });
     let length = Mm(config.geometry.rest_length_mm);
-    let mut rig = Rig::new(Config { lines, ..config }, world);
+    let mut rig = Rig::new(LoopConfig { lines, ..config }, world);
     rig.align().unwrap();
     let mut all = Vec::new();
     for pose in paper().iter().step_by(6) {
@@ -56,10 +56,10 @@ fn equal_seeds_give_equal_frames_to_the_last_bit() {
 struct Liar<W>(W);
 
 impl<W: World> World for Liar<W> {
-    fn nature(&self) -> &Nature {
+    fn nature(&self) -> &MachineInfo {
         self.0.nature()
     }
-    fn step(&mut self, steps: &Steps) -> Result<Reply, WorldError> {
+    fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError> {
         let reply = self.0.step(steps)?;
         let lie = UnitQuaternion::from_scaled_axis(Vector3::new(reply.t.0.sin(), 0.7, -0.2 * reply.t.0));
         Ok(Reply { truth: Some(Rotation::assert_frames(lie)), ..reply })

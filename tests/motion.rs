@@ -7,13 +7,13 @@ use proptest::prelude::*;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::motion::steps::{ChannelSteps, count};
-use retroflex::motion::{ChannelSegment, Limits, Motion, MotionConfig, Outcome, Segment, State};
+use retroflex::motion::{ChannelSegment, MotionLimits, Motion, MotionConfig, MoveStatus, Segment, MotionState};
 
 /// What is promised outside: relative excess over a limit.
 const PROMISE: f64 = 1e-6;
 
-fn limits(c: &MotionConfig) -> Limits {
-    Limits::try_from(c).unwrap()
+fn limits(c: &MotionConfig) -> MotionLimits {
+    MotionLimits::try_from(c).unwrap()
 }
 
 /// How a target behaves.
@@ -72,7 +72,7 @@ impl Targets {
 }
 
 /// Checks every piece of a channel's segment against the limits, on the closed form.
-fn check_channel(c: &ChannelSegment, l: &Limits) -> Result<(), TestCaseError> {
+fn check_channel(c: &ChannelSegment, l: &MotionLimits) -> Result<(), TestCaseError> {
     let within = |x: f64, max: f64| x.abs() <= max * (1.0 + PROMISE);
     let mut s = c.start;
     for &(d, jerk) in c.pieces() {
@@ -158,7 +158,7 @@ proptest! {
             let left = motion.arrivals_s();
             for i in 0..3 {
                 prop_assert!((left[i] - left[0]).abs() < 1e-9, "{left:?}");
-                if motion.state()[i] == State::rest(to[i]) && arrived[i].is_none() {
+                if motion.state()[i] == MotionState::rest(to[i]) && arrived[i].is_none() {
                     arrived[i] = Some(k);
                 }
             }
@@ -180,7 +180,7 @@ proptest! {
             motion.tick(targets.next(f64::from(k) * 1e-3), 1e-3);
         }
         let mut left = 100_000;
-        while !motion.state().iter().all(State::is_rest) && left > 0 {
+        while !motion.state().iter().all(MotionState::is_rest) && left > 0 {
             for channel in &motion.brake(1e-3).channels {
                 check_channel(channel, &l)?;
             }
@@ -199,7 +199,7 @@ proptest! {
             motion.tick(std::array::from_fn(|_| r.random_range(-0.009..0.009)), 1e-3);
         }
         prop_assert_eq!(motion.counts().replans, 0);
-        prop_assert_eq!(motion.outcome(), Outcome::Resting);
+        prop_assert_eq!(motion.outcome(), MoveStatus::Resting);
     }
 }
 

@@ -5,8 +5,8 @@
 mod common;
 
 use common::{uncalibrated, unit};
-use retroflex::control::tick::{Command, Config, Input, State, tick};
-use retroflex::estimation::fusion::health::Outcome;
+use retroflex::control::tick::{Command, LoopConfig, Input, LoopState, tick};
+use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::schedule::paper;
 use retroflex::model::transmission::Line;
@@ -54,8 +54,8 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 /// Allocations during ticks alone, over alignment, moves and rests, in closed loop with everything on.
-fn during_ticks(config: &Config, world: &mut dyn World) -> u64 {
-    let mut state = State::new(config);
+fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
+    let mut state = LoopState::new(config);
     let mut input = Input { dt_s: world.nature().period_s, ..Input::default() };
     let mut poses = paper().into_iter().step_by(7).cycle();
     let mut during = 0;
@@ -67,7 +67,7 @@ fn during_ticks(config: &Config, world: &mut dyn World) -> u64 {
         let frame = tick(config, &mut state, &input);
         during += taken() - before;
         let reply = world.step(&frame.steps).unwrap();
-        input = Input { t: reply.t, imu: Outcome::from_world(reply.imu), steps: frame.steps, command: None, ..input };
+        input = Input { t: reply.t, imu: ImuReading::from_world(reply.imu), steps: frame.steps, command: None, ..input };
     }
     assert!(state.fusion.felt().is_some_and(|f| f.bend.beta() > 0.1), "it was to move");
     during
@@ -77,7 +77,7 @@ fn during_ticks(config: &Config, world: &mut dyn World) -> u64 {
 fn a_tick_allocates_nothing() {
     let mut world = unit(1, 1);
     let lines = [2.2, 2.5, 2.2].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.85 });
-    let config = Config { lines, ..for_world(&uncalibrated(), &world) };
+    let config = LoopConfig { lines, ..for_world(&uncalibrated(), &world) };
     let before = taken();
     drop(std::hint::black_box(vec![1u8; 64]));
     assert!(taken() > before, "the counter counts");

@@ -12,18 +12,18 @@ use retroflex::hardware::pins::{InputPin, MockPins, PinsConfig, Pull};
 use retroflex::hardware::stepper::{Stepper, Sync};
 use retroflex::motion::config::EmergencyStop;
 use retroflex::motion::lines::{Levels, PulseTiming};
-use retroflex::motion::pulse::{Action, StepCore};
+use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::TimedSegment;
-use retroflex::motion::report::{Fault, Inputs, Mode, Order};
-use retroflex::motion::{ChannelSegment, Limits, Motion, MotionConfig, Segment, State, StepperConfig};
+use retroflex::motion::report::{StepperFault, StepperInputs, StepperMode, StepperOrder};
+use retroflex::motion::{ChannelSegment, MotionLimits, Motion, MotionConfig, Segment, MotionState, StepperConfig};
 use std::collections::VecDeque;
 
 const STEP_MM: f64 = 0.029_452;
 const TICK_NS: u64 = 2_000_000;
 const START_NS: u64 = 1_000_000_000;
 
-fn limits() -> Limits {
-    Limits::try_from(&MotionConfig::default()).unwrap()
+fn limits() -> MotionLimits {
+    MotionLimits::try_from(&MotionConfig::default()).unwrap()
 }
 
 fn timing(config: &StepperConfig) -> PulseTiming {
@@ -81,13 +81,13 @@ impl Machine {
     /// One round of the shell.
     fn turn(&mut self) {
         match self.core.poll(self.now_ns, &mut self.queue) {
-            Action::WaitUntil(t) => {
+            PulseAction::WaitUntil(t) => {
                 // short waits are looked away, not slept
                 let slept = t > self.now_ns + 20_000;
                 let late = if slept { self.up_to(self.weather.wake_ns) } else { 0 };
                 self.now_ns = self.now_ns.max(t) + late + 30;
             }
-            Action::Write(levels) => {
+            PulseAction::Write(levels) => {
                 let begin = self.now_ns + self.up_to(self.weather.preempt_ns);
                 let end = begin + 1 + self.up_to(self.weather.write_ns);
                 // each edge at an instant of its own within the write
@@ -217,12 +217,12 @@ proptest! {
         let pulsed = std::array::from_fn(|channel| m.pulsed(channel));
         prop_assert_eq!(m.core.counted().0, pulsed);
         match m.core.mode() {
-            Mode::Resting => {
+            StepperMode::Resting => {
                 let end = segments[segments.len() - 1].end_mm();
                 prop_assert_eq!(pulsed, end.map(|p| (p / step_mm).round() as i32));
                 prop_assert!(m.record.len() > 200);
             }
-            Mode::Faulted(Fault::Late { late_ns, .. }) => prop_assert!(late_ns > 1_000_000 && w.wake_ns > 200_000),
+            StepperMode::Faulted(StepperFault::Late { late_ns, .. }) => prop_assert!(late_ns > 1_000_000 && w.wake_ns > 200_000),
             other => prop_assert!(false, "{:?}", other),
         }
     }
@@ -244,8 +244,8 @@ proptest! {
         for channel in 0..3 {
             prop_assert_eq!(m.core.counted().0[channel], m.pulsed(channel));
         }
-        if let Mode::Faulted(fault) = m.core.mode() {
-            let late = matches!(fault, Fault::Late { late_ns, .. } if late_ns > 1_000_000);
+        if let StepperMode::Faulted(fault) = m.core.mode() {
+            let late = matches!(fault, StepperFault::Late { late_ns, .. } if late_ns > 1_000_000);
             prop_assert!(late, "{:?}", fault);
             let rises = m.record[before..].iter().filter(|e| e.high && matches!(e.line, LineName::Step(_))).count();
             prop_assert!(rises == 0, "{rises} pulses after the stall");
@@ -267,7 +267,7 @@ proptest! {
         let end_ns = m.feed(0, START_NS, fed);
         m.run_until(end_ns + 1_000_000_000);
         check_record(&m.record, &timing(&c))?;
-        prop_assert_eq!(m.core.mode(), Mode::Resting);
+        prop_assert_eq!(m.core.mode(), StepperMode::Resting);
         let report = m.core.report(m.now_ns);
         let moving = fed[fed.len() - 1].end().iter().any(|s| !s.is_rest());
         prop_assert_eq!((report.epoch, report.dry), (u32::from(moving), u32::from(moving)));
@@ -290,7 +290,7 @@ proptest! {
 
 /// A segment of 10 ms in which channel 1 starts at once at a speed and is braked steadily.
 fn thrown(speed_mm_s: f64, braked_mm_s2: f64) -> Segment {
-    let start = State { position_mm: 0.0, velocity_mm_s: speed_mm_s, acceleration_mm_s2: -braked_mm_s2 };
+    let start = MotionState { position_mm: 0.0, velocity_mm_s: speed_mm_s, acceleration_mm_s2: -braked_mm_s2 };
     let mut thrown = ChannelSegment::starting(start);
     thrown.push(0.01, 0.0);
     let still = ChannelSegment::holding(0.0, 0.01);
@@ -308,7 +308,7 @@ fn a_step_up_and_down_within_microseconds_keeps_dir_timing() {
         m.queue.push_back(TimedSegment { epoch: 0, start_ns: START_NS + 4_000_000, duration_ns: 10_000_000, segment });
         m.run_until(START_NS + 13_000_000);
         assert_eq!(m.record.iter().filter(|e| matches!(e.line, LineName::Step(0)) && e.high).count(), 2);
-        assert_eq!((m.core.mode(), m.pulsed(0)), (Mode::Following, 0));
+        assert_eq!((m.core.mode(), m.pulsed(0)), (StepperMode::Following, 0));
         check_record(&m.record, &timing(&c)).unwrap();
     }
 }
@@ -321,7 +321,7 @@ fn a_driver_that_was_asleep_gets_its_time_to_wake() {
     m.queue.push_back(TimedSegment { epoch: 0, start_ns: START_NS + 1_000_000, duration_ns: 10_000_000, segment });
     m.run_until(START_NS + 500_000_000);
     check_record(&m.record, &timing(&c)).unwrap();
-    assert_eq!(m.core.mode(), Mode::Resting, "what waits for the driver is not late");
+    assert_eq!(m.core.mode(), StepperMode::Resting, "what waits for the driver is not late");
     assert!(m.pulsed(0) > 6 && m.pulsed(0) == m.core.counted().0[0]);
 }
 
@@ -332,17 +332,17 @@ fn on_the_way(config: &StepperConfig) -> (Machine, Motion) {
     let segments: Vec<Segment> = (0..150).map(|_| motion.tick([12.0, -12.0, 6.0], 2e-3)).collect();
     m.feed(0, START_NS + 4_000_000, &segments);
     m.run_until(START_NS + 200_000_000);
-    assert_eq!(m.core.mode(), Mode::Following);
+    assert_eq!(m.core.mode(), StepperMode::Following);
     (m, motion)
 }
 
 #[test]
 fn an_order_to_stop_brakes_and_drops_the_queue() {
     let (mut m, _) = on_the_way(&StepperConfig::default());
-    m.core.order(Order::Stop);
+    m.core.order(StepperOrder::Stop);
     m.run_until(m.now_ns + 500_000_000);
     let report = m.core.report(m.now_ns);
-    assert_eq!((report.mode, report.epoch, report.dry), (Mode::Resting, 1, 0));
+    assert_eq!((report.mode, report.epoch, report.dry), (StepperMode::Resting, 1, 0));
     assert!(report.rest_mm[0] > 1.0 && report.rest_mm[0] < 9.0, "{:?}", report.rest_mm);
     assert_eq!(report.counted.0[0], (report.rest_mm[0] / STEP_MM).round() as i32);
     assert!(m.queue.is_empty() && report.refused > 0);
@@ -352,7 +352,7 @@ fn an_order_to_stop_brakes_and_drops_the_queue() {
 #[test]
 fn after_a_break_motion_goes_on_from_where_it_rests() {
     let (mut m, mut motion) = on_the_way(&StepperConfig::default());
-    m.core.order(Order::Stop);
+    m.core.order(StepperOrder::Stop);
     m.run_until(m.now_ns + 500_000_000);
     motion.reset(m.core.report(m.now_ns).rest_mm);
     let segments: Vec<Segment> = (0..1500).map(|_| motion.tick([-3.0, 2.0, 1.0], 2e-3)).collect();
@@ -368,15 +368,15 @@ fn a_fault_holds_until_cleared_and_then_motion_goes_on_from_the_count() {
     let (mut m, mut motion) = on_the_way(&StepperConfig::default());
     m.now_ns += 5_000_000;
     m.turn();
-    assert!(matches!(m.core.mode(), Mode::Faulted(Fault::Late { .. })), "{:?}", m.core.mode());
-    m.core.order(Order::Stop);
-    m.core.order(Order::Rebase([0.0; 3]));
+    assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Late { .. })), "{:?}", m.core.mode());
+    m.core.order(StepperOrder::Stop);
+    m.core.order(StepperOrder::Rebase([0.0; 3]));
     m.run_until(m.now_ns + 50_000_000);
-    assert!(matches!(m.core.mode(), Mode::Faulted(_)) && m.levels.enable);
-    m.core.order(Order::Clear);
+    assert!(matches!(m.core.mode(), StepperMode::Faulted(_)) && m.levels.enable);
+    m.core.order(StepperOrder::Clear);
     m.run_until(m.now_ns + 1_000_000);
     let report = m.core.report(m.now_ns);
-    assert_eq!(report.mode, Mode::Resting);
+    assert_eq!(report.mode, StepperMode::Resting);
     assert_eq!(report.rest_mm, report.counted.0.map(|n| f64::from(n) * STEP_MM));
     motion.reset(report.rest_mm);
     let segments: Vec<Segment> = (0..1500).map(|_| motion.tick([0.0; 3], 2e-3)).collect();
@@ -388,32 +388,32 @@ fn a_fault_holds_until_cleared_and_then_motion_goes_on_from_the_count() {
 
 #[test]
 fn the_emergency_stop_releases_at_once_or_brakes_and_holds() {
-    let pressed = Inputs { emergency_stop: true, ..Inputs::default() };
+    let pressed = StepperInputs { emergency_stop: true, ..Inputs::default() };
     let (mut m, _) = on_the_way(&StepperConfig::default());
     m.core.observe(pressed);
-    assert_eq!(m.core.mode(), Mode::Following, "one reading may be a disturbance");
-    m.core.observe(Inputs::default());
+    assert_eq!(m.core.mode(), StepperMode::Following, "one reading may be a disturbance");
+    m.core.observe(StepperInputs::default());
     m.core.observe(pressed);
-    assert_eq!(m.core.mode(), Mode::Following);
+    assert_eq!(m.core.mode(), StepperMode::Following);
     m.core.observe(pressed);
     let before = m.record.iter().filter(|e| matches!(e.line, LineName::Step(_)) && e.high).count();
     m.run_until(m.now_ns + 100_000_000);
     let after = m.record.iter().filter(|e| matches!(e.line, LineName::Step(_)) && e.high).count();
-    assert_eq!((m.core.mode(), m.levels.enable, after - before), (Mode::Faulted(Fault::EmergencyStop), false, 0));
-    m.core.order(Order::Clear);
-    assert_eq!(m.core.mode(), Mode::Faulted(Fault::EmergencyStop), "still pressed");
-    m.core.observe(Inputs::default());
-    m.core.order(Order::Clear);
-    assert_eq!(m.core.mode(), Mode::Resting);
+    assert_eq!((m.core.mode(), m.levels.enable, after - before), (StepperMode::Faulted(StepperFault::EmergencyStop), false, 0));
+    m.core.order(StepperOrder::Clear);
+    assert_eq!(m.core.mode(), StepperMode::Faulted(StepperFault::EmergencyStop), "still pressed");
+    m.core.observe(StepperInputs::default());
+    m.core.order(StepperOrder::Clear);
+    assert_eq!(m.core.mode(), StepperMode::Resting);
 
     let hold = StepperConfig { emergency_stop: EmergencyStop::Hold, ..StepperConfig::default() };
     let (mut m, _) = on_the_way(&hold);
     m.core.observe(pressed);
     m.core.observe(pressed);
-    assert_eq!(m.core.mode(), Mode::Stopping);
+    assert_eq!(m.core.mode(), StepperMode::Stopping);
     m.run_until(m.now_ns + 500_000_000);
     let report = m.core.report(m.now_ns);
-    assert_eq!((report.mode, report.energised), (Mode::Faulted(Fault::EmergencyStop), true));
+    assert_eq!((report.mode, report.energised), (StepperMode::Faulted(StepperFault::EmergencyStop), true));
     assert_eq!(report.counted.0[0], (report.rest_mm[0] / STEP_MM).round() as i32);
 }
 
@@ -423,15 +423,15 @@ fn a_segment_that_jumps_is_refused_before_it_moves_anything() {
         let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
         m.feed(0, START_NS + 4_000_000, &[Segment::holding([0.0, bad, 0.0], 2e-3)]);
         m.run_until(START_NS + 20_000_000);
-        assert!(matches!(m.core.mode(), Mode::Faulted(Fault::Torn { channel: 1, .. })), "{:?}", m.core.mode());
+        assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Torn { channel: 1, .. })), "{:?}", m.core.mode());
         assert!(m.record.is_empty());
     }
     let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
     let mut fast = Segment::holding([0.0; 3], 2e-3);
-    fast.channels[2] = fast.channels[2].ending(State::rest(3.0));
+    fast.channels[2] = fast.channels[2].ending(MotionState::rest(3.0));
     m.feed(0, START_NS + 4_000_000, &[fast]);
     m.run_until(START_NS + 20_000_000);
-    assert!(matches!(m.core.mode(), Mode::Faulted(Fault::Torn { channel: 2, gap_mm }) if gap_mm == 3.0));
+    assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Torn { channel: 2, gap_mm }) if gap_mm == 3.0));
 }
 
 #[test]
@@ -449,13 +449,13 @@ fn drivers_are_released_when_idle_and_woken_in_time() {
     let end_ns = m.feed(0, m.now_ns + 4_000_000, &back);
     m.run_until(end_ns + 1_000_000);
     check_record(&m.record, &timing(&c)).unwrap();
-    assert_eq!((m.core.mode(), m.core.counted().0), (Mode::Resting, [0; 3]));
+    assert_eq!((m.core.mode(), m.core.counted().0), (StepperMode::Resting, [0; 3]));
 }
 
 #[test]
 fn finishing_brakes_releases_and_ends() {
     let (mut m, _) = on_the_way(&StepperConfig::default());
-    m.core.order(Order::Finish);
+    m.core.order(StepperOrder::Finish);
     let mut turns = 0;
     while !m.core.is_finished() {
         m.turn();
@@ -463,20 +463,20 @@ fn finishing_brakes_releases_and_ends() {
         assert!(turns < 100_000);
     }
     let report = m.core.report(m.now_ns);
-    assert_eq!((report.mode, m.levels.enable, m.levels.step), (Mode::Resting, false, [false; 3]));
+    assert_eq!((report.mode, m.levels.enable, m.levels.step), (StepperMode::Resting, false, [false; 3]));
     assert_eq!(report.counted.0[1], (report.rest_mm[1] / STEP_MM).round() as i32);
 }
 
 #[test]
 fn a_rebase_sets_position_and_count_at_rest_only() {
     let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
-    m.core.order(Order::Rebase([1.0, -2.0, 0.0]));
+    m.core.order(StepperOrder::Rebase([1.0, -2.0, 0.0]));
     assert_eq!(m.core.counted().0, [34, -68, 0]);
-    m.core.order(Order::Rebase([f64::NAN; 3]));
+    m.core.order(StepperOrder::Rebase([f64::NAN; 3]));
     assert_eq!(m.core.counted().0, [34, -68, 0]);
     let (mut m, _) = on_the_way(&StepperConfig::default());
     let before = m.core.counted();
-    m.core.order(Order::Rebase([0.0; 3]));
+    m.core.order(StepperOrder::Rebase([0.0; 3]));
     assert_eq!(m.core.counted(), before);
 }
 
@@ -487,7 +487,7 @@ fn a_segment_too_late_to_begin_is_refused_and_the_epoch_tells() {
     m.feed(0, START_NS + 10_000_000, &walk(3, 1)[..20]);
     m.run_until(START_NS + 60_000_000);
     let report = m.core.report(m.now_ns);
-    assert_eq!((report.mode, report.epoch, report.counted.0), (Mode::Resting, 1, [0; 3]));
+    assert_eq!((report.mode, report.epoch, report.counted.0), (StepperMode::Resting, 1, [0; 3]));
     assert_eq!(report.refused, 20);
 }
 
@@ -497,12 +497,12 @@ fn failing_pins_are_left_alone_until_cleared() {
     m.core.pins_failed();
     for _ in 0..100 {
         let t = m.now_ns;
-        assert!(matches!(m.core.poll(t, &mut m.queue), Action::WaitUntil(u) if u > t), "no hammering");
+        assert!(matches!(m.core.poll(t, &mut m.queue), PulseAction::WaitUntil(u) if u > t), "no hammering");
         m.now_ns += 100_000;
     }
-    assert_eq!(m.core.mode(), Mode::Faulted(Fault::Pins));
-    m.core.order(Order::Clear);
-    assert!(matches!(m.core.poll(m.now_ns, &mut m.queue), Action::Write(_)), "written anew");
+    assert_eq!(m.core.mode(), StepperMode::Faulted(StepperFault::Pins));
+    m.core.order(StepperOrder::Clear);
+    assert!(matches!(m.core.poll(m.now_ns, &mut m.queue), PulseAction::Write(_)), "written anew");
 }
 
 // ---------------------------------------------------------------- the real thread
@@ -554,7 +554,7 @@ fn the_thread_pulses_what_the_loop_feeds() {
     }
     let (summary, pins) = stepper.finish().unwrap();
     assert_eq!(summary.report.counted.0, [-1.0, 0.5, 2.0_f64].map(|p| (p / STEP_MM).round() as i32));
-    assert_eq!((summary.report.mode, pins.dropped(), pins.levels().enable), (Mode::Resting, 0, false));
+    assert_eq!((summary.report.mode, pins.dropped(), pins.levels().enable), (StepperMode::Resting, 0, false));
     check_record(pins.record(), &timing(&c)).unwrap();
     assert_eq!(
         summary.report.lateness.count(),
@@ -588,7 +588,7 @@ fn the_thread_stops_for_the_red_button_and_reports_it() {
         std::thread::sleep(std::time::Duration::from_millis(150));
         button.set_bits(1);
     });
-    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), Sync::Faulted(Fault::EmergencyStop));
+    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), Sync::Faulted(StepperFault::EmergencyStop));
     let (summary, pins) = stepper.finish().unwrap();
     assert!(!pins.levels().enable && summary.report.inputs.emergency_stop);
 }
@@ -598,7 +598,7 @@ fn the_thread_survives_pins_that_fail_and_says_why() {
     let pins = mock(None).failing_after(40);
     let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM).unwrap();
     let mut motion = Motion::new(&limits());
-    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), Sync::Faulted(Fault::Pins));
+    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), Sync::Faulted(StepperFault::Pins));
     let (summary, _) = stepper.finish().unwrap();
     assert!(summary.pin_error.unwrap().to_string().contains("told to fail"));
 }

@@ -10,20 +10,20 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::pilot::assemble;
 use retroflex::config::source;
-use retroflex::control::spent::Spent;
-use retroflex::control::tick::{Command, Kept};
+use retroflex::control::spent::Saturation;
+use retroflex::control::tick::{Command, RestartState};
 use retroflex::drill::bench::{Bench, Make};
 use retroflex::model::bend::Bend;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::service::status;
 use retroflex::simulation::lockstep::Lockstep;
-use retroflex::simulation::plant::{Channel, Fault};
+use retroflex::simulation::plant::{Channel, InjectedFault};
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
 use retroflex::supervisor::cycle::order::{Order, Refusal};
-use retroflex::supervisor::cycle::runner::Flight;
-use retroflex::supervisor::cycle::{Pilot, PilotConfig, Turned};
-use retroflex::supervisor::gate::{Cause, Safe};
+use retroflex::supervisor::cycle::runner::Runner;
+use retroflex::supervisor::cycle::{Supervisor, SupervisorConfig, CycleOutput};
+use retroflex::supervisor::gate::{TripCause, SafeState};
 use retroflex::supervisor::machine::Alarm;
 use retroflex::supervisor::mode::Mode;
 
@@ -33,23 +33,23 @@ fn bend_to(b: f64, d: f64) -> Order {
 }
 
 struct Fly {
-    flight: Flight<Lockstep<Sim>>,
+    flight: Runner<Lockstep<Sim>>,
     k: u64,
 }
 
 impl Fly {
-    fn new(kept: Option<Kept>, machine: Option<Lockstep<Sim>>) -> Self {
+    fn new(kept: Option<RestartState>, machine: Option<Lockstep<Sim>>) -> Self {
         let machine = machine.unwrap_or_else(|| Lockstep::new(unit(0, 1)));
         let calib: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
         let config = assemble(&twin(), &calib, &Gains::default(), machine.world.nature());
-        Self { flight: Flight::new(machine, Pilot::new(config, kept)), k: 0 }
+        Self { flight: Runner::new(machine, Supervisor::new(config, kept)), k: 0 }
     }
-    fn turn(&mut self, order: Option<Order>) -> Turned {
+    fn turn(&mut self, order: Option<Order>) -> CycleOutput {
         self.k += 1;
         let t = Seconds(self.k as f64 * 1e-3);
         self.flight.turn(t, order).unwrap()
     }
-    fn run(&mut self, s: f64) -> Turned {
+    fn run(&mut self, s: f64) -> CycleOutput {
         let mut last = self.turn(None);
         for _ in 1..(s * 1e3) as u64 {
             last = self.turn(None);
@@ -92,7 +92,7 @@ fn healthy_tips_are_never_tripped_and_seldom_suspected() {
 }
 
 /// Injects a fault into a held pose; what is said of it five seconds later.
-fn named(fault: Fault, at: (f64, f64)) -> (String, Option<u8>) {
+fn named(fault: InjectedFault, at: (f64, f64)) -> (String, Option<u8>) {
     let mut f = Fly::new(None, None);
     f.run(2.5);
     f.order(Order::Arm);
@@ -109,9 +109,9 @@ fn named(fault: Fault, at: (f64, f64)) -> (String, Option<u8>) {
 #[test]
 fn a_fault_of_one_line_is_named_with_its_channel() {
     let cases = [
-        (Fault::Burst { channel: Channel::Two }, "Burst"),
-        (Fault::Gain { channel: Channel::Two, factor: 2.0 }, "Strong"),
-        (Fault::Leak { channel: Channel::Two, rate_per_s: 0.1 }, "Leak"),
+        (InjectedFault::Burst { channel: Channel::Two }, "Burst"),
+        (InjectedFault::Gain { channel: Channel::Two, factor: 2.0 }, "Strong"),
+        (InjectedFault::Leak { channel: Channel::Two, rate_per_s: 0.1 }, "Leak"),
     ];
     for (fault, kind) in cases {
         assert_eq!(named(fault, (65.0, 70.0)), (kind.to_owned(), Some(2)), "{fault:?}");
@@ -125,8 +125,8 @@ fn a_line_that_turns_weak_is_named_with_its_channel() {
         [(Channel::One, (65.0, 70.0)), (Channel::Two, (65.0, 70.0)), (Channel::Three, (60.0, 300.0)), (Channel::Two, (55.0, 200.0))];
     for (channel, at) in cases {
         let number = Some(channel.index() as u8 + 1);
-        assert_eq!(named(Fault::Gain { channel, factor: 0.4 }, at), ("Weak".to_owned(), number), "{channel:?} at {at:?}");
-        assert_eq!(named(Fault::Burst { channel }, at), ("Burst".to_owned(), number), "{channel:?} at {at:?}");
+        assert_eq!(named(InjectedFault::Gain { channel, factor: 0.4 }, at), ("Weak".to_owned(), number), "{channel:?} at {at:?}");
+        assert_eq!(named(InjectedFault::Burst { channel }, at), ("Burst".to_owned(), number), "{channel:?} at {at:?}");
     }
 }
 
@@ -138,10 +138,10 @@ fn a_weak_line_is_made_good_and_not_taken_for_a_wall() {
     f.run(0.1);
     f.bend(50.0, 70.0);
     f.run(2.5);
-    f.flight.machine.world.plant_mut().inject(Fault::Gain { channel: Channel::Two, factor: 0.6 });
+    f.flight.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.6 });
     let t = f.run(5.0);
     let off = (t.frame.felt.unwrap().bend.0 - t.frame.target.bend.0).norm().to_degrees();
-    assert!(!t.frame.blocked && t.frame.spent == Spent::No && off < 1.0, "{off}° off, {:?}", t.frame.spent);
+    assert!(!t.frame.blocked && t.frame.spent == Saturation::No && off < 1.0, "{off}° off, {:?}", t.frame.spent);
 }
 
 #[test]
@@ -155,9 +155,9 @@ fn a_controller_that_has_done_what_it_may_says_so() {
     f.flight.pilot.reload(&mut next);
     f.bend(65.0, 70.0);
     f.run(2.5);
-    f.flight.machine.world.plant_mut().inject(Fault::Gain { channel: Channel::Two, factor: 0.7 });
+    f.flight.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.7 });
     let t = f.run(5.0);
-    assert_eq!((t.frame.spent, t.mode), (Spent::Feedback, Mode::Holding), "{:?}", t.tripped);
+    assert_eq!((t.frame.spent, t.mode), (Saturation::Feedback, Mode::Holding), "{:?}", t.tripped);
     let words = status::short(&t.frame).unwrap();
     assert!(status::blocked(&t.frame) && words.contains("integral_max_deg"), "{words}");
     // and takes it back where it can come
@@ -248,13 +248,13 @@ fn what_is_kept_for_a_restart_is_what_was_pulsed() {
         sent = fly.flight.pilot.turn(&sensed, None).steps;
     }
     let pilot = &fly.flight.pilot;
-    assert_eq!((pilot.mode(), pilot.latched()), (Mode::Faulted, Some(Cause::StepGenerator)));
+    assert_eq!((pilot.mode(), pilot.latched()), (Mode::Faulted, Some(TripCause::StepGenerator)));
     assert!(stopped != Steps::default() && sent != stopped, "{stopped:?} {sent:?}");
     assert_eq!(pilot.keep().steps, stopped);
 }
 
 /// The program was killed with the tip bent and its drivers on; another takes over.
-fn taken_over(change: impl Fn(&mut Kept, &mut PilotConfig)) -> (Fly, Vec<bool>) {
+fn taken_over(change: impl Fn(&mut RestartState, &mut SupervisorConfig)) -> (Fly, Vec<bool>) {
     let mut before = Fly::new(None, None);
     before.run(3.0);
     before.order(Order::Arm);
@@ -264,7 +264,7 @@ fn taken_over(change: impl Fn(&mut Kept, &mut PilotConfig)) -> (Fly, Vec<bool>) 
     let mut kept = before.flight.pilot.keep();
     let (mut config, t0) = (before.flight.pilot.config().clone(), before.k);
     change(&mut kept, &mut config);
-    let flight = Flight::new(before.flight.machine, Pilot::new(config, Some(kept)));
+    let flight = Runner::new(before.flight.machine, Supervisor::new(config, Some(kept)));
     let mut after = Fly { flight, k: t0 };
     let energise = (0..4000).map(|_| after.turn(None).energise).collect();
     (after, energise)
@@ -276,12 +276,12 @@ fn a_tip_found_held_is_held_until_it_is_known() {
     assert_eq!(fly.flight.pilot.mode(), Mode::Disarmed);
     assert!(energise.iter().all(|e| *e), "let go after {:?} turns", energise.iter().position(|e| !e));
     // what is remembered is not what is felt: held until that is known, then let go
-    let turned_away = |kept: &mut Kept, _: &mut PilotConfig| kept.bend_rad = [-0.9, 0.3];
+    let turned_away = |kept: &mut RestartState, _: &mut SupervisorConfig| kept.bend_rad = [-0.9, 0.3];
     let (fly, energise) = taken_over(turned_away);
     assert_eq!(fly.flight.pilot.mode(), Mode::Lost);
     assert!(energise[..1000].iter().all(|e| *e) && !energise[3999]);
     // a board that lets go when its loop hangs lets go here too
-    let (_, energise) = taken_over(|_, config| config.gate.on.late = Safe::Release);
+    let (_, energise) = taken_over(|_, config| config.gate.on.late = SafeState::Release);
     assert!(!energise[0]);
     // nothing is remembered: nothing is held
     let (_, energise) = taken_over(|kept, _| kept.steps = Steps::default());
@@ -300,7 +300,7 @@ fn stopped_by(alarm: Alarm) -> Bench {
     bench.run(0.3).unwrap();
     bench.flight.machine.alarm = Some(alarm);
     let turned = bench.run(0.5).unwrap();
-    assert_eq!((turned.mode, turned.latched), (Mode::Faulted, Some(Cause::StepGenerator)));
+    assert_eq!((turned.mode, turned.latched), (Mode::Faulted, Some(TripCause::StepGenerator)));
     assert!(turned.counted != Steps::default());
     bench
 }
@@ -312,7 +312,7 @@ fn a_tip_whose_step_thread_stopped_is_led_back_to_rest() {
     assert!(bench.until(20.0, |t| t.mode != Mode::Relaxing).unwrap());
     let turned = bench.turn(None).unwrap();
     assert_eq!((turned.mode, turned.counted, turned.energise), (Mode::Disarmed, Steps::default(), false));
-    assert_eq!(turned.latched, Some(Cause::StepGenerator), "until it is reset");
+    assert_eq!(turned.latched, Some(TripCause::StepGenerator), "until it is reset");
     assert!(bench.true_bend().beta().to_degrees() < 5.0);
 }
 
@@ -322,7 +322,7 @@ fn an_alarm_that_comes_again_ends_the_way_back() {
     bench.turn(Some(Order::Relax)).unwrap();
     bench.flight.machine.alarm = Some(Alarm::Pins);
     let turned = bench.run(0.3).unwrap();
-    assert_eq!((turned.mode, turned.latched), (Mode::Faulted, Some(Cause::StepGenerator)));
+    assert_eq!((turned.mode, turned.latched), (Mode::Faulted, Some(TripCause::StepGenerator)));
 }
 
 #[test]

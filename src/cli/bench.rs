@@ -1,6 +1,6 @@
 //! `retroflex bench rt`: how late this machine is, beside `cyclictest` where it is installed.
 
-use crate::cli::{Outcome, Unreachable, output};
+use crate::cli::{CommandOutcome, Unreachable, output};
 use crate::config::board::Board;
 use crate::config::source;
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
@@ -48,7 +48,7 @@ pub struct Rt {
 ///
 /// # Errors
 /// A report that says what was wrong with the input, or that the pins cannot be had.
-pub fn run(command: &Bench) -> Result<Outcome> {
+pub fn run(command: &Bench) -> Result<CommandOutcome> {
     let Bench::Rt(args) = command;
     if !(10.0..=20_000.0).contains(&args.rate) || !(0.2..=3600.0).contains(&args.seconds) {
         return Err(miette!("--rate {} --seconds {}: give 10 to 20000 steps a second and 0.2 to 3600 s", args.rate, args.seconds));
@@ -73,7 +73,7 @@ pub fn run(command: &Bench) -> Result<Outcome> {
     if !args.alone {
         compare(&bench);
     }
-    Ok(if bench.is_good() { Outcome::Good } else { Outcome::NotGoodEnough })
+    Ok(if bench.is_good() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
 }
 
 fn on_board(path: &std::path::Path, base: RtBenchConfig) -> Result<(RtBench, String)> {

@@ -3,11 +3,11 @@
 //! Every step prints what it found with a figure of its quality, or refuses with the motion that was
 //! missing, and writes into the `[imu]` table of a calibration file, whole or not at all.
 
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::cli::output;
 use crate::estimation::fusion::health;
-use crate::estimation::fusion::tip::{FuseConfig, Fusion, Told};
-use crate::estimation::imu_calibration::{ImuCalibration, Limits, Pedigree, accel, gyro, mag, motor, mount, still};
+use crate::estimation::fusion::tip::{FuseConfig, Fusion, FusionInput};
+use crate::estimation::imu_calibration::{ImuCalibration, CalibrationLimits, Pedigree, accel, gyro, mag, motor, mount, still};
 use crate::hardware::imu::Imu;
 use crate::log::bend_log::{self, BendLog};
 use crate::log::recording;
@@ -78,7 +78,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 /// A report that names what is wrong with the input.
-pub fn run(command: &Calibrate) -> Result<Outcome> {
+pub fn run(command: &Calibrate) -> Result<CommandOutcome> {
     let args = match command {
         Calibrate::Imu(args) => args,
         Calibrate::Transmission(args) => return crate::cli::client::follow::transmission(args),
@@ -95,13 +95,13 @@ pub fn run(command: &Calibrate) -> Result<Outcome> {
         Ok(line) => eprintln!("{line}"),
         Err(refusal) => {
             eprintln!("refused: {refusal}");
-            return Ok(Outcome::NotGoodEnough);
+            return Ok(CommandOutcome::NotGoodEnough);
         }
     }
     table.insert("imu".to_owned(), toml::Value::try_from(&found).into_diagnostic()?);
     output::write(&args.out, &toml::to_string_pretty(&table).into_diagnostic()?)?;
     eprintln!("written to {}", args.out.display());
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }
 
 fn existing(path: &Path) -> Result<toml::Table> {
@@ -114,7 +114,7 @@ fn existing(path: &Path) -> Result<toml::Table> {
 
 /// One step: a line for people, or why not.
 fn find(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Result<Result<String, crate::estimation::imu_calibration::Refusal>> {
-    let limits = Limits::default();
+    let limits = CalibrationLimits::default();
     Ok(match args.step {
         Step::Gyro => gyro::at_rest(&samples(args)?, &limits).map(|fit| {
             into.set_gyro(&fit, from);
@@ -232,7 +232,7 @@ fn motor_samples(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
         }
         last = steps;
         let still = moved_s.iter().all(|m| sample.t.0 - m > 0.5);
-        let told = Told { now: sample.t, tip: health::Outcome::from_world(Some(*sample)), base: None, coils_ut: Vector3::zeros(), still };
+        let told = FusionInput { now: sample.t, tip: health::ImuReading::from_world(Some(*sample)), base: None, coils_ut: Vector3::zeros(), still };
         fusion.update(&config, &told);
         if let (Some(felt), Some(mag)) = (fusion.felt(), sample.mag_ut) {
             let energised = moved_s.map(|m| sample.t.0 - m < idle_after_s);
@@ -245,7 +245,7 @@ fn motor_samples(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
 /// Pure bends: motions between two held poses of one plane.
 fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
     let samples = log_samples(log);
-    let Some(bias) = samples.get(..).map(|s| still::rests(s, &Limits::default())).and_then(|r| r.first().map(|r| r.gyro_rad_s)) else {
+    let Some(bias) = samples.get(..).map(|s| still::rests(s, &CalibrationLimits::default())).and_then(|r| r.first().map(|r| r.gyro_rad_s)) else {
         return Vec::new();
     };
     let changes: Vec<usize> = (1..samples.len()).filter(|&k| log.command.get(k) != log.command.get(k - 1)).collect();
@@ -325,11 +325,11 @@ mod tests {
         bus.machine().attach(FakeIcm20948::new(0x68, 1));
         let bias = Vector3::new(0.01, -0.02, 0.005);
         bus.machine().set_motion(&Motion { gyro_rad_s: bias, ..Motion::default() });
-        let mut chip = Icm20948::new(bus.clone(), &icm20948::Config::default()).unwrap();
+        let mut chip = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
         let mut shares = Vec::new();
         let samples = record(&mut chip, &mut bus.delay(), 5.0, &mut |s| shares.push(s)).unwrap();
         assert!(samples.len() > 2000 && shares.windows(2).all(|w| w[0] < w[1]));
-        let fit = gyro::at_rest(&samples, &Limits::default()).unwrap();
+        let fit = gyro::at_rest(&samples, &CalibrationLimits::default()).unwrap();
         assert!((fit.bias_rad_s - bias).amax() < 1e-3, "{}", fit.bias_rad_s);
         bus.machine().stuck = true;
         assert!(record(&mut chip, &mut bus.delay(), 1.0, &mut |_| ()).is_err());

@@ -1,6 +1,6 @@
 //! The commands that talk to a running service: thin, one request each.
 
-use crate::cli::{Outcome, Unreachable};
+use crate::cli::{CommandOutcome, Unreachable};
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{Failure, RecordAction, Request};
 use args::{Action, BendArgs, PlayArgs, RecordArgs, StatusArgs, SubscribeArgs};
@@ -71,7 +71,7 @@ pub struct Plain {
 ///
 /// # Errors
 /// A report with the service's words.
-pub fn run(command: &Client) -> Result<Outcome> {
+pub fn run(command: &Client) -> Result<CommandOutcome> {
     match command {
         Client::Bend(args) => follow::bend(args),
         Client::Hold(p) => plain(&p.at, &Request::Hold {}),
@@ -130,23 +130,23 @@ fn settle(answer: std::result::Result<Value, Ended>) -> Result<Option<Value>> {
     }
 }
 
-fn outcome(value: Option<&Value>) -> Outcome {
-    if value.is_some() { Outcome::Good } else { Outcome::NotGoodEnough }
+fn outcome(value: Option<&Value>) -> CommandOutcome {
+    if value.is_some() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough }
 }
 
-fn plain(at: &At, request: &Request) -> Result<Outcome> {
+fn plain(at: &At, request: &Request) -> Result<CommandOutcome> {
     said(&mut connect(at)?, request)
 }
 
 /// A request after which the service looks for the rest.
-fn then_aligned(at: &At, request: &Request) -> Result<Outcome> {
+fn then_aligned(at: &At, request: &Request) -> Result<CommandOutcome> {
     let mut connection = connect(at)?;
     let outcome = said(&mut connection, request)?;
-    if outcome == Outcome::Good { follow::aligned(&mut connection) } else { Ok(outcome) }
+    if outcome == CommandOutcome::Good { follow::aligned(&mut connection) } else { Ok(outcome) }
 }
 
 /// One request and its result as a line.
-fn said(connection: &mut Connection, request: &Request) -> Result<Outcome> {
+fn said(connection: &mut Connection, request: &Request) -> Result<CommandOutcome> {
     let value = settle(ask(connection, request))?;
     if let Some(Value::Object(map)) = &value
         && !map.is_empty()

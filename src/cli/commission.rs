@@ -1,6 +1,6 @@
 //! `retroflex commission`: is the machine wired as its board file says, and is it tight?
 
-use crate::cli::{Outcome, hands, output};
+use crate::cli::{CommandOutcome, hands, output};
 use crate::config::board::Board;
 use crate::config::source;
 use crate::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
@@ -30,7 +30,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report: bad input, hardware that does not answer, or what ended the procedure.
-pub fn run(args: &Args) -> Result<Outcome> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     if !((1.0..=6.0).contains(&args.stroke) && (0.0..=120.0).contains(&args.hold)) {
         return Err(miette!("--stroke {} --hold {}: give 1 to 6 mm and 0 to 120 s", args.stroke, args.hold));
     }
@@ -51,8 +51,8 @@ pub fn run(args: &Args) -> Result<Outcome> {
     Ok(verdict(&findings))
 }
 
-fn verdict(findings: &Findings) -> Outcome {
-    if findings.is_good() { Outcome::Good } else { Outcome::NotGoodEnough }
+fn verdict(findings: &Findings) -> CommandOutcome {
+    if findings.is_good() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough }
 }
 
 /// Writes a wiring into the board file, value by value.

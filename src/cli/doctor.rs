@@ -1,7 +1,7 @@
 //! `retroflex doctor`: the board file against the machine, line by line: pass, warn or fail, each with
 //! the mend.
 
-use crate::cli::{Outcome, output};
+use crate::cli::{CommandOutcome, output};
 use crate::config::board::Board;
 use crate::config::source;
 use crate::hardware::machine::Sensor;
@@ -60,7 +60,7 @@ impl Finding {
 ///
 /// # Errors
 /// A report for a board file that is not one.
-pub fn run(args: &Args) -> Result<Outcome> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let board: Board = match &args.board {
         Some(path) => source::read(path)?,
         None => source::parse("boards/sim.toml", include_str!("../../boards/sim.toml"))?,
@@ -82,7 +82,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
     // a reader that has gone away is no failure of the doctor
     let _ = std::io::stdout().write_all(text.as_bytes());
     let failed = findings.iter().any(|f| f.verdict == Verdict::Fail);
-    Ok(if failed { Outcome::NotGoodEnough } else { Outcome::Good })
+    Ok(if failed { CommandOutcome::NotGoodEnough } else { CommandOutcome::Good })
 }
 
 /// Everything that can be seen without driving anything.

@@ -1,6 +1,6 @@
 //! `retroflex drill`: every fault, in mid-motion; `--soak HOURS`: all of them, at random, for long.
 
-use crate::cli::{Outcome, output};
+use crate::cli::{CommandOutcome, output};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
@@ -55,11 +55,11 @@ pub struct Args {
 ///
 /// # Errors
 /// A report that says what was wrong with the input.
-pub fn run(args: &Args) -> Result<Outcome> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let make = twin()?;
     if let Some(folder) = &args.exercise {
         process::exercise(&make, folder, args.harm).into_diagnostic()?;
-        return Ok(Outcome::Good);
+        return Ok(CommandOutcome::Good);
     }
     if let Some(folder) = &args.recall {
         return recall(folder);
@@ -78,7 +78,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
         output::write(path, &(serde_json::to_string_pretty(&json!({ "rows": rows })).into_diagnostic()? + "\n"))?;
     }
     show(&rows);
-    Ok(if rows.iter().all(|r| r.ok) { Outcome::Good } else { Outcome::NotGoodEnough })
+    Ok(if rows.iter().all(|r| r.ok) { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
 }
 
 /// The paper twin with the paper's calibration.
@@ -126,18 +126,18 @@ impl Drop for Scratch {
     }
 }
 
-fn recall(folder: &std::path::Path) -> Result<Outcome> {
+fn recall(folder: &std::path::Path) -> Result<CommandOutcome> {
     let (_, recall) = Store::open(folder).into_diagnostic()?;
     let Some((memory, kept)) = recall.memory.and_then(|m| m.kept.map(|k| (m.armed, k))) else {
         println!("recalled nothing");
-        return Ok(Outcome::NotGoodEnough);
+        return Ok(CommandOutcome::NotGoodEnough);
     };
     let [a, b, c] = kept.steps.0;
     println!("recalled {} {a} {b} {c} .", i32::from(memory));
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }
 
-fn soak_for(args: &Args, make: &Make, hours: f64) -> Result<Outcome> {
+fn soak_for(args: &Args, make: &Make, hours: f64) -> Result<CommandOutcome> {
     if !(0.001..=10_000.0).contains(&hours) {
         return Err(miette!("--soak {hours}: give 0.001 to 10000 simulated hours"));
     }
@@ -151,7 +151,7 @@ fn soak_for(args: &Args, make: &Make, hours: f64) -> Result<Outcome> {
         Some(path) => output::write(path, &text)?,
         None => print!("{text}"),
     }
-    Ok(if soak.ok { Outcome::Good } else { Outcome::NotGoodEnough })
+    Ok(if soak.ok { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
 }
 
 fn show(rows: &[Row]) {

@@ -1,6 +1,6 @@
 //! `retroflex evaluate`: the paper's experiment on a plant.
 
-use crate::cli::{Outcome, output};
+use crate::cli::{CommandOutcome, output};
 use crate::config::board::{Board, PlantSection};
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
@@ -11,7 +11,7 @@ use crate::report::evaluation as pictures;
 use crate::simulation::link::{self, Link};
 use crate::simulation::sim::Sim;
 use crate::simulation::world::World;
-use crate::supervisor::machine::WorldError;
+use crate::supervisor::machine::MachineError;
 use clap::builder::PossibleValue;
 use comfy_table::{CellAlignment, Table, presets};
 use miette::{IntoDiagnostic, Result, miette};
@@ -66,7 +66,7 @@ const GOOD_ENOUGH_DEG: f64 = 1.5;
 ///
 /// # Errors
 /// A report that says what was wrong with the input or the plant.
-pub fn run(args: &Args) -> Result<Outcome> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     check(args)?;
     let board: Board = match &args.board {
         Some(path) => source::read(path)?,
@@ -134,7 +134,7 @@ impl Choice {
         Ok(Self::BuiltIn { section: Box::new(section), seed: args.seed })
     }
 
-    fn open(&self, purpose: Purpose) -> Result<Box<dyn World>, WorldError> {
+    fn open(&self, purpose: Purpose) -> Result<Box<dyn World>, MachineError> {
         Ok(match self {
             Self::Foreign { program, args } => Box::new(Link::start(program, args)?),
             Self::BuiltIn { section, seed } => Box::new(Sim::new(&section.make(), *seed, noise_of(purpose), section.period_s)?),
@@ -150,9 +150,9 @@ fn noise_of(purpose: Purpose) -> u64 {
     }
 }
 
-fn verdict(e: &Evaluation) -> Outcome {
+fn verdict(e: &Evaluation) -> CommandOutcome {
     let bad = |a: &ArmResult| a.bend_rmse_deg > GOOD_ENOUGH_DEG;
-    if !e.converged || e.arm(Arm::Closed).is_some_and(bad) { Outcome::NotGoodEnough } else { Outcome::Good }
+    if !e.converged || e.arm(Arm::Closed).is_some_and(bad) { CommandOutcome::NotGoodEnough } else { CommandOutcome::Good }
 }
 
 fn write_all(args: &Args, e: &Evaluation) -> Result<()> {

@@ -1,6 +1,6 @@
 //! `retroflex gap exam`: the diagnosis is examined on logs of the built-in plant.
 
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::cli::output;
 use crate::diagnosis::exam::mark::{Method, Row, Sheet, mark};
 use crate::diagnosis::exam::question::{Question, paper};
@@ -53,7 +53,7 @@ struct Document<'a> {
 ///
 /// # Errors
 /// A report if a file cannot be written.
-pub fn run(args: &Args) -> Result<Outcome> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let Some(path) = &args.json {
         output::check(path)?;
     }
@@ -68,7 +68,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
         let document = Document { sheet: &sheet, logs: questions.iter().zip(&answers).map(line).collect() };
         output::write(path, &(serde_json::to_string(&document).into_diagnostic()? + "\n"))?;
     }
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }
 
 fn line<'a>((q, a): (&'a Question, &'a Answer)) -> Line<'a> {

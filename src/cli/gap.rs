@@ -1,6 +1,6 @@
 //! `retroflex gap …`: the commands about the gap between model and machine, and what they share.
 
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::cli::gap_diagnose::{self, DiagnoseArgs};
 use crate::cli::gap_excite::{self, ExciteArgs};
 use crate::cli::output::{self, write};
@@ -42,7 +42,7 @@ pub struct CheckArgs {
 ///
 /// # Errors
 /// A report that names what is wrong with the input.
-pub fn run(command: &Gap) -> Result<Outcome> {
+pub fn run(command: &Gap) -> Result<CommandOutcome> {
     match command {
         Gap::Diagnose(args) => gap_diagnose::run(args),
         Gap::Check(args) => run_check(args),
@@ -95,7 +95,7 @@ pub fn check_results(files: &[Option<&Path>]) -> Result<()> {
     Ok(())
 }
 
-fn run_check(args: &CheckArgs) -> Result<Outcome> {
+fn run_check(args: &CheckArgs) -> Result<CommandOutcome> {
     check_results(&[args.json.as_deref()])?;
     let model = saved(&args.model)?;
     let checked = model.check_on(&observe(&args.log)?, &catalogue());
@@ -103,5 +103,5 @@ fn run_check(args: &CheckArgs) -> Result<Outcome> {
     if let Some(path) = &args.json {
         write(path, &(serde_json::to_string(&checked).into_diagnostic()? + "\n"))?;
     }
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }

@@ -1,6 +1,6 @@
 //! `retroflex gap diagnose`: a log in, an answer in words, and the files that hold it.
 
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::cli::gap::{PAPER, check_results, observe};
 use crate::cli::gap_map;
 use crate::cli::output::write;
@@ -48,7 +48,7 @@ pub struct DiagnoseArgs {
 ///
 /// # Errors
 /// A report that names what is wrong with the input.
-pub fn run(args: &DiagnoseArgs) -> Result<Outcome> {
+pub fn run(args: &DiagnoseArgs) -> Result<CommandOutcome> {
     check_results(&[args.json.as_deref(), args.html.as_deref(), args.save.as_deref()])?;
     if let Some(map) = &args.map {
         return gap_map::run(&args.log, map, &args.fresh, args.json.as_deref(), args.seed);
@@ -61,7 +61,7 @@ pub fn run(args: &DiagnoseArgs) -> Result<Outcome> {
         write(path, &text)?;
     }
     eprintln!("{}", summary(&done.document));
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }
 
 /// Every file that was asked for, with its text.

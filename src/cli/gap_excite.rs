@@ -1,6 +1,6 @@
 //! `retroflex gap excite`: designs a schedule on which effects can be told apart.
 
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::cli::gap::{PAPER, saved};
 use crate::cli::output::{self, write};
 use crate::diagnosis::excite::rows::csv;
@@ -48,7 +48,7 @@ impl Check for ExciteArgs {
 ///
 /// # Errors
 /// A report that names what is wrong with the model or the output.
-pub fn run(args: &ExciteArgs) -> Result<Outcome> {
+pub fn run(args: &ExciteArgs) -> Result<CommandOutcome> {
     let mut checker = Checker::default();
     args.check(&mut checker);
     checker.done().map_err(|e| miette!("{}: {}: {}", e.key, e.problem, e.mend))?;
@@ -64,10 +64,10 @@ pub fn run(args: &ExciteArgs) -> Result<Outcome> {
     bar.finish_and_clear();
     write(&args.out, &csv(&designed.rows))?;
     eprintln!("{}", summary(args, &designed));
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }
 
-fn lines(g: &crate::diagnosis::saved::Gains) -> [Line; 3] {
+fn lines(g: &crate::diagnosis::saved::SavedGains) -> [Line; 3] {
     std::array::from_fn(|i| Line { k_epsilon: g.k_epsilon[i], k_lambda_mm: g.k_lambda_mm[i] })
 }
 

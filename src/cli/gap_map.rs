@@ -1,6 +1,6 @@
 //! `retroflex gap diagnose --map`: the bench log of another rig.
 
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::cli::output::write;
 use crate::config::source;
 use crate::diagnosis::map::document::Document;
@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// A report that names file, line and column, or the key of the map.
-pub fn run(log: &Path, map: &Path, fresh: &[PathBuf], json: Option<&Path>, seed: u64) -> Result<Outcome> {
+pub fn run(log: &Path, map: &Path, fresh: &[PathBuf], json: Option<&Path>, seed: u64) -> Result<CommandOutcome> {
     let map: MapFile = source::read(map)?;
     let signals = table::read(log, &map).into_diagnostic()?;
     let name = |p: &PathBuf| p.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
@@ -24,7 +24,7 @@ pub fn run(log: &Path, map: &Path, fresh: &[PathBuf], json: Option<&Path>, seed:
         write(path, &(serde_json::to_string_pretty(&document).into_diagnostic()? + "\n"))?;
     }
     eprintln!("{}", summary(&document));
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }
 
 fn summary(d: &Document) -> String {

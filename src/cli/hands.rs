@@ -3,7 +3,7 @@
 use crate::cli::Unreachable;
 use crate::config::board::Board;
 use crate::config::source;
-use crate::hardware::machine::{Hardware, MachineConfig, MachineError};
+use crate::hardware::machine::{Hardware, MachineConfig, HardwareError};
 use crate::hardware::pins::OpenError;
 use crate::hardware::rt;
 use crate::primitives::units::Seconds;
@@ -37,13 +37,13 @@ pub fn open(path: &Path, prepare: impl FnOnce(&mut MachineConfig)) -> Result<(Bo
 
 /// A machine's refusal as a report with the right exit code.
 #[must_use]
-pub fn told(path: &Path, error: MachineError) -> miette::Report {
+pub fn told(path: &Path, error: HardwareError) -> miette::Report {
     if error.is_config() {
         return miette!("{}: {error}", path.display());
     }
     let what = match &error {
-        MachineError::Pins(OpenError::Pin(_)) => "the GPIO",
-        MachineError::Stepper(_) | MachineError::Thread(_) => "the scheduler",
+        HardwareError::Pins(OpenError::Pin(_)) => "the GPIO",
+        HardwareError::Stepper(_) | HardwareError::Thread(_) => "the scheduler",
         _ => "the IMU",
     };
     Unreachable { what: what.to_owned(), why: error.to_string() }.into()

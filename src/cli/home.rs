@@ -1,6 +1,6 @@
 //! `retroflex home`: zero by home switches, or by a person who brings the pistons to rest.
 
-use crate::cli::{Outcome, hands};
+use crate::cli::{CommandOutcome, hands};
 use crate::config::board::Board;
 use crate::config::hardware::HomingMethod;
 use crate::config::source;
@@ -28,7 +28,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report: bad input, hardware that does not answer, or why zero was not found.
-pub fn run(args: &Args) -> Result<Outcome> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let board: Board = source::read(&args.board)?;
     let text = match board.homing.method {
         HomingMethod::Switches => by_switches(args, &board)?,
@@ -36,7 +36,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
     };
     // a reader that has gone away is no failure of the homing
     let _ = std::io::stdout().write_all(text.as_bytes());
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }
 
 fn by_switches(args: &Args, board: &Board) -> Result<String> {

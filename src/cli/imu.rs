@@ -1,6 +1,6 @@
 //! `retroflex imu score`: an orientation filter against a recording with a reference.
 
-use crate::cli::{Outcome, output};
+use crate::cli::{CommandOutcome, output};
 use crate::estimation::fusion::FilterName;
 use crate::estimation::score;
 use miette::{IntoDiagnostic, Result};
@@ -34,12 +34,12 @@ pub struct ScoreArgs {
 ///
 /// # Errors
 /// A report that names what is wrong with the input.
-pub fn run(command: &Imu) -> Result<Outcome> {
+pub fn run(command: &Imu) -> Result<CommandOutcome> {
     let Imu::Score(args) = command;
     let rows = score::run(&args.files, args.filter, args.all).into_diagnostic()?;
     eprintln!("{}", score::table(&rows));
     if let Some(path) = &args.json {
         output::write(path, &(serde_json::to_string_pretty(&rows).into_diagnostic()? + "\n"))?;
     }
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }

@@ -1,7 +1,7 @@
 //! `retroflex jog`: one piston, slowly, a little; and back, for pressure must not be left on a motor
 //! without current.
 
-use crate::cli::{Outcome, hands};
+use crate::cli::{CommandOutcome, hands};
 use miette::{Result, miette};
 use std::io::Write;
 use std::path::PathBuf;
@@ -41,7 +41,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report: bad input, hardware that does not answer, or what ended the move.
-pub fn run(args: &Args) -> Result<Outcome> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     if !(args.mm.abs() <= FAR_MM && args.speed > 0.0 && args.speed <= FAST_MM_S && (0.0..=60.0).contains(&args.hold)) {
         return Err(miette!(
             "--mm {} --speed {} --hold {}: a jog goes at most {FAR_MM} mm at most {FAST_MM_S} mm/s and holds at most 60 s",
@@ -86,5 +86,5 @@ pub fn run(args: &Args) -> Result<Outcome> {
     );
     // a reader that has gone away is no failure of the move
     let _ = std::io::stdout().write_all(text.as_bytes());
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }

@@ -73,7 +73,7 @@ enum Command {
 
 /// How a command ended, other than by an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Outcome {
+pub enum CommandOutcome {
     /// Done.
     Good,
     /// It ran to its end, and the answer is "not good enough".
@@ -116,10 +116,10 @@ pub fn run(cli: Cli) -> ExitCode {
     ExitCode::from(exit_code(&end))
 }
 
-fn exit_code(end: &miette::Result<Outcome>) -> u8 {
+fn exit_code(end: &miette::Result<CommandOutcome>) -> u8 {
     match end {
-        Ok(Outcome::Good) => 0,
-        Ok(Outcome::NotGoodEnough) => 1,
+        Ok(CommandOutcome::Good) => 0,
+        Ok(CommandOutcome::NotGoodEnough) => 1,
         Err(report) if report.chain().any(|e| e.is::<Unreachable>()) => 3,
         Err(_) => 2,
     }
@@ -132,12 +132,12 @@ mod tests {
 
     #[test]
     fn every_end_has_its_code() {
-        assert_eq!(exit_code(&Ok(Outcome::Good)), 0);
-        assert_eq!(exit_code(&Ok(Outcome::NotGoodEnough)), 1);
+        assert_eq!(exit_code(&Ok(CommandOutcome::Good)), 0);
+        assert_eq!(exit_code(&Ok(CommandOutcome::NotGoodEnough)), 1);
         assert_eq!(exit_code(&Err(miette!("bad key"))), 2);
         let gone = || Unreachable { what: "/dev/i2c-1".to_owned(), why: "no such file".to_owned() };
         assert_eq!(exit_code(&Err(gone().into())), 3);
-        let deep: miette::Result<Outcome> = Err(miette::Report::from(gone())).wrap_err("at start");
+        let deep: miette::Result<CommandOutcome> = Err(miette::Report::from(gone())).wrap_err("at start");
         assert_eq!(exit_code(&deep), 3);
     }
 }

@@ -1,7 +1,7 @@
 //! `retroflex replay LOG`: what was recorded, through the pilot of today. Every decision must come out
 //! again bit for bit; if not, the software has changed.
 
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
@@ -11,8 +11,8 @@ use crate::control::pi::Dynamics;
 use crate::model::transmission::Line;
 use crate::service::record::tape_of;
 use crate::service::tape::{Header, Reader, digest};
-use crate::supervisor::cycle::Pilot;
-use crate::supervisor::machine::Nature;
+use crate::supervisor::cycle::Supervisor;
+use crate::supervisor::machine::MachineInfo;
 use miette::{Result, miette};
 use std::path::PathBuf;
 
@@ -27,7 +27,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report that names what is wrong with the tape.
-pub fn run(args: &Args) -> Result<Outcome> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let path = tape_of(&args.log);
     if !args.log.exists() {
         return Err(miette!("{}: no such bend log", args.log.display()));
@@ -57,24 +57,24 @@ pub fn run(args: &Args) -> Result<Outcome> {
     let cut = if reader.is_done() { "" } else { "; the tape is cut short" };
     println!("{turns} turns replayed, {off} differ{cut}");
     match first_off {
-        None => Ok(Outcome::Good),
+        None => Ok(CommandOutcome::Good),
         Some((n, t)) => {
             eprintln!("the first is turn {n} at {t:.3} s: the software has changed since {} wrote it", header.program);
-            Ok(Outcome::NotGoodEnough)
+            Ok(CommandOutcome::NotGoodEnough)
         }
     }
 }
 
-fn pilot_of(header: &Header) -> Result<Pilot> {
+fn pilot_of(header: &Header) -> Result<Supervisor> {
     let board: Board = source::parse("board of the tape", &header.texts[0])?;
     let gains: Gains = source::parse("gains of the tape", &header.texts[1])?;
     let calibration: Calibration = source::parse("calibration of the tape", &header.texts[2])?;
     let nature =
-        Nature { name: header.machine.clone(), period_s: header.period_s, step_mm: header.step_mm, rest_length_mm: header.rest_length_mm };
+        MachineInfo { name: header.machine.clone(), period_s: header.period_s, step_mm: header.step_mm, rest_length_mm: header.rest_length_mm };
     let mut config = assemble(&board, &calibration, &gains, &nature);
     config.tick.lines = header.lines.map(|[k_epsilon, k_lambda_mm]| Line { k_epsilon, k_lambda_mm });
     config.tick.dynamics = Dynamics { lag_s: header.dynamics[0], delay_s: header.dynamics[1] };
-    let mut pilot = Pilot::new(config, header.kept);
+    let mut pilot = Supervisor::new(config, header.kept);
     if header.doubted {
         pilot.doubt();
     }

@@ -1,6 +1,6 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
-use crate::cli::{Outcome, Unreachable, hands, logging};
+use crate::cli::{CommandOutcome, Unreachable, hands, logging};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
@@ -57,7 +57,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A report that says what was wrong with the input, the machine or the system.
-pub fn run(args: &Args) -> Result<Outcome> {
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     logging::start();
     let mut setup = prepare(args)?;
     setup.service.socket = args.socket.clone().unwrap_or(setup.service.socket);
@@ -66,7 +66,7 @@ pub fn run(args: &Args) -> Result<Outcome> {
     }
     setup.service.state = args.state.clone().unwrap_or(setup.service.state);
     match serve(setup) {
-        Ok(()) => Ok(Outcome::Good),
+        Ok(()) => Ok(CommandOutcome::Good),
         Err(e @ (ServiceError::World(_) | ServiceError::Died)) => {
             Err(Unreachable { what: "the machine".to_owned(), why: e.to_string() }.into())
         }

@@ -4,7 +4,7 @@ use crate::config::hardware::{HomingSection, ImuSection, MachineSection, check_h
 use crate::config::power::PowerSection;
 use crate::config::service::{SafetySection, ServiceSection};
 use crate::control::follow::Pace;
-use crate::control::limit::Limits;
+use crate::control::limit::ActuatorLimits;
 use crate::hardware::pins::PinsConfig;
 use crate::model::arc::Geometry;
 use crate::model::drive::Drive;
@@ -215,8 +215,8 @@ impl Board {
 
     /// The static limits of this board.
     #[must_use]
-    pub fn limits(&self) -> Limits {
-        Limits {
+    pub fn limits(&self) -> ActuatorLimits {
+        ActuatorLimits {
             travel_mm: self.limits.travel_mm,
             pressure_kpa_per_mm: self.limits.pressure_kpa_per_mm,
             pressure_max_kpa: self.limits.pressure_max_kpa,

@@ -54,7 +54,7 @@ fn second(s: &SecondConfig, to: &mut Checker) {
     to.range("fuse.second.time_s", s.time_s, 0.0..=600.0, "s", "2");
 }
 
-fn judge(h: &health::Config, to: &mut Checker) {
+fn judge(h: &health::HealthConfig, to: &mut Checker) {
     if let Err(e) = h.validate() {
         to.refuse(
             &format!("fuse.health.{}", e.field),

@@ -3,9 +3,9 @@
 use crate::config::fuse;
 use crate::control::follow::Pace;
 use crate::control::learning::online::RefineConfig;
-use crate::control::rest::RestConfig;
+use crate::control::rest::StandstillConfig;
 use crate::control::tick::FeedbackConfig;
-use crate::control::wall::WallConfig;
+use crate::control::wall::ObstructionConfig;
 use crate::estimation::fusion::tip::FuseConfig;
 use crate::model::transmission::Side;
 use crate::primitives::check::{Check, Checker};
@@ -172,13 +172,13 @@ impl Gains {
             integral_max_rad: o.integral_max_deg.to_radians(),
             lead: o.lead,
             learn_dynamics: o.learn_dynamics,
-            rest: RestConfig {
+            rest: StandstillConfig {
                 close_rad: r.close_deg.to_radians(),
                 close_after_s: r.close_after_s,
                 open_rad: r.open_deg.to_radians(),
                 smooth_s: r.smooth_s,
             },
-            wall: WallConfig { push_rad: w.push_deg.to_radians(), follow_min: w.follow_min, error_rad: w.error_deg.to_radians() },
+            wall: ObstructionConfig { push_rad: w.push_deg.to_radians(), follow_min: w.follow_min, error_rad: w.error_deg.to_radians() },
         }
     }
 }

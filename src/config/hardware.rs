@@ -7,7 +7,7 @@ use crate::config::board::Board;
 use crate::config::pins::check_pins;
 use crate::hardware::imu::ImuConfig;
 use crate::hardware::machine::{MachineConfig, SensorConfig};
-use crate::motion::{ConfigError, Limits};
+use crate::motion::{ConfigError, MotionLimits};
 use crate::primitives::check::Checker;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -220,7 +220,7 @@ fn check_motion(board: &Board, to: &mut Checker) {
     if let Err(ConfigError { key, value, allowed, mend }) = verdict {
         to.refuse(key, format!("{value} must be {allowed}"), mend);
     }
-    let Ok(limits) = Limits::try_from(&motion) else { return };
+    let Ok(limits) = MotionLimits::try_from(&motion) else { return };
     let stop_mm = limits.stop_longest_mm();
     let problem = format!("a stop from full speed takes {stop_mm:.2} mm, more than the travel of {} mm", board.limits.travel_mm);
     let mend = "lower motion.speed_max_mm_s or raise motion.acceleration_max_mm_s2";

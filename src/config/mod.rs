@@ -18,12 +18,12 @@ pub mod source;
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
-use crate::control::tick::Config;
+use crate::control::tick::LoopConfig;
 
 /// Puts the three files together into what [`crate::control::tick::tick`] runs on.
 #[must_use]
-pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Config {
-    Config {
+pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> LoopConfig {
+    LoopConfig {
         geometry: board.geometry.law(),
         drive: board.drive.law(),
         lines: calibration.lines(),

@@ -4,16 +4,16 @@ use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::model::drive::Drive;
-use crate::supervisor::cycle::PilotConfig;
-use crate::supervisor::machine::Nature;
+use crate::supervisor::cycle::SupervisorConfig;
+use crate::supervisor::machine::MachineInfo;
 
 /// Board, calibration and gains for a machine of this nature.
 #[must_use]
-pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, nature: &Nature) -> PilotConfig {
+pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, nature: &MachineInfo) -> SupervisorConfig {
     let mut tick = super::assemble(board, calibration, gains);
     // the machine's own step and rest length take the board's place
     tick.drive = Drive { step_mm: nature.step_mm };
     tick.geometry.rest_length_mm = nature.rest_length_mm;
     let gate = board.safety.gate(&tick, &tick.limits, nature.period_s);
-    PilotConfig { gate, explain: board.safety.explain, proof: board.safety.proof, dead_man_s: board.service.dead_man_s, tick }
+    SupervisorConfig { gate, explain: board.safety.explain, proof: board.safety.proof, dead_man_s: board.service.dead_man_s, tick }
 }

@@ -1,11 +1,11 @@
 //! `[service]` and `[safety]` of a board file: who may command, and what is safe.
 
 use crate::control::limit;
-use crate::control::tick::Config;
+use crate::control::tick::LoopConfig;
 use crate::primitives::check::Checker;
-use crate::supervisor::cycle::proof::ProofConfig;
-use crate::supervisor::explain::ExplainConfig;
-use crate::supervisor::gate::{Limits, On};
+use crate::supervisor::cycle::proof::RestartCheckConfig;
+use crate::supervisor::explain::ResidualConfig;
+use crate::supervisor::gate::{GateLimits, SafeStates};
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -83,11 +83,11 @@ pub struct SafetySection {
     pub relax_mm_s: f64,
     /// The safe state of each cause: `hold` (brake and stand, energised), `relax` (brake, back to zero
     /// slowly, release) or `release` (drivers off at once).
-    pub on: On,
+    pub on: SafeStates,
     /// Words for a fault.
-    pub explain: ExplainConfig,
+    pub explain: ResidualConfig,
     /// Proof after a restart.
-    pub proof: ProofConfig,
+    pub proof: RestartCheckConfig,
 }
 
 impl Default for SafetySection {
@@ -102,9 +102,9 @@ impl Default for SafetySection {
             stale_s: 0.5,
             late_s: 0.05,
             relax_mm_s: 8.0,
-            on: On::default(),
-            explain: ExplainConfig::default(),
-            proof: ProofConfig::default(),
+            on: SafeStates::default(),
+            explain: ResidualConfig::default(),
+            proof: RestartCheckConfig::default(),
         }
     }
 }
@@ -112,9 +112,9 @@ impl Default for SafetySection {
 impl SafetySection {
     /// The gate's limits for a loop of this period.
     #[must_use]
-    pub fn gate(&self, config: &Config, limits: &limit::Limits, period_s: f64) -> Limits {
+    pub fn gate(&self, config: &LoopConfig, limits: &limit::ActuatorLimits, period_s: f64) -> GateLimits {
         let pace = &config.piston_pace;
-        Limits {
+        GateLimits {
             step_mm: config.drive.step_mm,
             tick_s: period_s,
             // half a step of rounding

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 /// Static limits of a board and its tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Limits {
+pub struct ActuatorLimits {
     /// Piston travel either way from rest, mm (rack of 60 mm: 30).
     pub travel_mm: f64,
     /// Gauge pressure per mm of air that the piston compresses, kPa/mm.
@@ -35,7 +35,7 @@ pub enum Cut {
     Pressure,
 }
 
-impl Limits {
+impl ActuatorLimits {
     /// Scales a wanted length change q (mm) towards rest until every bellow is within its range.
     #[must_use]
     pub fn bellows(&self, q_mm: &Vector3<f64>, rest_length_mm: f64) -> (Vector3<f64>, Cut) {
@@ -86,8 +86,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const LIMITS: Limits =
-        Limits { travel_mm: 30.0, pressure_kpa_per_mm: 2.0, pressure_max_kpa: 41.0, bellow_min_mm: 14.0, bellow_max_mm: 29.0 };
+    const LIMITS: ActuatorLimits =
+        ActuatorLimits { travel_mm: 30.0, pressure_kpa_per_mm: 2.0, pressure_max_kpa: 41.0, bellow_min_mm: 14.0, bellow_max_mm: 29.0 };
 
     proptest! {
         #[test]

@@ -40,17 +40,17 @@ pub struct Patience {
 
 /// What is learned of the three channels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reach {
+pub struct BacklashAdaptation {
     channels: [Channel; 3],
 }
 
-impl Default for Reach {
+impl Default for BacklashAdaptation {
     fn default() -> Self {
         Self { channels: [Channel { share: 0.9, since_turn_s: f64::INFINITY, watched: None }; 3] }
     }
 }
 
-impl Reach {
+impl BacklashAdaptation {
     /// Share of the gap that a nudge of channel `i` (0 to 2) jumps, 0.05..=1.
     #[must_use]
     pub fn share(&self, i: usize) -> f64 {
@@ -115,7 +115,7 @@ mod tests {
     #[test]
     fn a_piston_that_turns_to_and_fro_shrinks_the_share_at_any_period() {
         for period in [4, 18, 40] {
-            let mut r = Reach::default();
+            let mut r = BacklashAdaptation::default();
             for k in 0..600 {
                 r.step(if k % period == 0 { TURN } else { QUIET }, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
             }
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn one_turn_that_moves_nothing_grows_it() {
-        let mut r = Reach::default();
+        let mut r = BacklashAdaptation::default();
         r.channels[1].share = 0.5;
         r.step(TURN, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
         let mut bitten = 0.0;
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn one_turn_that_did_its_work_changes_nothing() {
-        let mut r = Reach::default();
+        let mut r = BacklashAdaptation::default();
         r.step(TURN, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
         for _ in 0..50 {
             r.step(QUIET, &Vector2::new(0.001, 0.0), &PATIENT, 0.01);
@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn a_moving_setpoint_ends_the_watch() {
-        let mut r = Reach::default();
+        let mut r = BacklashAdaptation::default();
         r.step(TURN, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
         r.forget();
         r.step(TURN, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);

@@ -7,7 +7,7 @@
 
 /// Bands of the latch, radians and seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RestConfig {
+pub struct StandstillConfig {
     /// The latch closes inside this error, rad.
     pub close_rad: f64,
     /// … after the error has stayed there this long, s.
@@ -20,16 +20,16 @@ pub struct RestConfig {
 
 /// What the latch remembers.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct RestState {
+pub struct StandstillLatch {
     smoothed: nalgebra::Vector2<f64>,
     inside_s: f64,
     /// Closed: the pistons are left alone.
     pub closed: bool,
 }
 
-impl RestState {
+impl StandstillLatch {
     /// One tick. `moving` is true while the set-point itself moves.
-    pub fn step(&mut self, config: &RestConfig, error: nalgebra::Vector2<f64>, moving: bool, dt_s: f64) {
+    pub fn step(&mut self, config: &StandstillConfig, error: nalgebra::Vector2<f64>, moving: bool, dt_s: f64) {
         let k = 1.0 - (-dt_s / config.smooth_s).exp();
         self.smoothed += (error - self.smoothed) * k;
         if moving {
@@ -47,11 +47,11 @@ mod tests {
     use super::*;
     use nalgebra::Vector2;
 
-    const CONFIG: RestConfig = RestConfig { close_rad: 0.002, close_after_s: 0.05, open_rad: 0.005, smooth_s: 0.03 };
+    const CONFIG: StandstillConfig = StandstillConfig { close_rad: 0.002, close_after_s: 0.05, open_rad: 0.005, smooth_s: 0.03 };
 
     #[test]
     fn closes_after_a_while_inside_and_opens_outside() {
-        let mut s = RestState::default();
+        let mut s = StandstillLatch::default();
         for _ in 0..30 {
             s.step(&CONFIG, Vector2::new(0.001, 0.0), false, 0.001);
             assert!(!s.closed);
@@ -72,7 +72,7 @@ mod tests {
 
     #[test]
     fn a_moving_target_opens_it() {
-        let mut s = RestState { closed: true, ..RestState::default() };
+        let mut s = StandstillLatch { closed: true, ..StandstillLatch::default() };
         s.step(&CONFIG, Vector2::zeros(), true, 0.001);
         assert!(!s.closed);
     }

@@ -9,7 +9,7 @@ use crate::control::limit::Cut;
 
 /// What there is no more of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Spent {
+pub enum Saturation {
     /// There is more, or no need of it.
     #[default]
     No,
@@ -21,7 +21,7 @@ pub enum Spent {
     Pressure,
 }
 
-impl Spent {
+impl Saturation {
     /// In words, with the mend; `None` where nothing is amiss.
     #[must_use]
     pub fn words(self) -> Option<&'static str> {
@@ -48,27 +48,27 @@ const FOR_S: f64 = 1.0;
 
 /// The watch's memory.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct SpentState {
-    spent: Spent,
+pub struct SaturationMonitor {
+    spent: Saturation,
     for_s: f64,
-    now: Spent,
+    now: Saturation,
 }
 
-impl SpentState {
+impl SaturationMonitor {
     /// One tick: whether the set-point moves, whether the error is worth a word, whether the integrator is
     /// at its bound, and what cut the pistons.
     pub fn step(&mut self, moving: bool, off: bool, full: bool, cut: Cut, dt_s: f64) {
         let spent = match cut {
-            _ if moving || !off => Spent::No,
-            Cut::Travel => Spent::Travel,
-            Cut::Pressure => Spent::Pressure,
-            Cut::None | Cut::Bellow if full => Spent::Feedback,
-            Cut::None | Cut::Bellow => Spent::No,
+            _ if moving || !off => Saturation::No,
+            Cut::Travel => Saturation::Travel,
+            Cut::Pressure => Saturation::Pressure,
+            Cut::None | Cut::Bellow if full => Saturation::Feedback,
+            Cut::None | Cut::Bellow => Saturation::No,
         };
         self.for_s = if spent == self.spent { self.for_s + dt_s } else { 0.0 };
         self.spent = spent;
-        if spent == Spent::No {
-            self.now = Spent::No;
+        if spent == Saturation::No {
+            self.now = Saturation::No;
         } else if self.for_s >= FOR_S {
             self.now = spent;
         }
@@ -76,7 +76,7 @@ impl SpentState {
 
     /// What there is no more of, for long.
     #[must_use]
-    pub fn now(&self) -> Spent {
+    pub fn now(&self) -> Saturation {
         self.now
     }
 }
@@ -85,8 +85,8 @@ impl SpentState {
 mod tests {
     use super::*;
 
-    fn after(seconds: f64, moving: bool, off: bool, full: bool, cut: Cut) -> Spent {
-        let mut s = SpentState::default();
+    fn after(seconds: f64, moving: bool, off: bool, full: bool, cut: Cut) -> Saturation {
+        let mut s = SaturationMonitor::default();
         for _ in 0..(seconds * 1e3) as u32 {
             s.step(moving, off, full, cut, 1e-3);
         }
@@ -95,14 +95,14 @@ mod tests {
 
     #[test]
     fn it_is_said_once_it_lasts_and_only_when_the_tip_is_off() {
-        assert_eq!(after(1.1, false, true, true, Cut::None), Spent::Feedback);
-        assert_eq!(after(0.9, false, true, true, Cut::None), Spent::No);
-        assert_eq!(after(1.1, false, true, true, Cut::Travel), Spent::Travel);
-        assert_eq!(after(1.1, false, true, false, Cut::Pressure), Spent::Pressure);
-        assert_eq!(after(3.0, true, true, true, Cut::None), Spent::No);
-        assert_eq!(after(3.0, false, false, true, Cut::Travel), Spent::No);
-        assert_eq!(after(3.0, false, true, false, Cut::None), Spent::No);
-        for spent in [Spent::Feedback, Spent::Travel, Spent::Pressure] {
+        assert_eq!(after(1.1, false, true, true, Cut::None), Saturation::Feedback);
+        assert_eq!(after(0.9, false, true, true, Cut::None), Saturation::No);
+        assert_eq!(after(1.1, false, true, true, Cut::Travel), Saturation::Travel);
+        assert_eq!(after(1.1, false, true, false, Cut::Pressure), Saturation::Pressure);
+        assert_eq!(after(3.0, true, true, true, Cut::None), Saturation::No);
+        assert_eq!(after(3.0, false, false, true, Cut::Travel), Saturation::No);
+        assert_eq!(after(3.0, false, true, false, Cut::None), Saturation::No);
+        for spent in [Saturation::Feedback, Saturation::Travel, Saturation::Pressure] {
             assert!(spent.words().is_some_and(|w| w.contains("still not there")));
         }
     }

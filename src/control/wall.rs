@@ -10,7 +10,7 @@ use nalgebra::Vector2;
 
 /// When pushing counts as futile.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WallConfig {
+pub struct ObstructionConfig {
     /// Feedback added since the set-point came to rest before anything is said, rad.
     pub push_rad: f64,
     /// Fraction of that push that a free tip follows at the least.
@@ -21,15 +21,15 @@ pub struct WallConfig {
 
 /// What the watch remembers.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct WallState {
+pub struct ObstructionDetector {
     begun: Option<(Vector2<f64>, Vector2<f64>)>,
     /// The tip is held by something; the integrator stands still.
     pub blocked: bool,
 }
 
-impl WallState {
+impl ObstructionDetector {
     /// One tick with the feedback in the command, the felt bend and the error, all rad.
-    pub fn step(&mut self, config: &WallConfig, moving: bool, feedback: &Vector2<f64>, felt: &Vector2<f64>, error: &Vector2<f64>) {
+    pub fn step(&mut self, config: &ObstructionConfig, moving: bool, feedback: &Vector2<f64>, felt: &Vector2<f64>, error: &Vector2<f64>) {
         if moving {
             *self = Self::default();
             return;
@@ -55,10 +55,10 @@ const BACK_RAD: f64 = 0.0035;
 mod tests {
     use super::*;
 
-    const CONFIG: WallConfig = WallConfig { push_rad: 0.14, follow_min: 0.25, error_rad: 0.017 };
+    const CONFIG: ObstructionConfig = ObstructionConfig { push_rad: 0.14, follow_min: 0.25, error_rad: 0.017 };
 
     fn push(compliance: f64) -> bool {
-        let mut s = WallState::default();
+        let mut s = ObstructionDetector::default();
         for i in 0..100 {
             let f = Vector2::new(0.005 * f64::from(i), 0.0);
             let felt = f * compliance;
@@ -77,7 +77,7 @@ mod tests {
     fn a_line_that_weakens_lets_the_tip_sink_and_is_pushed_on() {
         // sinks by 20° while feedback grows as much, then follows with 0.6, or not at all
         let after = |compliance: f64| {
-            let mut s = WallState::default();
+            let mut s = ObstructionDetector::default();
             for i in 0..200 {
                 let f = Vector2::new(0.005 * f64::from(i), 0.0);
                 let sunk = Vector2::new(-0.005 * f64::from(i.min(70)), 0.0);
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_new_target_starts_again() {
-        let mut s = WallState { blocked: true, ..WallState::default() };
+        let mut s = ObstructionDetector { blocked: true, ..ObstructionDetector::default() };
         s.step(&CONFIG, true, &Vector2::zeros(), &Vector2::zeros(), &Vector2::zeros());
         assert!(!s.blocked);
     }

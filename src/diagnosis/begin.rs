@@ -13,7 +13,7 @@ use crate::model::effects::{Effect, Param};
 use nalgebra::{Matrix3, Vector3};
 
 /// A fit that another effect is to be added to.
-pub struct Ground<'a> {
+pub struct BaseFit<'a> {
     /// Its model.
     pub model: Model<'a>,
     /// Where it ended.
@@ -33,7 +33,7 @@ pub struct Beginning {
 
 /// The most promising beginning of `to`, which has the effect `added` more than the ground.
 #[must_use]
-pub fn begin(log: &Observed, ground: &Ground<'_>, to: &Model<'_>, added: &dyn Effect) -> Option<Beginning> {
+pub fn begin(log: &Observed, ground: &BaseFit<'_>, to: &Model<'_>, added: &dyn Effect) -> Option<Beginning> {
     let mut starts = added.starts();
     if let Some(found) = scan(log, ground, to, added) {
         // what a scan finds stands for all starts that differ in time only
@@ -44,7 +44,7 @@ pub fn begin(log: &Observed, ground: &Ground<'_>, to: &Model<'_>, added: &dyn Ef
 }
 
 /// One Gauss-Newton step from a starting point, and the sum of squares that the tangent foretells.
-fn promise(log: &Observed, ground: &Ground<'_>, to: &Model<'_>, fresh: &[f64]) -> Option<Beginning> {
+fn promise(log: &Observed, ground: &BaseFit<'_>, to: &Model<'_>, fresh: &[f64]) -> Option<Beginning> {
     let (bounds, all) = (bounds(to), vec![1.0; log.bins.len()]);
     let theta = extend(&ground.model, &ground.point.theta, to, fresh);
     let theta = theta.iter().zip(&bounds).map(|(t, b)| t.clamp(b.low, b.high)).collect();
@@ -67,7 +67,7 @@ fn event(params: &[Param], which: usize) -> Option<(usize, [usize; 3])> {
 }
 
 /// Times and offsets of the events that explain most of what is left, the largest first.
-fn scan(log: &Observed, ground: &Ground<'_>, to: &Model<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
+fn scan(log: &Observed, ground: &BaseFit<'_>, to: &Model<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
     let params = added.params();
     event(&params, 1)?;
     let (bounds, all) = (bounds(to), vec![1.0; log.bins.len()]);

@@ -6,7 +6,7 @@ use crate::diagnosis::credit::{credits, stages};
 use crate::diagnosis::decide::{Verdict, decide, floor};
 use crate::diagnosis::fit::nominal_start;
 use crate::diagnosis::interval::{Compared, closed_ci95};
-use crate::diagnosis::observe::{Kind, Observed};
+use crate::diagnosis::observe::{Quantity, Observed};
 use crate::diagnosis::search::{Candidate, Found, HeldOut, model_of, score, search};
 use crate::diagnosis::sense::sense;
 use crate::model::effects::Effect;
@@ -230,7 +230,7 @@ fn write(
             merged: merged(catalogue, &equivalent),
             regions: regions(log, &nominal, &after),
             when: when(log, &nominal, &after),
-            kinds: Kind::ALL
+            kinds: Quantity::ALL
                 .iter()
                 .enumerate()
                 .filter(|(k, _)| log.has[*k])

@@ -24,7 +24,7 @@ const PATH_MIN_MM: f64 = 20.0;
 
 /// Kinds of observation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum Quantity {
     /// Tracker reference.
     Reference,
     /// Accelerometer as a direction.
@@ -35,7 +35,7 @@ pub enum Kind {
     Gyro,
 }
 
-impl Kind {
+impl Quantity {
     /// All, in the order of residual blocks.
     pub const ALL: [Self; 4] = [Self::Reference, Self::Acc, Self::Mag, Self::Gyro];
 

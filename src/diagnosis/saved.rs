@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 /// Nominal gains as they were re-identified.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Gains {
+pub struct SavedGains {
     /// Extension gains k_ε.
     pub k_epsilon: [f64; 3],
     /// Backlash half-widths k_λ, mm.
@@ -44,9 +44,9 @@ pub struct SavedModel {
     #[serde(default)]
     pub equivalent: Vec<Vec<String>>,
     /// Recalibrated nominal model.
-    pub nominal: Gains,
+    pub nominal: SavedGains,
     /// Gains re-identified together with the effects.
-    pub with_effects: Gains,
+    pub with_effects: SavedGains,
     /// The effects; empty if the verdict was none.
     #[serde(default)]
     pub effect: Vec<SavedEffect>,
@@ -63,12 +63,12 @@ pub struct Checked {
     pub closed: f64,
 }
 
-fn gains(theta: &[f64]) -> Gains {
+fn gains(theta: &[f64]) -> SavedGains {
     let k = |i: usize| theta[i].exp() - 1.0;
-    Gains { k_epsilon: [k(0), k(1), k(2)], k_lambda_mm: [theta[3], theta[4], theta[5]], lag_s: theta[6] }
+    SavedGains { k_epsilon: [k(0), k(1), k(2)], k_lambda_mm: [theta[3], theta[4], theta[5]], lag_s: theta[6] }
 }
 
-fn theta(g: &Gains) -> Vec<f64> {
+fn theta(g: &SavedGains) -> Vec<f64> {
     let mut t: Vec<f64> = g.k_epsilon.iter().map(|k| (1.0 + k).ln()).collect();
     t.extend(g.k_lambda_mm);
     t.push(g.lag_s);

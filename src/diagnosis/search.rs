@@ -4,7 +4,7 @@
 //! blocks. The best few are grown by every other effect (forward): the tangent says which are worth a
 //! fit. A grown set counts only if each member is needed (backward, in [`crate::diagnosis::decide`]).
 
-use crate::diagnosis::begin::{Ground, begin, dated_anew};
+use crate::diagnosis::begin::{BaseFit, begin, dated_anew};
 use crate::diagnosis::chain::Model;
 use crate::diagnosis::decide::CLAIM_DEG;
 use crate::diagnosis::fit::{Fitted, Point, bounds, fit_with_slope, nominal_start};
@@ -89,7 +89,7 @@ pub fn model_of<'a>(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Model<'
 }
 
 /// Fits a model to the end and scores it.
-fn settled<'a>(log: &Observed, model: Model<'a>, start: &[f64]) -> (Candidate, Ground<'a>) {
+fn settled<'a>(log: &Observed, model: Model<'a>, start: &[f64]) -> (Candidate, BaseFit<'a>) {
     let (mut fitted, mut tangent) = fit_with_slope(log, &model, start, ROUNDS, true);
     for _ in 0..DATED {
         let Some(anew) = dated_anew(log, &model, &fitted.theta) else { break };
@@ -104,11 +104,11 @@ fn settled<'a>(log: &Observed, model: Model<'a>, start: &[f64]) -> (Candidate, G
     let tangent = tangent.unwrap_or_else(|| Tangent::new(log, &model, &point, &bounds, &all));
     let held_out = leave_out(log, &model, &point, &tangent);
     let names = model.effects.iter().map(|e| e.name()).collect();
-    (Candidate { names, fitted, held_out }, Ground { model, point, tangent })
+    (Candidate { names, fitted, held_out }, BaseFit { model, point, tangent })
 }
 
 /// The ground with one effect more, in catalogue order as `order` gives it.
-fn grown(log: &Observed, ground: &Ground<'_>, added: &dyn Effect, to: Option<Model<'_>>) -> Candidate {
+fn grown(log: &Observed, ground: &BaseFit<'_>, added: &dyn Effect, to: Option<Model<'_>>) -> Candidate {
     let to = to.unwrap_or_else(|| Model::new(&[added]));
     let start = begin(log, ground, &to, added).map_or_else(|| ground.point.theta.clone(), |b| b.theta);
     settled(log, to, &start).0

@@ -5,7 +5,7 @@
 
 use crate::diagnosis::chain::{Model, Motion};
 use crate::diagnosis::observe::{Bin, G_M_S2, Observed, back, between};
-use crate::model::effects::{Memory, Moment, Reading, Stage};
+use crate::model::effects::{Memory, Moment, ImuPrediction, Stage};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// What the log says of itself once a model has been run.
@@ -132,7 +132,7 @@ impl Imu {
             let mut memory = Memory::default();
             for (k, bin) in log.bins.iter().enumerate() {
                 let r = self.mean[k];
-                let before = Reading {
+                let before = ImuPrediction {
                     acc_m_s2: back(&r, &log.up_base) * G_M_S2,
                     gyro_rad_s: self.rate[k],
                     mag_ut: back(&r, &log.field_base_ut),

@@ -4,7 +4,7 @@
 //! because it serves twice: for the steps of a fit, and for the fits without a block, which are so close
 //! to the full one that a step along the tangent reaches them.
 
-use crate::diagnosis::begin::Ground;
+use crate::diagnosis::begin::BaseFit;
 use crate::diagnosis::chain::{Model, NOMINAL, run};
 use crate::diagnosis::fit::{Bound, PRIOR_SLOPE, Point, nudge, weighted};
 use crate::diagnosis::observe::Observed;
@@ -54,7 +54,7 @@ impl Tangent {
     /// At a point that differs from `ground` by an effect which does little there: only that effect's
     /// columns are new.
     #[must_use]
-    pub fn grown(log: &Observed, model: &Model<'_>, point: &Point, bounds: &[Bound], all: &[f64], ground: &Ground<'_>) -> Self {
+    pub fn grown(log: &Observed, model: &Model<'_>, point: &Point, bounds: &[Bound], all: &[f64], ground: &BaseFit<'_>) -> Self {
         let mut columns = ground.tangent.columns[..NOMINAL].to_vec();
         for (i, e) in model.effects.iter().enumerate() {
             let here = model.at[i]..model.at[i + 1];

@@ -4,19 +4,19 @@ use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::pilot::assemble;
-use crate::control::tick::{Command, Kept};
-use crate::estimation::fusion::health::{Fault as BusFault, Outcome};
+use crate::control::tick::{Command, RestartState};
+use crate::estimation::fusion::health::{ReadFault as BusFault, ImuReading};
 use crate::model::bend::Bend;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::units::{Mm, Seconds, Steps};
 use crate::simulation::lockstep::Lockstep;
-use crate::simulation::plant::{Channel, Fault, PlantError};
+use crate::simulation::plant::{Channel, InjectedFault, PlantError};
 use crate::simulation::sim::Sim;
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::cycle::runner::Flight;
-use crate::supervisor::cycle::{Pilot, PilotConfig, Turned};
+use crate::supervisor::cycle::runner::Runner;
+use crate::supervisor::cycle::{Supervisor, SupervisorConfig, CycleOutput};
 use crate::supervisor::machine::{Alarm, Inputs, Machine, Sensed};
-use crate::supervisor::machine::{Nature, WorldError};
+use crate::supervisor::machine::{MachineInfo, MachineError};
 
 /// A machine that can be broken from outside its plant.
 #[derive(Debug, Clone)]
@@ -41,7 +41,7 @@ impl Breakable {
     }
 
     /// Breaks something in the plant.
-    pub fn inject(&mut self, fault: Fault) {
+    pub fn inject(&mut self, fault: InjectedFault) {
         self.inner.world.plant_mut().inject(fault);
     }
 
@@ -53,7 +53,7 @@ impl Breakable {
         let Some(slack_mm) = self.inner.world.last().map(|out| out.truth.slack_mm) else { return };
         for channel in Channel::ALL {
             let microsteps = (slack_mm[channel.index()] / step_mm).round() as i32;
-            self.inject(Fault::StepLoss { channel, microsteps });
+            self.inject(InjectedFault::StepLoss { channel, microsteps });
         }
     }
 
@@ -65,17 +65,17 @@ impl Breakable {
 }
 
 impl Machine for Breakable {
-    fn nature(&self) -> &Nature {
+    fn nature(&self) -> &MachineInfo {
         self.inner.nature()
     }
-    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, WorldError> {
+    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let wanted = if self.alarm.is_some() { self.stands_at } else { *wanted };
         let mut sensed = self.inner.turn(now, &wanted)?;
         self.stands_at = sensed.counted;
-        if let (Some(fault), Outcome::Sample(..)) = (self.bus, sensed.imu) {
-            sensed.imu = Outcome::Failed(fault);
+        if let (Some(fault), ImuReading::Sample(..)) = (self.bus, sensed.imu) {
+            sensed.imu = ImuReading::Failed(fault);
         }
-        if let Outcome::Sample(sample, quality) = &mut sensed.imu {
+        if let ImuReading::Sample(sample, quality) = &mut sensed.imu {
             sample.t.0 += self.stamps_off_s;
             // as a driver sees it in the counts
             let chip = &self.inner.world.unit().imu;
@@ -117,7 +117,7 @@ pub struct Make {
 /// A pilot, a machine and the time.
 pub struct Bench {
     /// Both at work.
-    pub flight: Flight<Breakable>,
+    pub flight: Runner<Breakable>,
     /// Time, s.
     pub now_s: f64,
     period_s: f64,
@@ -138,7 +138,7 @@ impl Make {
 
     /// What a pilot of it runs on.
     #[must_use]
-    pub fn pilot(&self, nature: &Nature) -> PilotConfig {
+    pub fn pilot(&self, nature: &MachineInfo) -> SupervisorConfig {
         assemble(&self.board, &self.calibration, &self.gains, nature)
     }
 
@@ -153,10 +153,10 @@ impl Make {
 
     /// A bench on a machine that is there already, as after a restart.
     #[must_use]
-    pub fn bench_on(&self, machine: Breakable, kept: Option<Kept>, now_s: f64) -> Bench {
+    pub fn bench_on(&self, machine: Breakable, kept: Option<RestartState>, now_s: f64) -> Bench {
         let config = self.pilot(machine.nature());
         let period_s = machine.nature().period_s;
-        Bench { flight: Flight::new(machine, Pilot::new(config, kept)), now_s, period_s, rest: None, truth: None }
+        Bench { flight: Runner::new(machine, Supervisor::new(config, kept)), now_s, period_s, rest: None, truth: None }
     }
 }
 
@@ -165,7 +165,7 @@ impl Bench {
     ///
     /// # Errors
     /// The plant's.
-    pub fn turn(&mut self, order: Option<Order>) -> Result<Turned, WorldError> {
+    pub fn turn(&mut self, order: Option<Order>) -> Result<CycleOutput, MachineError> {
         self.now_s += self.period_s;
         let turned = self.flight.turn(Seconds(self.now_s), order)?;
         self.truth = turned.sensed.truth.or(self.truth);
@@ -176,7 +176,7 @@ impl Bench {
     ///
     /// # Errors
     /// The plant's.
-    pub fn run(&mut self, seconds: f64) -> Result<Turned, WorldError> {
+    pub fn run(&mut self, seconds: f64) -> Result<CycleOutput, MachineError> {
         let mut last = self.turn(None)?;
         for _ in 1..(seconds / self.period_s).round() as u64 {
             last = self.turn(None)?;
@@ -193,7 +193,7 @@ impl Bench {
     ///
     /// # Errors
     /// The plant's.
-    pub fn until(&mut self, seconds: f64, holds: impl Fn(&Turned) -> bool) -> Result<bool, WorldError> {
+    pub fn until(&mut self, seconds: f64, holds: impl Fn(&CycleOutput) -> bool) -> Result<bool, MachineError> {
         for _ in 0..(seconds / self.period_s).round() as u64 {
             if holds(&self.turn(None)?) {
                 return Ok(true);

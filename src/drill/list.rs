@@ -2,13 +2,13 @@
 
 use crate::control::tick::Command;
 use crate::drill::bench::{Bench, bend};
-use crate::estimation::fusion::health::{Cause, Fault as Bus};
+use crate::estimation::fusion::health::{HealthCause, ReadFault as Bus};
 use crate::model::bend::Bend;
 use crate::primitives::units::Mm;
-use crate::simulation::plant::{Channel, Fault};
-use crate::supervisor::cycle::Turned;
+use crate::simulation::plant::{Channel, InjectedFault};
+use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::{Order, Refusal};
-use crate::supervisor::explain::Kind;
+use crate::supervisor::explain::SuspicionKind;
 use crate::supervisor::gate;
 use crate::supervisor::machine::Alarm;
 
@@ -18,7 +18,7 @@ pub enum Strike {
     /// Transfers fail, for so long (s).
     Bus(Bus, f64),
     /// Something in the plant, for so long (s).
-    Plant(Fault, f64),
+    Plant(InjectedFault, f64),
     /// The loop is kept from running, s.
     Stall(f64),
     /// Sensor stamps leap, s, for so long (s).
@@ -37,11 +37,11 @@ pub enum Strike {
 #[derive(Debug, Clone, Copy)]
 pub enum Notice {
     /// One of these causes against the sensor.
-    Senses(&'static [Cause]),
+    Senses(&'static [HealthCause]),
     /// One of these suspicions, a trip, or a tip that was shaken.
-    Words(&'static [Kind]),
+    Words(&'static [SuspicionKind]),
     /// One of these trips.
-    Trip(&'static [gate::Cause]),
+    Trip(&'static [gate::TripCause]),
     /// A turn that came late.
     LateTurn,
     /// The order is refused.
@@ -113,22 +113,22 @@ pub fn specs() -> Vec<Spec> {
     };
     let by_hand = |spec: Spec| Spec { by_hand: true, ..spec };
     let far_out = |spec: Spec| Spec { to: (78.0, 62.0), by_hand: true, ..spec };
-    let blind = &[Cause::Nack, Cause::StuckBus, Cause::ShortRead, Cause::StaleTimestamp];
+    let blind = &[HealthCause::Nack, HealthCause::StuckBus, HealthCause::ShortRead, HealthCause::StaleTimestamp];
     let far = Command { bend: Bend::from_deg(170.0, 0.0), length: Mm(20.0) };
     let nan = Command { bend: Bend([f64::NAN, 0.1].into()), length: Mm(20.0) };
-    let spike = Fault::Spike { gyro_deg_s: 400.0, acc_g: 2.0 };
+    let spike = InjectedFault::Spike { gyro_deg_s: 400.0, acc_g: 2.0 };
     vec![
         senses("i2c_nack", Strike::Bus(Bus::Nack, 0.02), blind, Promise::GoesOn, GOES),
         senses("i2c_stuck", Strike::Bus(Bus::Bus, LASTS), blind, Promise::Holds, HOLD),
-        senses("i2c_wrong_id", Strike::Bus(Bus::WrongId, LASTS), &[Cause::WrongId], Promise::Holds, HOLD),
-        senses("i2c_brown_out", Strike::Bus(Bus::BrownOut, LASTS), &[Cause::BrownOut], Promise::Holds, HOLD),
-        senses("sample_frozen", Strike::Plant(Fault::FrozenSample, LASTS), &[Cause::Frozen], Promise::Holds, HOLD),
-        senses("sample_nan", Strike::Plant(Fault::NanSample, LASTS), &[Cause::NotFinite], Promise::Holds, HOLD),
-        senses("sample_spike", Strike::Plant(spike, 0.05), &[Cause::Spike, Cause::Saturated], Promise::GoesOn, GOES),
-        senses("sample_saturated", Strike::Plant(Fault::Saturation, LASTS), &[Cause::Saturated, Cause::Spike], Promise::Holds, HOLD),
+        senses("i2c_wrong_id", Strike::Bus(Bus::WrongId, LASTS), &[HealthCause::WrongId], Promise::Holds, HOLD),
+        senses("i2c_brown_out", Strike::Bus(Bus::BrownOut, LASTS), &[HealthCause::BrownOut], Promise::Holds, HOLD),
+        senses("sample_frozen", Strike::Plant(InjectedFault::FrozenSample, LASTS), &[HealthCause::Frozen], Promise::Holds, HOLD),
+        senses("sample_nan", Strike::Plant(InjectedFault::NanSample, LASTS), &[HealthCause::NotFinite], Promise::Holds, HOLD),
+        senses("sample_spike", Strike::Plant(spike, 0.05), &[HealthCause::Spike, HealthCause::Saturated], Promise::GoesOn, GOES),
+        senses("sample_saturated", Strike::Plant(InjectedFault::Saturation, LASTS), &[HealthCause::Saturated, HealthCause::Spike], Promise::Holds, HOLD),
         row(
             "sample_biased",
-            Strike::Plant(Fault::GyroBias { deg_s: [2.0, -2.0, 1.0] }, LASTS),
+            Strike::Plant(InjectedFault::GyroBias { deg_s: [2.0, -2.0, 1.0] }, LASTS),
             Notice::Bias,
             Promise::Copes,
             &["holding", "tracking", "faulted"],
@@ -136,23 +136,23 @@ pub fn specs() -> Vec<Spec> {
         ),
         by_hand(words(
             "step_loss",
-            Fault::StepLoss { channel: TWO, microsteps: 160 },
-            &[Kind::LostSteps, Kind::Weak, Kind::Leak, Kind::Contact],
+            InjectedFault::StepLoss { channel: TWO, microsteps: 160 },
+            &[SuspicionKind::LostSteps, SuspicionKind::Weak, SuspicionKind::Leak, SuspicionKind::Contact],
             true,
         )),
-        by_hand(words("dir_inverted", Fault::Inverted { channel: TWO }, &[Kind::Inverted, Kind::Deaf], true)),
-        by_hand(words("en_stuck", Fault::Disabled { channel: TWO }, &[Kind::Deaf, Kind::Weak], true)),
-        far_out(words("end_stop", Fault::EndStop { channel: TWO, at_mm: 11.5 }, &[Kind::Deaf, Kind::Weak], true)),
-        words("leak", Fault::Leak { channel: TWO, rate_per_s: 0.1 }, &[Kind::Leak, Kind::Weak], true),
-        words("burst", Fault::Burst { channel: TWO }, &[Kind::Burst, Kind::Deaf], true),
-        words("air_bubble", Fault::AirBubble { channel: TWO, factor: 1.8 }, &[Kind::Weak, Kind::Leak], true),
-        words("blocked_line", Fault::Blocked { channel: TWO }, &[Kind::Deaf, Kind::Weak], true),
-        words("gain_half", Fault::Gain { channel: TWO, factor: 0.5 }, &[Kind::Weak, Kind::Burst, Kind::Deaf], true),
-        words("gain_double", Fault::Gain { channel: TWO, factor: 2.0 }, &[Kind::Strong], true),
+        by_hand(words("dir_inverted", InjectedFault::Inverted { channel: TWO }, &[SuspicionKind::Inverted, SuspicionKind::Deaf], true)),
+        by_hand(words("en_stuck", InjectedFault::Disabled { channel: TWO }, &[SuspicionKind::Deaf, SuspicionKind::Weak], true)),
+        far_out(words("end_stop", InjectedFault::EndStop { channel: TWO, at_mm: 11.5 }, &[SuspicionKind::Deaf, SuspicionKind::Weak], true)),
+        words("leak", InjectedFault::Leak { channel: TWO, rate_per_s: 0.1 }, &[SuspicionKind::Leak, SuspicionKind::Weak], true),
+        words("burst", InjectedFault::Burst { channel: TWO }, &[SuspicionKind::Burst, SuspicionKind::Deaf], true),
+        words("air_bubble", InjectedFault::AirBubble { channel: TWO, factor: 1.8 }, &[SuspicionKind::Weak, SuspicionKind::Leak], true),
+        words("blocked_line", InjectedFault::Blocked { channel: TWO }, &[SuspicionKind::Deaf, SuspicionKind::Weak], true),
+        words("gain_half", InjectedFault::Gain { channel: TWO, factor: 0.5 }, &[SuspicionKind::Weak, SuspicionKind::Burst, SuspicionKind::Deaf], true),
+        words("gain_double", InjectedFault::Gain { channel: TWO, factor: 2.0 }, &[SuspicionKind::Strong], true),
         row("stall_1ms", Strike::Stall(0.001), Notice::LateTurn, Promise::GoesOn, GOES, false),
         row("stall_10ms", Strike::Stall(0.01), Notice::LateTurn, Promise::GoesOn, GOES, false),
-        row("stall_100ms", Strike::Stall(0.1), Notice::Trip(&[gate::Cause::Late]), Promise::Holds, FAULT, false),
-        senses("clock_jump", Strike::Clock(10.0, LASTS), &[Cause::JumpingTimestamp, Cause::StaleTimestamp], Promise::Holds, HOLD),
+        row("stall_100ms", Strike::Stall(0.1), Notice::Trip(&[gate::TripCause::Late]), Promise::Holds, FAULT, false),
+        senses("clock_jump", Strike::Clock(10.0, LASTS), &[HealthCause::JumpingTimestamp, HealthCause::StaleTimestamp], Promise::Holds, HOLD),
         row(
             "command_nan",
             Strike::Order(Order::Bend(nan, None)),
@@ -177,33 +177,33 @@ pub fn specs() -> Vec<Spec> {
             &["relaxing", "disarmed"],
             false,
         ),
-        row("emergency_stop", Strike::Press, Notice::Trip(&[gate::Cause::EmergencyStop]), Promise::Freezes, FAULT, true),
+        row("emergency_stop", Strike::Press, Notice::Trip(&[gate::TripCause::EmergencyStop]), Promise::Freezes, FAULT, true),
         row(
             "step_thread_starved",
             Strike::Alarm(Alarm::Starved),
-            Notice::Trip(&[gate::Cause::StepGenerator]),
+            Notice::Trip(&[gate::TripCause::StepGenerator]),
             Promise::Holds,
             FAULT,
             false,
         ),
         words(
             "wall",
-            Fault::Wall { at_deg: 48.0, dir_deg: 80.0 },
-            &[Kind::Contact, Kind::Deaf, Kind::Weak, Kind::Strong, Kind::Burst],
+            InjectedFault::Wall { at_deg: 48.0, dir_deg: 80.0 },
+            &[SuspicionKind::Contact, SuspicionKind::Deaf, SuspicionKind::Weak, SuspicionKind::Strong, SuspicionKind::Burst],
             false,
         ),
         row(
             "pushed",
-            Strike::Plant(Fault::Push { bend_deg: 15.0, dir_deg: 0.0 }, LASTS),
-            Notice::Senses(&[Cause::AccelDisturbed, Cause::Spike]),
+            Strike::Plant(InjectedFault::Push { bend_deg: 15.0, dir_deg: 0.0 }, LASTS),
+            Notice::Senses(&[HealthCause::AccelDisturbed, HealthCause::Spike]),
             Promise::Copes,
             &["holding", "tracking", "faulted"],
             true,
         ),
         senses(
             "magnet",
-            Strike::Plant(Fault::Magnet { field_ut: [40.0, -30.0, 20.0] }, LASTS),
-            &[Cause::FieldDisturbed],
+            Strike::Plant(InjectedFault::Magnet { field_ut: [40.0, -30.0, 20.0] }, LASTS),
+            &[HealthCause::FieldDisturbed],
             Promise::GoesOn,
             GOES,
         ),
@@ -217,7 +217,7 @@ pub fn specs() -> Vec<Spec> {
 fn base_turned(name: &'static str, angle_deg: f64, over_s: f64) -> Spec {
     Spec {
         name,
-        strike: Strike::Plant(Fault::BaseTurn { axis: [0.3, 0.2, 1.0], angle_deg, over_s }, LASTS),
+        strike: Strike::Plant(InjectedFault::BaseTurn { axis: [0.3, 0.2, 1.0], angle_deg, over_s }, LASTS),
         notice: Notice::Base,
         promise: Promise::Copes,
         states: &["holding", "tracking", "faulted"],
@@ -258,8 +258,8 @@ impl Strike {
 impl Notice {
     /// Whether this turn notices; what is said then.
     #[must_use]
-    pub fn sees(&self, turned: &Turned) -> Option<String> {
-        let trip = |causes: &[gate::Cause]| {
+    pub fn sees(&self, turned: &CycleOutput) -> Option<String> {
+        let trip = |causes: &[gate::TripCause]| {
             turned.tripped.filter(|c| causes.is_empty() || causes.contains(c)).map(|c| crate::service::status::words(c).to_owned())
         };
         match self {
@@ -270,7 +270,7 @@ impl Notice {
             Self::Words(_) => match turned.suspicion.filter(|_| turned.suspects) {
                 Some(s) => Some(s.to_string()),
                 None => {
-                    trip(&[]).or_else(|| turned.raised.contains(Cause::AccelDisturbed).then(|| Cause::AccelDisturbed.advice().to_owned()))
+                    trip(&[]).or_else(|| turned.raised.contains(HealthCause::AccelDisturbed).then(|| HealthCause::AccelDisturbed.advice().to_owned()))
                 }
             },
             Self::Trip(causes) => trip(causes),
@@ -293,7 +293,7 @@ impl Notice {
 
     /// Whether what is suspected in the end is one of what it may be called.
     #[must_use]
-    pub fn names_it(&self, turned: &Turned) -> bool {
+    pub fn names_it(&self, turned: &CycleOutput) -> bool {
         match (self, &turned.suspicion) {
             (Self::Words(kinds), Some(s)) => kinds.contains(&s.kind),
             _ => true,

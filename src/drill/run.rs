@@ -3,9 +3,9 @@
 use crate::drill::Row;
 use crate::drill::bench::{Bench, Make, bend};
 use crate::drill::list::{Notice, Promise, Spec, Strike};
-use crate::supervisor::cycle::Turned;
+use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::machine::WorldError;
+use crate::supervisor::machine::MachineError;
 use crate::supervisor::mode::Mode;
 
 /// From the start of the move to the fault, s.
@@ -39,7 +39,7 @@ impl Allowance {
     ///
     /// # Errors
     /// The plant's.
-    pub fn new(make: &Make) -> Result<Self, WorldError> {
+    pub fn new(make: &Make) -> Result<Self, MachineError> {
         let mut bench = make.bench(0, 1)?;
         let gate = bench.flight.pilot.config().gate;
         let pace = bench.flight.pilot.config().tick.piston_pace;
@@ -68,12 +68,12 @@ impl Allowance {
     }
 }
 
-fn emitted(before: &Turned, after: &Turned) -> i64 {
+fn emitted(before: &CycleOutput, after: &CycleOutput) -> i64 {
     (0..3).map(|i| (i64::from(after.counted.0[i]) - i64::from(before.counted.0[i])).abs()).sum()
 }
 
 /// Aligned, armed and resting at the first pose; `None` if it never got there.
-fn take_off(bench: &mut Bench) -> Result<Option<Turned>, WorldError> {
+fn take_off(bench: &mut Bench) -> Result<Option<CycleOutput>, MachineError> {
     if !bench.until(10.0, |t| t.mode == Mode::Disarmed)? {
         return Ok(None);
     }
@@ -87,7 +87,7 @@ fn take_off(bench: &mut Bench) -> Result<Option<Turned>, WorldError> {
 ///
 /// # Errors
 /// The plant's.
-pub fn fly(make: &Make, spec: &Spec, allowance: &Allowance) -> Result<Row, WorldError> {
+pub fn fly(make: &Make, spec: &Spec, allowance: &Allowance) -> Result<Row, MachineError> {
     let mut row = Row::process(spec.name, None, "boot", String::new());
     row.steps_allowed = allowance.of(spec.promise);
     let mut bench = make.bench(0, 1)?;
@@ -114,7 +114,7 @@ pub fn fly(make: &Make, spec: &Spec, allowance: &Allowance) -> Result<Row, World
 }
 
 /// The fault and the seconds after it.
-fn watch(bench: &mut Bench, spec: &Spec, before: Turned, row: &mut Row) -> Result<Turned, WorldError> {
+fn watch(bench: &mut Bench, spec: &Spec, before: CycleOutput, row: &mut Row) -> Result<CycleOutput, MachineError> {
     let begun_s = bench.now_s;
     let (mut order, mut next) = spec.strike.strike(bench);
     let mut last = before;
@@ -149,7 +149,7 @@ fn watch(bench: &mut Bench, spec: &Spec, before: Turned, row: &mut Row) -> Resul
 
 /// The operator's way back: out of the fault, to rest, mended there, the rest found again where it was
 /// lost, and the next pose. The error of that pose, degrees.
-fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, WorldError> {
+fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, MachineError> {
     let mut stays = !spec.zero && bench.flight.pilot.mode().moves();
     let mut zero = spec.zero;
     let mend_first = matches!(spec.strike, Strike::Press | Strike::Bus(..) | Strike::Clock(..)) || stays;
@@ -201,7 +201,7 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, WorldEr
     Ok(sum / f64::from(n))
 }
 
-fn refuse_is_failure(bench: &mut Bench, order: Order, row: &mut Row) -> Result<(), WorldError> {
+fn refuse_is_failure(bench: &mut Bench, order: Order, row: &mut Row) -> Result<(), MachineError> {
     if let Some(Err(why)) = bench.turn(Some(order))?.answer {
         row.fail(format!("{order:?} was refused: {why}"));
     }

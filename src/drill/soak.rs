@@ -3,7 +3,7 @@
 use crate::drill::bench::{Make, bend};
 use crate::drill::list::{Strike, specs};
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::machine::WorldError;
+use crate::supervisor::machine::MachineError;
 use crate::supervisor::mode::Mode;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -38,7 +38,7 @@ pub struct Soak {
 ///
 /// # Errors
 /// The plant's.
-pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) -> Result<Soak, WorldError> {
+pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) -> Result<Soak, MachineError> {
     let mut dice = StdRng::seed_from_u64(seed);
     let specs = specs();
     let refine = make.gains.refine;
@@ -132,7 +132,7 @@ fn judge(soak: &mut Soak) {
 }
 
 /// Racks back to their marks by hand, lines vented, and the rest found again.
-fn begin_at_rest(bench: &mut crate::drill::bench::Bench) -> Result<(), WorldError> {
+fn begin_at_rest(bench: &mut crate::drill::bench::Bench) -> Result<(), MachineError> {
     // what was mended shows first, then what is left is put back
     bench.run(2.0)?;
     bench.flight.machine.put_back();
@@ -145,7 +145,7 @@ fn begin_at_rest(bench: &mut crate::drill::bench::Bench) -> Result<(), WorldErro
 }
 
 /// Whatever state it is in, as an operator would: to armed.
-fn to_armed(bench: &mut crate::drill::bench::Bench) -> Result<bool, WorldError> {
+fn to_armed(bench: &mut crate::drill::bench::Bench) -> Result<bool, MachineError> {
     for attempt in 0..10 {
         match bench.flight.pilot.mode() {
             Mode::Holding | Mode::Tracking => return Ok(true),

@@ -1,6 +1,6 @@
 //! The whole evaluation: identify on a plant of its own, then every arm on a fresh one.
 
-use crate::control::tick::Config;
+use crate::control::tick::LoopConfig;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::identify::{self, Identified, IdentifyError};
 use crate::experiment::rig::{Rig, RigError};
@@ -8,7 +8,7 @@ use crate::experiment::schedule::paper;
 use crate::model::drive::Drive;
 use crate::model::transmission::Line;
 use crate::simulation::world::World;
-use crate::supervisor::machine::WorldError;
+use crate::supervisor::machine::MachineError;
 use serde::Serialize;
 
 /// What is compensated.
@@ -41,14 +41,14 @@ impl Arm {
 
     /// The loop of this arm, from the one with everything in it.
     #[must_use]
-    pub fn config(self, base: &Config) -> Config {
+    pub fn config(self, base: &LoopConfig) -> LoopConfig {
         let lines = match self {
             Self::None => [Line { k_epsilon: 0.0, k_lambda_mm: 0.0 }; 3],
             Self::Extension => base.lines.map(|l| Line { k_lambda_mm: 0.0, ..l }),
             Self::Backlash | Self::Closed => base.lines,
         };
         let feedback = if self == Self::Closed { base.feedback } else { None };
-        Config { lines, feedback, ..base.clone() }
+        LoopConfig { lines, feedback, ..base.clone() }
     }
 }
 
@@ -62,7 +62,7 @@ pub enum Purpose {
 }
 
 /// Opens a fresh world at rest.
-pub type Open<'a> = dyn FnMut(Purpose) -> Result<Box<dyn World>, WorldError> + 'a;
+pub type Open<'a> = dyn FnMut(Purpose) -> Result<Box<dyn World>, MachineError> + 'a;
 
 /// Worth of one channel's gains.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -116,7 +116,7 @@ impl Evaluation {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// The loop, with its calibration or, if there is none, with the gains to start Algorithm 1 from.
-    pub config: Config,
+    pub config: LoopConfig,
     /// Whether the gains are found first.
     pub identify: bool,
     /// Arms to run.
@@ -154,7 +154,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
 
 /// The plant's own step and rest length take the board's place.
 #[must_use]
-pub fn for_world(config: &Config, world: &dyn World) -> Config {
+pub fn for_world(config: &LoopConfig, world: &dyn World) -> LoopConfig {
     let nature = world.nature();
     let mut config = config.clone();
     config.drive = Drive { step_mm: nature.step_mm };
@@ -162,7 +162,7 @@ pub fn for_world(config: &Config, world: &dyn World) -> Config {
     config
 }
 
-fn gather(plan: &Plan, base: &Config, found: Option<&Identified>, plant: String, arms: Vec<ArmResult>) -> Evaluation {
+fn gather(plan: &Plan, base: &LoopConfig, found: Option<&Identified>, plant: String, arms: Vec<ArmResult>) -> Evaluation {
     Evaluation {
         plant,
         seed: plan.seed,

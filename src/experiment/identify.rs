@@ -5,7 +5,7 @@
 
 use crate::control::learning::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
 use crate::control::pi::Dynamics;
-use crate::control::tick::Config;
+use crate::control::tick::LoopConfig;
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::Pose;
@@ -67,12 +67,12 @@ impl Identified {
 /// # Errors
 /// [`IdentifyError`] from the world or the data.
 pub fn algorithm_1(
-    config: &Config,
+    config: &LoopConfig,
     world: &mut dyn World,
     poses: &[Pose],
     progress: &mut dyn FnMut(usize),
 ) -> Result<Identified, IdentifyError> {
-    let open = Config { feedback: None, ..config.clone() };
+    let open = LoopConfig { feedback: None, ..config.clone() };
     let mut rig = Rig::new(open, world);
     rig.align()?;
     let mut history = vec![config.lines];
@@ -96,9 +96,9 @@ pub fn algorithm_1(
 ///
 /// # Errors
 /// [`IdentifyError`] from the world or the data.
-pub fn with_prior(config: &Config, world: &mut dyn World, poses: &[Pose], prior: &[Prior; 3]) -> Result<Identified, IdentifyError> {
+pub fn with_prior(config: &LoopConfig, world: &mut dyn World, poses: &[Pose], prior: &[Prior; 3]) -> Result<Identified, IdentifyError> {
     let lines = prior.map(|p| p.line);
-    let mut rig = Rig::new(Config { feedback: None, lines, ..config.clone() }, world);
+    let mut rig = Rig::new(LoopConfig { feedback: None, lines, ..config.clone() }, world);
     rig.align()?;
     let mut round = Round::new(config.geometry, poses.to_vec());
     hold(&mut rig, &mut round, &mut || ())?;

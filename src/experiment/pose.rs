@@ -8,7 +8,7 @@
 use crate::control::learning::batch::Measurement;
 use crate::control::learning::dynamics::DynamicsBank;
 use crate::control::pi::Dynamics;
-use crate::control::tick::{Command, Frame, Mode};
+use crate::control::tick::{Command, Frame, TickPhase};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
@@ -99,7 +99,7 @@ impl Round {
         let half_s = 0.5 * dt_s; // sums of periods meet their bounds to within rounding
         self.pushes.follow(piston_mm);
         self.since_s += dt_s;
-        self.rested_s = if frame.mode == Mode::Holding { self.rested_s + dt_s } else { 0.0 };
+        self.rested_s = if frame.mode == TickPhase::Holding { self.rested_s + dt_s } else { 0.0 };
         if let Some(felt) = frame.felt {
             self.bank.step(frame.pistons_give.0, felt.bend.0, dt_s);
             if self.since_s > HOLD_S - SCORED_S + half_s && self.rested_s > RESTED_S + half_s {

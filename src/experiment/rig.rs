@@ -1,9 +1,9 @@
 //! A loop and a world in lockstep.
 
-use crate::control::tick::{Command, Config, Frame, Input, State, tick};
-use crate::estimation::fusion::health::Outcome;
+use crate::control::tick::{Command, LoopConfig, Frame, Input, LoopState, tick};
+use crate::estimation::fusion::health::ImuReading;
 use crate::simulation::world::{Reply, World};
-use crate::supervisor::machine::WorldError;
+use crate::supervisor::machine::MachineError;
 use thiserror::Error;
 
 /// Longest wait for a still tip, s.
@@ -14,7 +14,7 @@ const ALIGN_MAX_S: f64 = 20.0;
 pub enum RigError {
     /// The world ended.
     #[error(transparent)]
-    World(#[from] WorldError),
+    World(#[from] MachineError),
     /// The tip never came to rest.
     #[error("the tip was not still within {0} s of the start ({1}); alignment needs 2 s of rest with pistons at zero")]
     NotStill(f64, String),
@@ -28,17 +28,17 @@ pub enum RigError {
 /// One loop living in one world.
 pub struct Rig<'w> {
     /// The loop's settings.
-    pub config: Config,
+    pub config: LoopConfig,
     /// The loop's memory.
-    pub state: State,
+    pub state: LoopState,
     world: &'w mut dyn World,
     input: Input,
 }
 
 impl<'w> Rig<'w> {
     /// A fresh loop at rest; nothing has moved yet.
-    pub fn new(config: Config, world: &'w mut dyn World) -> Self {
-        let state = State::new(&config);
+    pub fn new(config: LoopConfig, world: &'w mut dyn World) -> Self {
+        let state = LoopState::new(&config);
         let dt_s = world.nature().period_s;
         let input = Input { dt_s, ..Input::default() };
         Self { config, state, world, input }
@@ -52,7 +52,7 @@ impl<'w> Rig<'w> {
         self.input.command = command;
         let frame = tick(&self.config, &mut self.state, &self.input);
         let reply = self.world.step(&frame.steps)?;
-        let imu = Outcome::from_world(reply.imu);
+        let imu = ImuReading::from_world(reply.imu);
         self.input = Input { t: reply.t, imu, steps: frame.steps, command: None, ..self.input };
         Ok((frame, reply))
     }

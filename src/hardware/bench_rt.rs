@@ -11,9 +11,9 @@ use crate::hardware::stepper::{StartError, Stepper, Sync};
 use crate::motion::Motion;
 use crate::motion::config::{MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
-use crate::motion::limits::Limits;
+use crate::motion::limits::MotionLimits;
 use crate::motion::lines::Levels;
-use crate::motion::report::{Fault, Inputs, Mode};
+use crate::motion::report::{StepperFault, StepperInputs, StepperMode};
 use comfy_table::{CellAlignment, Table};
 use std::fmt::Write;
 use std::sync::Arc;
@@ -66,7 +66,7 @@ pub struct RtBench {
     /// Time to plan and queue one tick.
     pub tick: Histogram,
     /// The fault that ended the run early.
-    pub fault: Option<Fault>,
+    pub fault: Option<StepperFault>,
     /// How often the queue ran dry.
     pub dry: u32,
 }
@@ -79,7 +79,7 @@ impl<P: Pins> Pins for NoCurrent<P> {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
         self.0.write(&Levels { enable: false, ..*levels })
     }
-    fn read(&mut self) -> Result<Inputs, PinError> {
+    fn read(&mut self) -> Result<StepperInputs, PinError> {
         self.0.read()
     }
 }
@@ -119,7 +119,7 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
     let elapsed_s = (rt::monotonic_ns() - begun_ns) as f64 * 1e-9;
     let (summary, pins) = stepper.finish().ok_or(StartError::Died)?;
     drop(busy);
-    let fault = if let Mode::Faulted(fault) = summary.report.mode { Some(fault) } else { None };
+    let fault = if let StepperMode::Faulted(fault) = summary.report.mode { Some(fault) } else { None };
     let bench = RtBench {
         config: *config,
         status,
@@ -141,7 +141,7 @@ fn drive<P: Pins + 'static>(
     motion_config: &MotionConfig,
     stepper: &mut Stepper<P>,
 ) -> Result<Histogram, StartError> {
-    let mut motion = Motion::new(&Limits::try_from(motion_config)?);
+    let mut motion = Motion::new(&MotionLimits::try_from(motion_config)?);
     let mut times = Histogram::default();
     let tick_ns = (config.tick_s * 1e9) as u64;
     let mut next_ns = rt::monotonic_ns();

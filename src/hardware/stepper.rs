@@ -15,11 +15,11 @@ use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, Clock, Monotonic, RtStatus, RtWish};
 use crate::motion::config::{ConfigError, MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
-use crate::motion::limits::Limits;
+use crate::motion::limits::MotionLimits;
 use crate::motion::lines::{Levels, PulseTiming};
-use crate::motion::pulse::{Action, StepCore};
+use crate::motion::pulse::{PulseAction, StepCore};
 use crate::motion::queue::{self, FeedError, Feeder, TimedSegment};
-use crate::motion::report::{Fault, Mode, Order, Report};
+use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
 use crate::motion::segment::Segment;
 use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
@@ -55,7 +55,7 @@ pub enum StartError {
 #[derive(Debug)]
 pub struct Summary {
     /// Its last report.
-    pub report: Report,
+    pub report: StepperReport,
     /// From the time a wait should have ended to the clock reading after it.
     pub wake: Histogram,
     /// How far intervals between steps were off.
@@ -71,8 +71,8 @@ pub struct Shell<P, C> {
     pins: P,
     clock: C,
     segments: rtrb::Consumer<TimedSegment>,
-    orders: rtrb::Consumer<Order>,
-    reports: rtrb::Producer<Report>,
+    orders: rtrb::Consumer<StepperOrder>,
+    reports: rtrb::Producer<StepperReport>,
     input_period_ns: u64,
     next_input_ns: u64,
     last_report: Option<(u64, Key)>,
@@ -85,11 +85,11 @@ pub struct Shell<P, C> {
 /// What makes a report worth sending before the heartbeat.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Key {
-    mode: Mode,
+    mode: StepperMode,
     epoch: u32,
     counted: [i32; 3],
     energised: bool,
-    inputs: crate::motion::report::Inputs,
+    inputs: crate::motion::report::StepperInputs,
 }
 
 impl<P: Pins, C: Clock> Shell<P, C> {
@@ -101,7 +101,7 @@ impl<P: Pins, C: Clock> Shell<P, C> {
         }
         if self.orders.is_abandoned() {
             // The loop is gone without a word: as if it had said goodbye.
-            self.core.order(Order::Finish);
+            self.core.order(StepperOrder::Finish);
         }
         if now_ns >= self.next_input_ns {
             self.next_input_ns = now_ns + self.input_period_ns;
@@ -111,11 +111,11 @@ impl<P: Pins, C: Clock> Shell<P, C> {
             }
         }
         match self.core.poll(now_ns, &mut self.segments) {
-            Action::Write(levels) => match self.write(&levels) {
+            PulseAction::Write(levels) => match self.write(&levels) {
                 Ok(()) => self.core.wrote(self.clock.now_ns()),
                 Err(error) => self.pins_failed(error),
             },
-            Action::WaitUntil(until_ns) => {
+            PulseAction::WaitUntil(until_ns) => {
                 self.report(now_ns);
                 if self.core.is_finished() {
                     return false;
@@ -192,7 +192,7 @@ pub enum Sync {
     /// Braking: feed nothing yet.
     Busy,
     /// At a fault: feed nothing until it is cleared.
-    Faulted(Fault),
+    Faulted(StepperFault),
     /// The thread is gone.
     Dead,
 }
@@ -201,9 +201,9 @@ pub enum Sync {
 #[derive(Debug)]
 pub struct Stepper<P> {
     feeder: Feeder,
-    orders: rtrb::Producer<Order>,
-    reports: rtrb::Consumer<Report>,
-    latest: Option<Report>,
+    orders: rtrb::Producer<StepperOrder>,
+    reports: rtrb::Consumer<StepperReport>,
+    latest: Option<StepperReport>,
     status: RtStatus,
     words: Arc<OnceLock<String>>,
     energised: bool,
@@ -218,7 +218,7 @@ impl<P: Pins + 'static> Stepper<P> {
     pub fn start(pins: P, config: &StepperConfig, motion: &MotionConfig, step_mm: f64) -> Result<Self, StartError> {
         let timing = PulseTiming::try_from(config)?;
         config.validate_rate(motion, step_mm)?;
-        let limits = Limits::try_from(motion)?;
+        let limits = MotionLimits::try_from(motion)?;
         let (feeder, segments) = queue::ring(SEGMENTS, (config.lead_ms * 1e6) as u64);
         let (orders, orders_out) = rtrb::RingBuffer::new(ORDERS);
         let (reports_in, reports) = rtrb::RingBuffer::new(REPORTS);
@@ -278,13 +278,13 @@ impl<P> Stepper<P> {
         }
         let Some(report) = &self.latest else { return Sync::Busy };
         match report.mode {
-            Mode::Faulted(fault) => Sync::Faulted(fault),
+            StepperMode::Faulted(fault) => Sync::Faulted(fault),
             _ if self.feeder.epoch() == Some(report.epoch) => Sync::Ready,
-            Mode::Resting => {
+            StepperMode::Resting => {
                 self.feeder.begin(report.epoch, now_ns);
                 Sync::Restart(report.rest_mm)
             }
-            Mode::Following | Mode::Stopping => Sync::Busy,
+            StepperMode::Following | StepperMode::Stopping => Sync::Busy,
         }
     }
 
@@ -304,13 +304,13 @@ impl<P> Stepper<P> {
 
     /// Gives an order past the queue of segments. False when 32 orders are waiting already.
     #[must_use]
-    pub fn order(&mut self, order: Order) -> bool {
+    pub fn order(&mut self, order: StepperOrder) -> bool {
         self.orders.push(order).is_ok()
     }
 
     /// The report [`Stepper::sync`] took in last; `None` before the first.
     #[must_use]
-    pub fn latest(&self) -> Option<&Report> {
+    pub fn latest(&self) -> Option<&StepperReport> {
         self.latest.as_ref()
     }
 
@@ -328,7 +328,7 @@ impl<P> Stepper<P> {
 
     fn join(&mut self) -> Option<(Summary, P)> {
         // If the ring of orders is full, dropping it (by the caller) still ends the thread.
-        while self.orders.push(Order::Finish).is_err() && !self.orders.is_abandoned() {
+        while self.orders.push(StepperOrder::Finish).is_err() && !self.orders.is_abandoned() {
             std::thread::yield_now();
         }
         self.thread.take()?.join().ok()

@@ -1,6 +1,6 @@
 //! What a board file says of motion and of the step thread, and which values are accepted.
 //!
-//! These are the serde forms; [`crate::motion::Limits`] and [`crate::motion::lines::PulseTiming`]
+//! These are the serde forms; [`crate::motion::MotionLimits`] and [`crate::motion::lines::PulseTiming`]
 //! are what the rest computes with.
 
 use serde::{Deserialize, Serialize};

@@ -15,9 +15,9 @@
 //! all its cases. Not all profiles have one: a channel that is braking hard gains a little time by
 //! easing the brake. There the root has no time left to cruise, and the answer is `None`.
 
-use crate::motion::limits::Limits;
+use crate::motion::limits::MotionLimits;
 use crate::motion::plan::ChannelPlan;
-use crate::motion::state::State;
+use crate::motion::state::MotionState;
 use crate::motion::stop::settling;
 
 /// How exactly the distance is closed, mm.
@@ -33,8 +33,8 @@ struct Trial {
 
 /// The problem of one channel, mirrored so that the target lies ahead.
 struct Cruise<'a> {
-    limits: &'a Limits,
-    from: State,
+    limits: &'a MotionLimits,
+    from: MotionState,
     way_mm: f64,
     duration_s: f64,
 }
@@ -99,11 +99,11 @@ impl Cruise<'_> {
 /// `None` when no cruise takes that long: see above, or less than the least time was asked for, or the
 /// target is exactly where the shortest stop ends. The duration is kept to rounding.
 #[must_use]
-pub fn arrive_in(limits: &Limits, from: &State, target_mm: f64, duration_s: f64, peak_mm_s: f64) -> Option<ChannelPlan> {
+pub fn arrive_in(limits: &MotionLimits, from: &MotionState, target_mm: f64, duration_s: f64, peak_mm_s: f64) -> Option<ChannelPlan> {
     let stop_mm =
         settling(from.velocity_mm_s, from.acceleration_mm_s2, limits).iter().fold(*from, |s, &(t, jerk)| s.after(jerk, t)).position_mm;
     let side = if target_mm >= stop_mm { 1.0 } else { -1.0 };
-    let mirrored = State { position_mm: 0.0, velocity_mm_s: from.velocity_mm_s * side, acceleration_mm_s2: from.acceleration_mm_s2 * side };
+    let mirrored = MotionState { position_mm: 0.0, velocity_mm_s: from.velocity_mm_s * side, acceleration_mm_s2: from.acceleration_mm_s2 * side };
     let way_mm = (target_mm - from.position_mm) * side;
     let cruise = Cruise { limits, from: mirrored, way_mm, duration_s };
     let (speed, cruise_s) = cruise.solve(peak_mm_s)?;
@@ -138,10 +138,10 @@ mod tests {
         fn takes_as_long_as_asked(
             v in -20.0..20.0f64, a in -300.0..300.0f64, to in -15.0..15.0f64, extra in 1e-6..4.0f64,
         ) {
-            let l = Limits { travel_max_mm: 60.0, ..Limits::try_from(&MotionConfig::default()).unwrap() };
-            let from = State { position_mm: 0.3, velocity_mm_s: v, acceleration_mm_s2: a };
+            let l = MotionLimits { travel_max_mm: 60.0, ..MotionLimits::try_from(&MotionConfig::default()).unwrap() };
+            let from = MotionState { position_mm: 0.3, velocity_mm_s: v, acceleration_mm_s2: a };
             let mut fastest = Plan::default();
-            Ruckig::default().solve(&l, &[from, State::rest(0.0), State::rest(0.0)], &[to, 0.0, 0.0], &mut fastest).unwrap();
+            Ruckig::default().solve(&l, &[from, MotionState::rest(0.0), MotionState::rest(0.0)], &[to, 0.0, 0.0], &mut fastest).unwrap();
             let least_s = fastest.duration_s();
             let plan = arrive_in(&l, &from, to, least_s + extra, 0.0);
             prop_assert!(plan.is_some() || extra < 0.5);

@@ -6,11 +6,11 @@
 //! Cost is paid only for change: at rest with the same target nothing is computed, on the way to the
 //! same target the plan in hand is followed, and only a new target is planned for.
 
-use crate::motion::limits::Limits;
+use crate::motion::limits::MotionLimits;
 use crate::motion::plan::{Plan, Refusal};
 use crate::motion::segment::Segment;
 use crate::motion::solver::{Ruckig, Solver};
-use crate::motion::state::State;
+use crate::motion::state::MotionState;
 use crate::motion::stop::stops_within_travel;
 
 /// Ticks for which the plan in hand is followed although a new one was wanted and refused; then the
@@ -19,7 +19,7 @@ pub const KEEP_TICKS_MAX: u32 = 5;
 
 /// What the follower did in a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Outcome {
+pub enum MoveStatus {
     /// At rest at the target.
     Resting,
     /// On the way of the plan in hand.
@@ -46,10 +46,10 @@ pub struct Counts {
 /// Jerk-limited, time-synchronised motion of the three pistons.
 #[derive(Debug, Clone)]
 pub struct Motion<S = Ruckig> {
-    limits: Limits,
+    limits: MotionLimits,
     stop_longest_mm: f64,
     solver: S,
-    state: [State; 3],
+    state: [MotionState; 3],
     /// What the plan in hand drives to; `None` when it is a stop.
     target_mm: Option<[f64; 3]>,
     plan: Box<Plan>,
@@ -58,14 +58,14 @@ pub struct Motion<S = Ruckig> {
     resting: bool,
     kept: u32,
     clamped: [bool; 3],
-    outcome: Outcome,
+    outcome: MoveStatus,
     counts: Counts,
 }
 
 impl Motion<Ruckig> {
     /// At rest with all pistons at zero.
     #[must_use]
-    pub fn new(limits: &Limits) -> Self {
+    pub fn new(limits: &MotionLimits) -> Self {
         Self::with_solver(limits, Ruckig::default())
     }
 }
@@ -73,12 +73,12 @@ impl Motion<Ruckig> {
 impl<S: Solver> Motion<S> {
     /// At rest at zero, with a solver of one's own.
     #[must_use]
-    pub fn with_solver(limits: &Limits, solver: S) -> Self {
+    pub fn with_solver(limits: &MotionLimits, solver: S) -> Self {
         Self {
             limits: *limits,
             stop_longest_mm: limits.stop_longest_mm(),
             solver,
-            state: [State::rest(0.0); 3],
+            state: [MotionState::rest(0.0); 3],
             target_mm: Some([0.0; 3]),
             plan: Box::new(Plan::resting([0.0; 3])),
             candidate: Box::new(Plan::resting([0.0; 3])),
@@ -86,7 +86,7 @@ impl<S: Solver> Motion<S> {
             resting: true,
             kept: 0,
             clamped: [false; 3],
-            outcome: Outcome::Resting,
+            outcome: MoveStatus::Resting,
             counts: Counts::default(),
         }
     }
@@ -94,13 +94,13 @@ impl<S: Solver> Motion<S> {
     /// Declares the pistons to rest at these positions: after homing, after a fault of the step
     /// thread or when its queue ran dry (it reports where it came to rest).
     pub fn reset(&mut self, position_mm: [f64; 3]) {
-        self.state = position_mm.map(State::rest);
+        self.state = position_mm.map(MotionState::rest);
         *self.plan = Plan::resting(position_mm);
         self.target_mm = Some(position_mm);
         self.plan_time_s = 0.0;
         self.resting = true;
         self.kept = 0;
-        self.outcome = Outcome::Resting;
+        self.outcome = MoveStatus::Resting;
     }
 
     /// Moves on by one tick of `dt_s` towards `target_mm` (mm, pistons 1 to 3).
@@ -110,7 +110,7 @@ impl<S: Solver> Motion<S> {
         match self.admit(target_mm) {
             Ok(target_mm) if self.is_planned(&target_mm) => {
                 self.kept = 0;
-                self.outcome = if self.resting { Outcome::Resting } else { Outcome::Following };
+                self.outcome = if self.resting { MoveStatus::Resting } else { MoveStatus::Following };
             }
             Ok(target_mm) => self.replan(target_mm),
             Err(refusal) => self.refuse(refusal),
@@ -123,20 +123,20 @@ impl<S: Solver> Motion<S> {
         if self.target_mm.is_some() && !self.resting {
             self.begin_stop(None);
         } else if !self.resting {
-            self.outcome = Outcome::Braking(None);
+            self.outcome = MoveStatus::Braking(None);
         }
         self.advance(dt_s)
     }
 
     /// Positions, velocities and accelerations at the end of the last tick.
     #[must_use]
-    pub fn state(&self) -> &[State; 3] {
+    pub fn state(&self) -> &[MotionState; 3] {
         &self.state
     }
 
     /// What the last tick did.
     #[must_use]
-    pub fn outcome(&self) -> Outcome {
+    pub fn outcome(&self) -> MoveStatus {
         self.outcome
     }
 
@@ -189,7 +189,7 @@ impl<S: Solver> Motion<S> {
         self.resting = self.plan.duration_s() == 0.0;
         self.kept = 0;
         self.counts.replans += 1;
-        self.outcome = Outcome::Replanned;
+        self.outcome = MoveStatus::Replanned;
     }
 
     /// Follows the plan in hand for a few ticks, then brakes.
@@ -197,9 +197,9 @@ impl<S: Solver> Motion<S> {
         self.counts.refusals += 1;
         self.kept += 1;
         if self.resting || self.target_mm.is_none() {
-            self.outcome = if self.resting { Outcome::Kept(refusal) } else { Outcome::Braking(Some(refusal)) };
+            self.outcome = if self.resting { MoveStatus::Kept(refusal) } else { MoveStatus::Braking(Some(refusal)) };
         } else if self.kept <= KEEP_TICKS_MAX {
-            self.outcome = Outcome::Kept(refusal);
+            self.outcome = MoveStatus::Kept(refusal);
         } else {
             self.begin_stop(Some(refusal));
         }
@@ -211,7 +211,7 @@ impl<S: Solver> Motion<S> {
         self.target_mm = None;
         self.plan_time_s = 0.0;
         self.counts.brakes += 1;
-        self.outcome = Outcome::Braking(why);
+        self.outcome = MoveStatus::Braking(why);
     }
 
     /// Cuts the tick out of the plan, or out of a stop if the plan would leave no room for one.
@@ -241,15 +241,15 @@ mod tests {
     use super::*;
     use crate::motion::config::MotionConfig;
 
-    fn limits() -> Limits {
-        Limits::try_from(&MotionConfig::default()).unwrap()
+    fn limits() -> MotionLimits {
+        MotionLimits::try_from(&MotionConfig::default()).unwrap()
     }
 
     /// Refuses whenever told to, else solves.
     struct Moody(Ruckig, bool);
 
     impl Solver for Moody {
-        fn solve(&mut self, l: &Limits, from: &[State; 3], to: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
+        fn solve(&mut self, l: &MotionLimits, from: &[MotionState; 3], to: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
             if self.1 { Err(Refusal::NoProfile { channel: 1 }) } else { self.0.solve(l, from, to, out) }
         }
     }
@@ -260,7 +260,7 @@ mod tests {
         for _ in 0..10 {
             assert!(m.tick([0.0; 3], 1e-3).is_still());
         }
-        assert_eq!((m.counts().replans, m.outcome()), (0, Outcome::Resting));
+        assert_eq!((m.counts().replans, m.outcome()), (0, MoveStatus::Resting));
     }
 
     #[test]
@@ -270,7 +270,7 @@ mod tests {
             m.tick([3.0, -2.0, 1.0], 1e-3);
         }
         assert_eq!(m.counts(), Counts { replans: 1, ..Counts::default() });
-        assert_eq!(m.state(), &[State::rest(3.0), State::rest(-2.0), State::rest(1.0)]);
+        assert_eq!(m.state(), &[MotionState::rest(3.0), MotionState::rest(-2.0), MotionState::rest(1.0)]);
     }
 
     #[test]
@@ -293,16 +293,16 @@ mod tests {
         let refusal = Refusal::TargetNotFinite { channel: 2 };
         for _ in 0..KEEP_TICKS_MAX {
             m.tick([10.0, 10.0, f64::NAN], 1e-3);
-            assert_eq!(m.outcome(), Outcome::Kept(refusal));
+            assert_eq!(m.outcome(), MoveStatus::Kept(refusal));
         }
         let before = m.state()[0].velocity_mm_s;
         for _ in 0..500 {
             m.tick([10.0, 10.0, f64::NAN], 1e-3);
         }
         assert!(before > 5.0);
-        assert!(m.state().iter().all(State::is_rest) && m.state()[0].position_mm < 9.0);
+        assert!(m.state().iter().all(MotionState::is_rest) && m.state()[0].position_mm < 9.0);
         m.tick([10.0; 3], 1e-3);
-        assert_eq!(m.outcome(), Outcome::Replanned);
+        assert_eq!(m.outcome(), MoveStatus::Replanned);
     }
 
     #[test]
@@ -316,7 +316,7 @@ mod tests {
         for k in 0..300 {
             m.tick([-10.0 - 1e-3 * f64::from(k), -5.0, 5.0], 1e-3);
         }
-        assert!(m.state().iter().all(State::is_rest));
+        assert!(m.state().iter().all(MotionState::is_rest));
         assert_eq!(m.counts().brakes, 1);
         m.solver.1 = false;
         for _ in 0..3000 {
@@ -339,7 +339,7 @@ mod tests {
         for _ in 0..3000 {
             m.tick([20.0; 3], 1e-3);
         }
-        assert_eq!(m.state()[0], State::rest(20.0));
+        assert_eq!(m.state()[0], MotionState::rest(20.0));
     }
 
     /// A plan that turns round at the very end of travel while still decelerating hard: within every
@@ -348,7 +348,7 @@ mod tests {
     fn a_plan_that_leaves_no_room_for_a_stop_is_braked_in_time() {
         struct Brinkman(f64);
         impl Solver for Brinkman {
-            fn solve(&mut self, l: &Limits, from: &[State; 3], _: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
+            fn solve(&mut self, l: &MotionLimits, from: &[MotionState; 3], _: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
                 let t = self.0;
                 *out = Plan::resting([0.0; 3]);
                 let mut at = from[0];
@@ -364,19 +364,19 @@ mod tests {
         }
         let far = |t: f64| {
             // highest point of that way, from its legs
-            let s = State::rest(0.0).after(6000.0, t);
+            let s = MotionState::rest(0.0).after(6000.0, t);
             s.reach(-6000.0, 3.0 * t).1
         };
         let t = 0.03;
         let start_mm = 20.0;
-        let l = Limits { travel_max_mm: start_mm + far(t) + 1e-6, acceleration_max_mm_s2: 1e4, ..limits() };
+        let l = MotionLimits { travel_max_mm: start_mm + far(t) + 1e-6, acceleration_max_mm_s2: 1e4, ..limits() };
         let mut m = Motion::with_solver(&l, Brinkman(t));
         m.reset([start_mm, 0.0, 0.0]);
         let mut highest: f64 = 0.0;
         let mut cornered = false;
         for _ in 0..1000 {
             let segment = if cornered { m.brake(1e-3) } else { m.tick([19.0, 0.0, 0.0], 1e-3) };
-            cornered |= m.outcome() == Outcome::Braking(Some(Refusal::NoStop { channel: 0 }));
+            cornered |= m.outcome() == MoveStatus::Braking(Some(Refusal::NoStop { channel: 0 }));
             let mut s = segment.channels[0].start;
             for &(d, j) in segment.channels[0].pieces() {
                 highest = highest.max(s.reach(j, d).1);

@@ -4,7 +4,7 @@
 //! limit for the rounding of a chain of cubics, a thousand times less than what is promised outside.
 
 use crate::motion::config::{ConfigError, MotionConfig};
-use crate::motion::state::State;
+use crate::motion::state::MotionState;
 use crate::motion::stop::Stop;
 
 /// Relative slack of every comparison with a limit.
@@ -15,7 +15,7 @@ pub const POSITION_SLACK_MM: f64 = 1e-7;
 
 /// Limits of motion of one channel; built only from a valid [`MotionConfig`].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Limits {
+pub struct MotionLimits {
     /// Greatest speed, mm/s.
     pub speed_max_mm_s: f64,
     /// Greatest acceleration either way, mm/s².
@@ -28,7 +28,7 @@ pub struct Limits {
     pub retarget_min_mm: f64,
 }
 
-impl TryFrom<&MotionConfig> for Limits {
+impl TryFrom<&MotionConfig> for MotionLimits {
     type Error = ConfigError;
 
     fn try_from(c: &MotionConfig) -> Result<Self, ConfigError> {
@@ -43,7 +43,7 @@ impl TryFrom<&MotionConfig> for Limits {
     }
 }
 
-impl Limits {
+impl MotionLimits {
     /// Whether a position is within travel.
     #[inline]
     #[must_use]
@@ -54,7 +54,7 @@ impl Limits {
     /// Whether speed and acceleration of a state are within their limits.
     #[inline]
     #[must_use]
-    pub fn rates_hold(&self, s: &State) -> bool {
+    pub fn rates_hold(&self, s: &MotionState) -> bool {
         s.velocity_mm_s.abs() <= self.speed_max_mm_s * (1.0 + SLACK)
             && s.acceleration_mm_s2.abs() <= self.acceleration_max_mm_s2 * (1.0 + SLACK)
     }
@@ -63,7 +63,7 @@ impl Limits {
     /// and with acceleration, so it is the one from both at their limits.
     #[must_use]
     pub fn stop_longest_mm(&self) -> f64 {
-        let worst = State { position_mm: 0.0, velocity_mm_s: self.speed_max_mm_s, acceleration_mm_s2: self.acceleration_max_mm_s2 };
+        let worst = MotionState { position_mm: 0.0, velocity_mm_s: self.speed_max_mm_s, acceleration_mm_s2: self.acceleration_max_mm_s2 };
         Stop::from(worst, self).end_mm
     }
 }

@@ -64,7 +64,7 @@ impl TryFrom<&StepperConfig> for PulseTiming {
 
 /// STEP and DIR of one channel: their levels, and from when they may change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Line {
+pub struct OutputLine {
     /// STEP is high.
     pub high: bool,
     /// DIR is high.
@@ -77,7 +77,7 @@ pub struct Line {
     pub turn_ns: u64,
 }
 
-impl Line {
+impl OutputLine {
     /// STEP rose in a write that was over at `done_ns`.
     pub fn rose(&mut self, done_ns: u64, t: &PulseTiming) {
         self.high = true;
@@ -106,7 +106,7 @@ mod tests {
     #[test]
     fn gaps_count_from_the_end_of_the_earlier_write() {
         let t = PulseTiming::try_from(&StepperConfig::default()).unwrap();
-        let mut line = Line::default();
+        let mut line = OutputLine::default();
         line.turned(true, 1_000, &t);
         assert_eq!(line.rise_ns, 2_000);
         line.rose(5_000, &t);

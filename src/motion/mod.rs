@@ -38,7 +38,7 @@ pub mod steps;
 pub mod stop;
 
 pub use config::{ConfigError, MotionConfig, StepperConfig};
-pub use follow::{Motion, Outcome};
-pub use limits::Limits;
+pub use follow::{Motion, MoveStatus};
+pub use limits::MotionLimits;
 pub use segment::{ChannelSegment, Segment};
-pub use state::State;
+pub use state::MotionState;

@@ -3,9 +3,9 @@
 //! No plan is believed unseen, whoever made it: [`Plan::verify`] checks limits, travel, continuity
 //! and arrival on the closed form of every phase.
 
-use crate::motion::limits::{Limits, POSITION_SLACK_MM, SLACK};
+use crate::motion::limits::{MotionLimits, POSITION_SLACK_MM, SLACK};
 use crate::motion::segment::ChannelSegment;
-use crate::motion::state::State;
+use crate::motion::state::MotionState;
 use crate::motion::stop::Stop;
 
 /// Most phases a channel's plan can have: two of braking and seven of the profile.
@@ -54,7 +54,7 @@ pub struct Leg {
     /// How long it lasts, s.
     pub duration_s: f64,
     /// State at its start.
-    pub start: State,
+    pub start: MotionState,
     /// Jerk, mm/s³.
     pub jerk_mm_s3: f64,
 }
@@ -88,7 +88,7 @@ impl ChannelPlan {
     }
 
     /// Appends a phase; nothing if it lasts no time.
-    pub fn push(&mut self, start: State, jerk_mm_s3: f64, duration_s: f64) {
+    pub fn push(&mut self, start: MotionState, jerk_mm_s3: f64, duration_s: f64) {
         if duration_s > 0.0 && self.len < LEGS_MAX {
             let end_s = self.duration_s() + duration_s;
             self.legs[self.len] = Leg { end_s, duration_s, start, jerk_mm_s3 };
@@ -111,17 +111,17 @@ impl ChannelPlan {
     /// The state at a time.
     #[inline]
     #[must_use]
-    pub fn at(&self, t_s: f64) -> State {
+    pub fn at(&self, t_s: f64) -> MotionState {
         match self.legs().iter().find(|leg| t_s < leg.end_s) {
             Some(leg) => leg.start.after(leg.jerk_mm_s3, (t_s - (leg.end_s - leg.duration_s)).max(0.0)),
-            None => State::rest(self.end_mm),
+            None => MotionState::rest(self.end_mm),
         }
     }
 
     /// The part from `from_s` on that lasts `duration_s`, given the state at its start.
     #[inline]
     #[must_use]
-    pub fn cut(&self, start: State, from_s: f64, duration_s: f64) -> ChannelSegment {
+    pub fn cut(&self, start: MotionState, from_s: f64, duration_s: f64) -> ChannelSegment {
         let mut segment = ChannelSegment::starting(start);
         let to_s = from_s + duration_s;
         let mut t = from_s;
@@ -139,7 +139,7 @@ impl ChannelPlan {
 
     /// True when every phase keeps the limits and travel, the phases join, and the end is reached.
     #[must_use]
-    pub fn is_sound(&self, from: &State, limits: &Limits) -> bool {
+    pub fn is_sound(&self, from: &MotionState, limits: &MotionLimits) -> bool {
         let mut at = *from;
         for leg in self.legs() {
             let end = leg.start.after(leg.jerk_mm_s3, leg.duration_s);
@@ -148,12 +148,12 @@ impl ChannelPlan {
             }
             at = end;
         }
-        joins(&at, &State::rest(self.end_mm), limits) && limits.travel_holds(self.end_mm)
+        joins(&at, &MotionState::rest(self.end_mm), limits) && limits.travel_holds(self.end_mm)
     }
 }
 
 /// States that are one up to rounding and the solver's own precision (1e-8 mm/τ, see [`super::solver`]).
-fn joins(a: &State, b: &State, limits: &Limits) -> bool {
+fn joins(a: &MotionState, b: &MotionState, limits: &MotionLimits) -> bool {
     let a_max = limits.acceleration_max_mm_s2;
     (a.position_mm - b.position_mm).abs() <= POSITION_SLACK_MM
         && (a.velocity_mm_s - b.velocity_mm_s).abs() <= 1e-7 * (1.0 + a_max.sqrt())
@@ -162,14 +162,14 @@ fn joins(a: &State, b: &State, limits: &Limits) -> bool {
 
 /// Limits over one phase: jerk; acceleration at its ends; speed there and where the acceleration
 /// passes zero; position at its ends and where the speed does.
-fn leg_holds(leg: &Leg, end: &State, limits: &Limits) -> bool {
+fn leg_holds(leg: &Leg, end: &MotionState, limits: &MotionLimits) -> bool {
     let (start, j) = (&leg.start, leg.jerk_mm_s3);
     if !(j.abs() <= limits.jerk_max_mm_s3 * (1.0 + SLACK) && limits.rates_hold(start) && limits.rates_hold(end)) {
         return false;
     }
     if start.acceleration_mm_s2 * end.acceleration_mm_s2 < 0.0 {
         let top = start.after(j, -start.acceleration_mm_s2 / j);
-        if !limits.rates_hold(&State { acceleration_mm_s2: 0.0, ..top }) {
+        if !limits.rates_hold(&MotionState { acceleration_mm_s2: 0.0, ..top }) {
             return false;
         }
     }
@@ -197,7 +197,7 @@ impl Plan {
 
     /// Each channel stops as soon as it can.
     #[must_use]
-    pub fn stopping(from: &[State; 3], limits: &Limits) -> Self {
+    pub fn stopping(from: &[MotionState; 3], limits: &MotionLimits) -> Self {
         Self { channels: from.map(|s| ChannelPlan::stopping(&Stop::from(s, limits))) }
     }
 
@@ -211,7 +211,7 @@ impl Plan {
     ///
     /// # Errors
     /// [`Refusal::Unsound`] with the first channel that fails.
-    pub fn verify(&self, from: &[State; 3], limits: &Limits) -> Result<(), Refusal> {
+    pub fn verify(&self, from: &[MotionState; 3], limits: &MotionLimits) -> Result<(), Refusal> {
         for (channel, (plan, from)) in self.channels.iter().zip(from).enumerate() {
             if !plan.is_sound(from, limits) {
                 return Err(Refusal::Unsound { channel });
@@ -227,18 +227,18 @@ mod tests {
     use crate::motion::config::MotionConfig;
     use crate::motion::solver::{Ruckig, Solver};
 
-    fn limits() -> Limits {
-        Limits::try_from(&MotionConfig::default()).unwrap()
+    fn limits() -> MotionLimits {
+        MotionLimits::try_from(&MotionConfig::default()).unwrap()
     }
 
     #[test]
     fn a_plan_that_breaks_a_limit_is_unsound() {
         let l = limits();
-        let from = [State::rest(0.0); 3];
+        let from = [MotionState::rest(0.0); 3];
         let mut plan = Plan::default();
         Ruckig::default().solve(&l, &from, &[5.0, -3.0, 1.0], &mut plan).unwrap();
         assert_eq!(plan.verify(&from, &l), Ok(()));
-        let with = |change: fn(&mut Limits)| {
+        let with = |change: fn(&mut MotionLimits)| {
             let mut tight = l;
             change(&mut tight);
             plan.verify(&from, &tight)

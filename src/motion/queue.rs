@@ -118,10 +118,10 @@ impl Feeder {
 mod tests {
     use super::*;
     use crate::motion::segment::ChannelSegment;
-    use crate::motion::state::State;
+    use crate::motion::state::MotionState;
 
     fn moving() -> Segment {
-        let start = State { velocity_mm_s: 1.0, ..State::rest(0.0) };
+        let start = MotionState { velocity_mm_s: 1.0, ..MotionState::rest(0.0) };
         Segment { duration_s: 1e-3, channels: [ChannelSegment::starting(start); 3] }
     }
 

@@ -5,7 +5,7 @@ use crate::primitives::units::Steps;
 
 /// Why the core does not move any more.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum Fault {
+pub enum StepperFault {
     /// A step could not be made in time.
     #[error("a step of channel {} was {:.3} ms late: the step thread was kept from running (see `retroflex bench rt`)", .channel + 1, *.late_ns as f64 * 1e-6)]
     Late {
@@ -32,7 +32,7 @@ pub enum Fault {
 
 /// What the core is at.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Mode {
+pub enum StepperMode {
     /// At rest, waiting for segments.
     Resting,
     /// Working off segments.
@@ -40,12 +40,12 @@ pub enum Mode {
     /// Braking within the limits.
     Stopping,
     /// Stopped for good, until cleared.
-    Faulted(Fault),
+    Faulted(StepperFault),
 }
 
 /// What the loop can order past the queue.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Order {
+pub enum StepperOrder {
     /// Brake within the limits; drop what is queued.
     Stop,
     /// Energise the drivers.
@@ -62,7 +62,7 @@ pub enum Order {
 
 /// What the input lines say, polarity already taken care of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Inputs {
+pub struct StepperInputs {
     /// Home switches of channels 1 to 3 are closed.
     pub home: [bool; 3],
     /// The emergency stop is pressed.
@@ -71,21 +71,21 @@ pub struct Inputs {
 
 /// Everything the core tells the loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Report {
+pub struct StepperReport {
     /// When, ns of the monotonic clock.
     pub t_ns: u64,
     /// What it is at.
-    pub mode: Mode,
+    pub mode: StepperMode,
     /// Segments of this epoch are taken.
     pub epoch: u32,
     /// Steps really pulsed, signed, since zero.
     pub counted: Steps,
-    /// Where the pistons rest, mm; meaningful in [`Mode::Resting`] and [`Mode::Faulted`].
+    /// Where the pistons rest, mm; meaningful in [`StepperMode::Resting`] and [`StepperMode::Faulted`].
     pub rest_mm: [f64; 3],
     /// The drivers are energised.
     pub energised: bool,
     /// Input lines.
-    pub inputs: Inputs,
+    pub inputs: StepperInputs,
     /// How often the queue ran dry in motion.
     pub dry: u32,
     /// Segments refused: of an old epoch, or too late to be begun.

@@ -1,7 +1,7 @@
 //! A tick's worth of motion: for each channel the state at both ends and the constant-jerk pieces
 //! between. This is what the loop hands on: exact, self-contained and of fixed size.
 
-use crate::motion::state::State;
+use crate::motion::state::MotionState;
 
 /// Most pieces a channel can need in one segment: two of braking into the limits, seven of the
 /// profile and one of rest.
@@ -11,9 +11,9 @@ pub const PIECES_MAX: usize = 10;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChannelSegment {
     /// State at the start.
-    pub start: State,
+    pub start: MotionState,
     /// State at the end; the next segment starts here, to the bit.
-    pub end: State,
+    pub end: MotionState,
     pieces: [(f64, f64); PIECES_MAX],
     len: usize,
 }
@@ -22,14 +22,14 @@ impl ChannelSegment {
     /// An empty segment at a state.
     #[inline]
     #[must_use]
-    pub fn starting(start: State) -> Self {
+    pub fn starting(start: MotionState) -> Self {
         Self { start, end: start, pieces: [(0.0, 0.0); PIECES_MAX], len: 0 }
     }
 
     /// Standing still for a time.
     #[must_use]
     pub fn holding(position_mm: f64, duration_s: f64) -> Self {
-        let mut c = Self::starting(State::rest(position_mm));
+        let mut c = Self::starting(MotionState::rest(position_mm));
         c.push(duration_s, 0.0);
         c
     }
@@ -54,7 +54,7 @@ impl ChannelSegment {
     /// The same with its end state.
     #[inline]
     #[must_use]
-    pub fn ending(mut self, end: State) -> Self {
+    pub fn ending(mut self, end: MotionState) -> Self {
         self.end = end;
         self
     }
@@ -68,7 +68,7 @@ impl ChannelSegment {
 
     /// The state `t_s` after the start (the end state from the end on).
     #[must_use]
-    pub fn at(&self, t_s: f64) -> State {
+    pub fn at(&self, t_s: f64) -> MotionState {
         let mut state = self.start;
         let mut left = t_s;
         for &(d, jerk) in self.pieces() {
@@ -107,13 +107,13 @@ impl Segment {
 
     /// States of the three channels at the start.
     #[must_use]
-    pub fn start(&self) -> [State; 3] {
+    pub fn start(&self) -> [MotionState; 3] {
         self.channels.map(|c| c.start)
     }
 
     /// States of the three channels at the end.
     #[must_use]
-    pub fn end(&self) -> [State; 3] {
+    pub fn end(&self) -> [MotionState; 3] {
         self.channels.map(|c| c.end)
     }
 

@@ -19,9 +19,9 @@
 //! acceleration is 1 mm/τ². In seconds, accelerations of 10⁴ mm/s² make it refuse one plan in a thousand.
 
 use crate::motion::cruise::arrive_in;
-use crate::motion::limits::Limits;
+use crate::motion::limits::MotionLimits;
 use crate::motion::plan::{ChannelPlan, Plan, Refusal};
-use crate::motion::state::State;
+use crate::motion::state::MotionState;
 use rsruckig::block::Block;
 use rsruckig::position_third_step1::PositionThirdOrderStep1;
 use rsruckig::position_third_step2::PositionThirdOrderStep2;
@@ -33,7 +33,7 @@ pub trait Solver {
     ///
     /// # Errors
     /// [`Refusal`] when no plan was found. Soundness is the caller's to check.
-    fn solve(&mut self, limits: &Limits, from: &[State; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), Refusal>;
+    fn solve(&mut self, limits: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), Refusal>;
 }
 
 /// The solver on `rsruckig`'s building blocks. Holds their scratch space; allocates it once.
@@ -53,7 +53,7 @@ struct Scratch {
 }
 
 impl Solver for Ruckig {
-    fn solve(&mut self, limits: &Limits, from: &[State; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
+    fn solve(&mut self, limits: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
         self.scratch.choose_unit(limits);
         let mut least = 0.0_f64;
         for channel in 0..3 {
@@ -67,13 +67,13 @@ impl Solver for Ruckig {
 }
 
 /// A channel that rests on its target needs no profile.
-fn still(from: &State, target_mm: f64) -> bool {
+fn still(from: &MotionState, target_mm: f64) -> bool {
     from.is_rest() && from.position_mm == target_mm
 }
 
 impl Scratch {
     /// The unit of time in which the greatest acceleration is 1 mm/τ².
-    fn choose_unit(&mut self, l: &Limits) {
+    fn choose_unit(&mut self, l: &MotionLimits) {
         let unit_s = l.acceleration_max_mm_s2.sqrt().recip();
         self.unit_s = unit_s;
         self.speed_max = l.speed_max_mm_s * unit_s;
@@ -81,7 +81,7 @@ impl Scratch {
     }
 
     /// Brake and step 1: the least time of one channel, τ.
-    fn fastest(&mut self, from: &State, target_mm: f64, channel: usize) -> Result<f64, Refusal> {
+    fn fastest(&mut self, from: &MotionState, target_mm: f64, channel: usize) -> Result<f64, Refusal> {
         let (v, j) = (self.speed_max, self.jerk_max);
         let (v0, a0) = (from.velocity_mm_s * self.unit_s, from.acceleration_mm_s2 * self.unit_s * self.unit_s);
         let p = &mut self.profiles[channel];
@@ -94,7 +94,7 @@ impl Scratch {
     }
 
     /// The first duration from `t` (τ) on that lies in no channel's blocked interval.
-    fn unblocked(&self, mut t: f64, from: &[State; 3], target_mm: &[f64; 3]) -> f64 {
+    fn unblocked(&self, mut t: f64, from: &[MotionState; 3], target_mm: &[f64; 3]) -> f64 {
         // Each channel has at most two intervals, so six moves are enough.
         for _ in 0..6 {
             let before = t;
@@ -114,7 +114,7 @@ impl Scratch {
     }
 
     /// Step 2: every channel's profile of the common duration, τ.
-    fn synchronise(&mut self, l: &Limits, from: &[State; 3], target_mm: &[f64; 3], common: f64, out: &mut Plan) -> Result<(), Refusal> {
+    fn synchronise(&mut self, l: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], common: f64, out: &mut Plan) -> Result<(), Refusal> {
         for channel in 0..3 {
             let (to, plan) = (target_mm[channel], &mut out.channels[channel]);
             let block = &self.blocks[channel];
@@ -147,7 +147,7 @@ fn transcribe(p: &Profile, unit_s: f64, end_mm: f64) -> ChannelPlan {
     let mut out = ChannelPlan::resting(end_mm);
     let rate = unit_s.recip();
     let mut push = |p: f64, v: f64, a: f64, j: f64, t: f64| {
-        let start = State { position_mm: p, velocity_mm_s: v * rate, acceleration_mm_s2: a * rate * rate };
+        let start = MotionState { position_mm: p, velocity_mm_s: v * rate, acceleration_mm_s2: a * rate * rate };
         out.push(start, j * rate * rate * rate, t * unit_s);
     };
     if p.brake.duration > 0.0 {
@@ -167,15 +167,15 @@ mod tests {
     use crate::motion::config::MotionConfig;
     use proptest::prelude::*;
 
-    fn limits() -> Limits {
-        Limits::try_from(&MotionConfig::default()).unwrap()
+    fn limits() -> MotionLimits {
+        MotionLimits::try_from(&MotionConfig::default()).unwrap()
     }
 
     /// A state from which the speed limit can still be kept.
-    fn state() -> impl Strategy<Value = State> {
+    fn state() -> impl Strategy<Value = MotionState> {
         (-20.0..20.0f64, -30.0..30.0f64, -300.0..300.0f64).prop_map(|(p, v, a)| {
             let room = 30.0 - a * a / 12_000.0;
-            State { position_mm: p, velocity_mm_s: v.clamp(-room, room), acceleration_mm_s2: a }
+            MotionState { position_mm: p, velocity_mm_s: v.clamp(-room, room), acceleration_mm_s2: a }
         })
     }
 
@@ -186,7 +186,7 @@ mod tests {
         fn arrives_together(from in prop::array::uniform3(state()), to in prop::array::uniform3(-10.0..10.0f64)) {
             let mut plan = Plan::default();
             Ruckig::default().solve(&limits(), &from, &to, &mut plan).unwrap();
-            let roomy = Limits { travel_max_mm: 60.0, ..limits() };
+            let roomy = MotionLimits { travel_max_mm: 60.0, ..limits() };
             prop_assert_eq!(plan.verify(&from, &roomy), Ok(()));
             for c in &plan.channels {
                 prop_assert!((c.duration_s() - plan.duration_s()).abs() < 1e-9);
@@ -197,7 +197,7 @@ mod tests {
         /// the duration asked for.
         #[test]
         fn step_2_agrees_with_the_cruise(from in state(), to in -10.0..10.0f64, extra in 1e-3..2.0f64) {
-            let l = Limits { travel_max_mm: 60.0, ..limits() };
+            let l = MotionLimits { travel_max_mm: 60.0, ..limits() };
             let mut scratch = Scratch::default();
             scratch.choose_unit(&l);
             let common = scratch.fastest(&from, to, 0).unwrap() + extra / scratch.unit_s;
@@ -226,7 +226,7 @@ mod tests {
                     t += dt;
                     at = cut.end;
                 }
-                prop_assert_eq!(at, State::rest(c.end_mm));
+                prop_assert_eq!(at, MotionState::rest(c.end_mm));
             }
         }
     }
@@ -236,7 +236,7 @@ mod tests {
     #[test]
     fn easing_the_brake_is_left_to_step_2() {
         let l = limits();
-        let braking = State { position_mm: -5.316_876, velocity_mm_s: 22.819_162, acceleration_mm_s2: -186.081_428 };
+        let braking = MotionState { position_mm: -5.316_876, velocity_mm_s: 22.819_162, acceleration_mm_s2: -186.081_428 };
         let mut scratch = Scratch::default();
         scratch.choose_unit(&l);
         let least = scratch.fastest(&braking, -3.938_170, 0).unwrap();

@@ -7,7 +7,7 @@
 
 /// Position, velocity and acceleration of one piston.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct State {
+pub struct MotionState {
     /// Piston displacement from rest, mm, + elongates the bellow.
     pub position_mm: f64,
     /// Velocity, mm/s.
@@ -16,7 +16,7 @@ pub struct State {
     pub acceleration_mm_s2: f64,
 }
 
-impl State {
+impl MotionState {
     /// Standing still at a position.
     #[must_use]
     pub fn rest(position_mm: f64) -> Self {
@@ -111,7 +111,7 @@ mod tests {
         fn turns_split_into_monotone_parts(
             v in -30.0..30.0f64, a in -300.0..300.0f64, j in -6000.0..6000.0f64, d in 1e-4..0.2f64,
         ) {
-            let s = State { position_mm: 0.0, velocity_mm_s: v, acceleration_mm_s2: a };
+            let s = MotionState { position_mm: 0.0, velocity_mm_s: v, acceleration_mm_s2: a };
             let turns = s.turns(j, d);
             let mut knots = vec![0.0];
             knots.extend_from_slice(turns.as_slice());
@@ -133,7 +133,7 @@ mod tests {
         fn reach_holds_every_sample(
             v in -30.0..30.0f64, a in -300.0..300.0f64, j in -6000.0..6000.0f64, d in 1e-4..0.2f64,
         ) {
-            let s = State { position_mm: 1.0, velocity_mm_s: v, acceleration_mm_s2: a };
+            let s = MotionState { position_mm: 1.0, velocity_mm_s: v, acceleration_mm_s2: a };
             let (low, high) = s.reach(j, d);
             let mut seen = (f64::MAX, f64::MIN);
             for i in 0..=2000 {
@@ -147,10 +147,10 @@ mod tests {
 
     #[test]
     fn no_jerk_and_no_motion_turn_nowhere() {
-        assert!(State::rest(3.0).turns(0.0, 1.0).as_slice().is_empty());
-        let cruise = State { velocity_mm_s: 2.0, ..State::rest(0.0) };
+        assert!(MotionState::rest(3.0).turns(0.0, 1.0).as_slice().is_empty());
+        let cruise = MotionState { velocity_mm_s: 2.0, ..MotionState::rest(0.0) };
         assert!(cruise.turns(0.0, 1.0).as_slice().is_empty());
-        let brake = State { velocity_mm_s: 2.0, acceleration_mm_s2: -4.0, ..State::rest(0.0) };
+        let brake = MotionState { velocity_mm_s: 2.0, acceleration_mm_s2: -4.0, ..MotionState::rest(0.0) };
         assert_eq!(brake.turns(0.0, 1.0).as_slice(), &[0.5]);
     }
 }

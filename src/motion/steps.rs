@@ -10,7 +10,7 @@
 //! the number of steps.
 
 use crate::motion::segment::{ChannelSegment, Segment};
-use crate::motion::state::State;
+use crate::motion::state::MotionState;
 
 /// One step of one channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,7 +38,7 @@ pub struct ChannelSteps {
     segment: ChannelSegment,
     /// Piece in hand, its start state and start time.
     piece: usize,
-    at: State,
+    at: MotionState,
     at_s: f64,
     /// Monotone part in hand, s from the start of the piece, and the count at its end.
     part: (f64, f64),
@@ -50,7 +50,7 @@ impl ChannelSteps {
     /// At rest at a count.
     #[must_use]
     pub fn new(step_mm: f64, count: i32) -> Self {
-        let segment = ChannelSegment::starting(State::rest(f64::from(count) * step_mm));
+        let segment = ChannelSegment::starting(MotionState::rest(f64::from(count) * step_mm));
         Self { step_mm, count, segment, piece: 0, at: segment.start, at_s: 0.0, part: (0.0, 0.0), part_count: count, done: true }
     }
 
@@ -134,7 +134,7 @@ impl ChannelSteps {
 ///
 /// Newton's method kept inside a shrinking bracket; bisection whenever it would leave it or is slow.
 /// A position outside the part (by rounding) gives the nearer end.
-fn passing(at: &State, jerk: f64, part: (f64, f64), middle_mm: f64) -> f64 {
+fn passing(at: &MotionState, jerk: f64, part: (f64, f64), middle_mm: f64) -> f64 {
     let (mut low, mut high) = part;
     let short = |t: f64| at.after(jerk, t).position_mm - middle_mm;
     let (gap_low, gap_high) = (short(low), short(high));
@@ -221,10 +221,10 @@ mod tests {
 
     #[test]
     fn a_cruise_steps_evenly() {
-        let start = State { velocity_mm_s: 10.0, ..State::rest(0.0) };
+        let start = MotionState { velocity_mm_s: 10.0, ..MotionState::rest(0.0) };
         let mut seg = ChannelSegment::starting(start);
         seg.push(1.0, 0.0);
-        let seg = seg.ending(State { position_mm: 10.0, ..start });
+        let seg = seg.ending(MotionState { position_mm: 10.0, ..start });
         let mut c = ChannelSteps::new(0.1, 0);
         c.load(&seg);
         for n in 0..100 {
@@ -238,7 +238,7 @@ mod tests {
     /// Up and down again within one piece: the turn is between the two passings of each middle.
     #[test]
     fn a_turn_inside_a_piece_steps_up_and_down() {
-        let start = State { velocity_mm_s: 10.0, acceleration_mm_s2: -20.0, position_mm: 0.0 };
+        let start = MotionState { velocity_mm_s: 10.0, acceleration_mm_s2: -20.0, position_mm: 0.0 };
         let mut seg = ChannelSegment::starting(start);
         seg.push(1.0, 0.0);
         let seg = seg.ending(start.after(0.0, 1.0));
@@ -270,7 +270,7 @@ mod tests {
     #[test]
     fn a_stream_gives_absolute_times() {
         let mut s = StepStream::new(0.1, [0; 3]);
-        let start = State { velocity_mm_s: 10.0, ..State::rest(0.0) };
+        let start = MotionState { velocity_mm_s: 10.0, ..MotionState::rest(0.0) };
         let mut up = ChannelSegment::starting(start);
         up.push(0.02, 0.0);
         let up = up.ending(start.after(0.0, 0.02));

@@ -9,15 +9,15 @@
 //! (Velocity-target case of Kröger and Wahl, "Online Trajectory Generation", IEEE T-RO 2010.)
 //! When v and v_z differ in sign the piston first turns round; the farthest point is then there.
 
-use crate::motion::limits::Limits;
+use crate::motion::limits::MotionLimits;
 use crate::motion::segment::{ChannelSegment, Segment};
-use crate::motion::state::State;
+use crate::motion::state::MotionState;
 
 /// Three constant-jerk phases that end in rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stop {
     /// Where it starts.
-    pub from: State,
+    pub from: MotionState,
     /// Duration, s, and jerk, mm/s³, of each phase.
     pub phases: [(f64, f64); 3],
     /// Where it ends, at rest, mm.
@@ -28,7 +28,7 @@ pub struct Stop {
 /// time. With the excess over another speed than zero this is the quickest way to that speed.
 #[inline]
 #[must_use]
-pub fn settling(excess_mm_s: f64, acceleration_mm_s2: f64, limits: &Limits) -> [(f64, f64); 3] {
+pub fn settling(excess_mm_s: f64, acceleration_mm_s2: f64, limits: &MotionLimits) -> [(f64, f64); 3] {
     let (j, a_max) = (limits.jerk_max_mm_s3, limits.acceleration_max_mm_s2);
     let a = acceleration_mm_s2;
     let released = excess_mm_s + a * a.abs() / (2.0 * j);
@@ -43,7 +43,7 @@ pub fn settling(excess_mm_s: f64, acceleration_mm_s2: f64, limits: &Limits) -> [
 impl Stop {
     /// The shortest stop from a state.
     #[must_use]
-    pub fn from(state: State, limits: &Limits) -> Self {
+    pub fn from(state: MotionState, limits: &MotionLimits) -> Self {
         let phases = settling(state.velocity_mm_s, state.acceleration_mm_s2, limits);
         let end = phases.iter().fold(state, |at, &(t, jerk)| at.after(jerk, t));
         Self { from: state, phases, end_mm: end.position_mm }
@@ -71,7 +71,7 @@ impl Stop {
 
 /// Whether a stop from this state stays within travel.
 #[must_use]
-pub fn stops_within_travel(state: &State, limits: &Limits, longest_mm: f64) -> bool {
+pub fn stops_within_travel(state: &MotionState, limits: &MotionLimits, longest_mm: f64) -> bool {
     if state.position_mm.abs() + longest_mm <= limits.travel_max_mm || state.is_rest() {
         return limits.travel_holds(state.position_mm);
     }
@@ -83,7 +83,7 @@ pub fn stops_within_travel(state: &State, limits: &Limits, longest_mm: f64) -> b
 ///
 /// Its duration is that of the longest stop, rounded up to whole nanoseconds.
 #[must_use]
-pub fn stop_segment(from: &[State; 3], limits: &Limits) -> Segment {
+pub fn stop_segment(from: &[MotionState; 3], limits: &MotionLimits) -> Segment {
     let stops = from.map(|s| Stop::from(s, limits));
     let longest_s = stops.iter().map(Stop::duration_s).fold(0.0, f64::max);
     let duration_s = (longest_s * 1e9).ceil() * 1e-9;
@@ -93,7 +93,7 @@ pub fn stop_segment(from: &[State; 3], limits: &Limits) -> Segment {
             c.push(t, jerk);
         }
         c.push(duration_s - stop.duration_s(), 0.0);
-        c.ending(State::rest(stop.end_mm))
+        c.ending(MotionState::rest(stop.end_mm))
     });
     Segment { duration_s, channels }
 }
@@ -104,8 +104,8 @@ mod tests {
     use crate::motion::config::MotionConfig;
     use proptest::prelude::*;
 
-    fn limits() -> Limits {
-        Limits::try_from(&MotionConfig::default()).unwrap()
+    fn limits() -> MotionLimits {
+        MotionLimits::try_from(&MotionConfig::default()).unwrap()
     }
 
     proptest! {
@@ -113,7 +113,7 @@ mod tests {
         #[test]
         fn ends_at_rest_within_limits(v in -30.0..30.0f64, a in -300.0..300.0f64) {
             let l = limits();
-            let s = State { position_mm: 0.0, velocity_mm_s: v, acceleration_mm_s2: a };
+            let s = MotionState { position_mm: 0.0, velocity_mm_s: v, acceleration_mm_s2: a };
             let stop = Stop::from(s, &l);
             let mut at = s;
             for (t, jerk) in stop.phases {
@@ -131,7 +131,7 @@ mod tests {
         #[test]
         fn is_the_fastest(v in 0.5..30.0f64, seed in prop::collection::vec(-1.0..1.0f64, 400)) {
             let l = limits();
-            let mut s = State { velocity_mm_s: v, ..State::rest(0.0) };
+            let mut s = MotionState { velocity_mm_s: v, ..MotionState::rest(0.0) };
             let best = Stop::from(s, &l).duration_s();
             let dt = best / 200.0;
             let mut t = 0.0;
@@ -145,7 +145,7 @@ mod tests {
                 }
                 // the least speed attainable at t, from the same start, belongs to the stop
                 if t < best * 0.5 {
-                    let mut at = State { velocity_mm_s: v, ..State::rest(0.0) };
+                    let mut at = MotionState { velocity_mm_s: v, ..MotionState::rest(0.0) };
                     let mut left = t;
                     for (d, jerk) in Stop::from(at, &l).phases {
                         let d = d.min(left);
@@ -160,8 +160,8 @@ mod tests {
 
     #[test]
     fn rest_needs_no_time() {
-        assert_eq!(Stop::from(State::rest(4.0), &limits()).duration_s(), 0.0);
-        let seg = stop_segment(&[State::rest(1.0); 3], &limits());
+        assert_eq!(Stop::from(MotionState::rest(4.0), &limits()).duration_s(), 0.0);
+        let seg = stop_segment(&[MotionState::rest(1.0); 3], &limits());
         assert_eq!(seg.duration_s, 0.0);
     }
 }

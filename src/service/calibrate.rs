@@ -13,7 +13,7 @@ use crate::experiment::pose::{Round, Step};
 use crate::experiment::schedule;
 use crate::model::arc::Geometry;
 use crate::model::transmission::Line;
-use crate::supervisor::cycle::Turned;
+use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::mode::Mode;
 use nalgebra::Vector3;
 
@@ -94,7 +94,7 @@ impl Session {
     }
 
     /// One turn of the loop.
-    pub fn step(&mut self, turned: &Turned) -> Next {
+    pub fn step(&mut self, turned: &CycleOutput) -> Next {
         if turned.mode != Mode::Calibrating {
             let begun = self.state != State::Mode;
             return if begun { Next::Done(Err(format!("the calibration was ended by mode {}", turned.mode))) } else { Next::Wait };

@@ -11,7 +11,7 @@ use crate::config::service::ServiceSection;
 use crate::hardware::rt::RtStatus;
 use crate::service::ServiceError;
 use crate::service::calibrate::Session;
-use crate::service::keeper::Keeper;
+use crate::service::keeper::StateWriter;
 use crate::service::memory::Memory;
 use crate::service::notify::Notifier;
 use crate::service::protocol::{Failure, answer_line};
@@ -19,7 +19,7 @@ use crate::service::record::Recording;
 use crate::service::server::Server;
 use crate::service::turns::{Message, OtherEnd, Shared};
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::cycle::{PilotConfig, Turned};
+use crate::supervisor::cycle::{SupervisorConfig, CycleOutput};
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -35,7 +35,7 @@ pub struct Parts {
     /// systemd.
     pub notifier: Notifier,
     /// The disk.
-    pub keeper: Keeper,
+    pub keeper: StateWriter,
     /// The rings.
     pub other_end: OtherEnd,
     /// Counters.
@@ -67,7 +67,7 @@ pub struct Parts {
     /// Nothing that was remembered could be believed when the first pilot took off.
     pub doubted: bool,
     /// What the pilot began with.
-    pub pilot: PilotConfig,
+    pub pilot: SupervisorConfig,
     /// The clock is not waited for.
     pub fast: bool,
 }
@@ -98,13 +98,13 @@ pub struct Hub {
     /// Orders that wait for the disk first.
     ahead: HashMap<u64, Order>,
     subscriptions: Vec<Subscription>,
-    last: Option<Turned>,
+    last: Option<CycleOutput>,
     recording: Option<Recording>,
     calibration: Option<Session>,
     /// Why the last calibration found nothing.
     calibration_failed: Option<String>,
     /// What was accepted before the calibration that is being put on the disk.
-    accepted_before: Option<crate::service::memory::Gains>,
+    accepted_before: Option<crate::service::memory::LearnedGains>,
     memory_error: Option<String>,
     /// What the disk has for certain: drivers may be armed.
     armed_on_disk: bool,

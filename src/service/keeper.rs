@@ -12,7 +12,7 @@ struct Job {
 
 /// The hub's handle.
 #[derive(Debug)]
-pub struct Keeper {
+pub struct StateWriter {
     jobs: Option<SyncSender<Job>>,
     done: Receiver<Done>,
     thread: Option<std::thread::JoinHandle<()>>,
@@ -31,7 +31,7 @@ pub struct Done {
 ///
 /// # Errors
 /// The system's.
-pub fn start(mut store: Store) -> std::io::Result<Keeper> {
+pub fn start(mut store: Store) -> std::io::Result<StateWriter> {
     let (jobs, work) = sync_channel::<Job>(4);
     let (tell, done): (Sender<Done>, Receiver<Done>) = channel();
     let thread = std::thread::Builder::new().name("keeper".into()).spawn(move || {
@@ -42,10 +42,10 @@ pub fn start(mut store: Store) -> std::io::Result<Keeper> {
             }
         }
     })?;
-    Ok(Keeper { jobs: Some(jobs), done, thread: Some(thread) })
+    Ok(StateWriter { jobs: Some(jobs), done, thread: Some(thread) })
 }
 
-impl Keeper {
+impl StateWriter {
     /// Hands over a checkpoint; false when the disk is still busy with the ones before.
     pub fn checkpoint(&self, memory: &Memory) -> bool {
         self.put(memory, None)

@@ -10,7 +10,7 @@
 //!
 //! A slot that is damaged is set aside under another name and reported; it is never read as truth.
 
-use crate::control::tick::Kept;
+use crate::control::tick::RestartState;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -34,13 +34,13 @@ pub struct Memory {
     /// Drivers may have moved the pistons since this was written.
     pub armed: bool,
     /// Where pistons and tip were, and what was learnt.
-    pub kept: Option<Kept>,
+    pub kept: Option<RestartState>,
     /// A calibration that was accepted, in use.
-    pub accepted: Option<Gains>,
+    pub accepted: Option<LearnedGains>,
     /// A calibration that waits for acceptance.
-    pub proposed: Option<Gains>,
+    pub proposed: Option<LearnedGains>,
     /// What went wrong, oldest first.
-    pub faults: Vec<Fault>,
+    pub faults: Vec<RecordedFault>,
     /// Hash of the configuration that was in use.
     pub config_hash: String,
 }
@@ -48,7 +48,7 @@ pub struct Memory {
 /// Transmission gains with their origin.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Gains {
+pub struct LearnedGains {
     /// Extension gains.
     pub k_epsilon: [f64; 3],
     /// Backlash half-widths, mm.
@@ -68,7 +68,7 @@ pub struct Gains {
 /// One entry of the fault history.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Fault {
+pub struct RecordedFault {
     /// When, seconds since 1970.
     pub unix_s: f64,
     /// What tripped.
@@ -79,7 +79,7 @@ pub struct Fault {
 
 impl Memory {
     /// Adds a fault, forgetting the oldest beyond [`FAULTS_MAX`].
-    pub fn fault(&mut self, fault: Fault) {
+    pub fn fault(&mut self, fault: RecordedFault) {
         self.faults.push(fault);
         let excess = self.faults.len().saturating_sub(FAULTS_MAX);
         self.faults.drain(..excess);
@@ -304,7 +304,7 @@ mod tests {
     use super::*;
 
     fn memory(n: i32) -> Memory {
-        let kept = Kept {
+        let kept = RestartState {
             steps: crate::primitives::units::Steps([n, -n, 7]),
             bend_rad: [0.1, 1.0 / 3.0],
             slack_mm: [0.1, 0.2, 0.3],

@@ -35,10 +35,10 @@ use crate::service::memory::{Memory, MemoryError, Recall, Store};
 use crate::service::notify::Notifier;
 use crate::service::server::Server;
 use crate::service::turns::{Loop, Shared};
-use crate::supervisor::cycle::runner::Flight;
-use crate::supervisor::cycle::{Pilot, PilotConfig};
+use crate::supervisor::cycle::runner::Runner;
+use crate::supervisor::cycle::{Supervisor, SupervisorConfig};
 use crate::supervisor::machine::Machine;
-use crate::supervisor::machine::WorldError;
+use crate::supervisor::machine::MachineError;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
@@ -49,7 +49,7 @@ pub struct Setup {
     /// The machine, open.
     pub machine: Box<dyn Machine>,
     /// What the pilot runs on.
-    pub pilot: PilotConfig,
+    pub pilot: SupervisorConfig,
     /// The daemon's own table.
     pub service: ServiceSection,
     /// The board, to put a reload together.
@@ -80,7 +80,7 @@ pub enum ServiceError {
     Memory(#[from] MemoryError),
     /// The machine is gone.
     #[error(transparent)]
-    World(#[from] WorldError),
+    World(#[from] MachineError),
     /// A socket cannot be made.
     #[error("{path}: {source}; RuntimeDirectory= in the unit makes the folder, `--socket` names another")]
     Socket {
@@ -118,7 +118,7 @@ pub fn serve(setup: Setup) -> Result<(), ServiceError> {
     let shared = Arc::new(Shared::default());
     let (wires, other_end) = turns::wires();
     let turning = Loop {
-        flight: Flight::new(setup.machine, pilot),
+        flight: Runner::new(setup.machine, pilot),
         wires,
         shared: Arc::clone(&shared),
         period_s,
@@ -177,7 +177,7 @@ fn report_recall(recall: &Recall) {
 }
 
 /// A pilot with what is remembered of this very tip.
-fn pilot_of(setup: &Setup, memory: &Memory, unknown: bool) -> Pilot {
+fn pilot_of(setup: &Setup, memory: &Memory, unknown: bool) -> Supervisor {
     let mut config = setup.pilot.clone();
     if let Some(gains) = memory.accepted.as_ref().filter(|g| g.tip == setup.tip) {
         config.tick.lines =
@@ -193,7 +193,7 @@ fn pilot_of(setup: &Setup, memory: &Memory, unknown: bool) -> Pilot {
         kept.k_lambda_mm = config.tick.lines.map(|l| l.k_lambda_mm);
         kept.rest = None;
     }
-    let mut pilot = Pilot::new(config, kept);
+    let mut pilot = Supervisor::new(config, kept);
     if unknown {
         pilot.doubt();
     }

@@ -4,9 +4,9 @@
 //! with a rest when the pistons are at zero, and only then has it a tape: what the pilot remembers in
 //! mid-flight cannot be written down.
 
-use crate::estimation::fusion::health::Outcome;
+use crate::estimation::fusion::health::ImuReading;
 use crate::service::tape;
-use crate::supervisor::cycle::Turned;
+use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::machine::Sensed;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -100,7 +100,7 @@ impl Recording {
     ///
     /// # Errors
     /// The system's: the recording should be ended.
-    pub fn turn(&mut self, turned: &Turned) -> io::Result<()> {
+    pub fn turn(&mut self, turned: &CycleOutput) -> io::Result<()> {
         self.waits &= !turned.first;
         if self.waits {
             return Ok(());
@@ -111,7 +111,7 @@ impl Recording {
             tape::write(&mut self.scratch, &tape::Record { sensed, order: turned.order, digest: tape::digest(turned) });
             tape.write_all(&self.scratch)?;
         }
-        let Outcome::Sample(sample, _) = turned.input.imu else { return Ok(()) };
+        let ImuReading::Sample(sample, _) = turned.input.imu else { return Ok(()) };
         let begun_s = *self.begun_s.get_or_insert(sample.t.0 - 1e-3);
         let t = sample.t.0 - begun_s;
         if t <= self.last_s {

@@ -1,40 +1,40 @@
 //! The status: everything worth knowing, as one JSON object; and what of a turn a subscriber gets.
 
-use crate::control::spent::Spent;
+use crate::control::spent::Saturation;
 use crate::control::tick::Frame;
 use crate::service::protocol::VERSION;
-use crate::supervisor::cycle::Turned;
-use crate::supervisor::gate::Cause;
+use crate::supervisor::cycle::CycleOutput;
+use crate::supervisor::gate::TripCause;
 use serde_json::{Value, json};
 
 /// A cause in words, with the mend.
 #[must_use]
-pub fn words(cause: Cause) -> &'static str {
+pub fn words(cause: TripCause) -> &'static str {
     match cause {
-        Cause::EmergencyStop => "the emergency stop is pressed: release it, then `retroflex reset-fault`",
-        Cause::StepGenerator => "the step generator raised an alarm: see `remarks`, then `retroflex reset-fault`",
-        Cause::Late => "the loop was kept from running: see `retroflex doctor` for real-time limits and load",
-        Cause::Unarmed => "motion was wanted while disarmed: a fault of the program, please report it",
-        Cause::Travel => "a piston would have left its travel: see [limits] of the board file",
-        Cause::Rate => "a piston would have been too fast: see [motion] of the board file",
-        Cause::Acceleration => "a piston would have been pushed too hard: see [motion] of the board file",
-        Cause::Pressure => "a line would have been compressed too far: look for a kink, or relax and calibrate again",
-        Cause::Stale => "no usable orientation for too long: check the IMU's cable; `retroflex doctor`",
-        Cause::Disagreement => "the two orientation filters disagree: `retroflex relax`, then `retroflex zero`",
-        Cause::Following => "the tip is not where it was led: see what is suspected",
+        TripCause::EmergencyStop => "the emergency stop is pressed: release it, then `retroflex reset-fault`",
+        TripCause::StepGenerator => "the step generator raised an alarm: see `remarks`, then `retroflex reset-fault`",
+        TripCause::Late => "the loop was kept from running: see `retroflex doctor` for real-time limits and load",
+        TripCause::Unarmed => "motion was wanted while disarmed: a fault of the program, please report it",
+        TripCause::Travel => "a piston would have left its travel: see [limits] of the board file",
+        TripCause::Rate => "a piston would have been too fast: see [motion] of the board file",
+        TripCause::Acceleration => "a piston would have been pushed too hard: see [motion] of the board file",
+        TripCause::Pressure => "a line would have been compressed too far: look for a kink, or relax and calibrate again",
+        TripCause::Stale => "no usable orientation for too long: check the IMU's cable; `retroflex doctor`",
+        TripCause::Disagreement => "the two orientation filters disagree: `retroflex relax`, then `retroflex zero`",
+        TripCause::Following => "the tip is not where it was led: see what is suspected",
     }
 }
 
 /// Name of a cause as in files and status lines.
 #[must_use]
-pub fn name(cause: Cause) -> String {
+pub fn name(cause: TripCause) -> String {
     serde_json::to_value(cause).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
 /// The tip will not get any nearer to its target.
 #[must_use]
 pub fn blocked(f: &Frame) -> bool {
-    f.blocked || f.spent != Spent::No
+    f.blocked || f.spent != Saturation::No
 }
 
 /// What is known of a base that turned, in words.
@@ -54,7 +54,7 @@ pub fn short(f: &Frame) -> Option<&'static str> {
 
 /// What the turn says of tip and pistons.
 #[must_use]
-pub fn turn(turned: &Turned, step_mm: f64) -> Value {
+pub fn turn(turned: &CycleOutput, step_mm: f64) -> Value {
     let f = &turned.frame;
     let pose = |b: &crate::model::bend::Bend| json!({"bend_deg": round(b.beta().to_degrees()), "dir_deg": round(b.delta().to_degrees())});
     json!({
@@ -92,7 +92,7 @@ pub fn turn(turned: &Turned, step_mm: f64) -> Value {
 
 /// The line of a subscriber.
 #[must_use]
-pub fn frame_line(turned: &Turned, step_mm: f64) -> String {
+pub fn frame_line(turned: &CycleOutput, step_mm: f64) -> String {
     let mut value = turn(turned, step_mm);
     value["v"] = json!(VERSION);
     value["event"] = json!("frame");

@@ -4,13 +4,13 @@
 //! one record a turn, little-endian: a tag byte for what is there, the numbers, a digest. Replaying it
 //! through the pilot must give every digest again; if not, the software has changed.
 
-use crate::control::tick::{Command, Kept};
-use crate::estimation::fusion::health::{Fault, Outcome, Quality};
+use crate::control::tick::{Command, RestartState};
+use crate::estimation::fusion::health::{ReadFault, ImuReading, Quality};
 use crate::model::bend::Bend;
 use crate::model::transmission::Line;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Mm, Seconds, Steps};
-use crate::supervisor::cycle::Turned;
+use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::machine::{Alarm, Inputs, Sensed};
 use nalgebra::Vector3;
@@ -39,7 +39,7 @@ pub struct Header {
     /// Lag and dead time in use at the start, s.
     pub dynamics: [f64; 2],
     /// What was remembered, if anything.
-    pub kept: Option<Kept>,
+    pub kept: Option<RestartState>,
     /// Nothing that is remembered was to be believed.
     pub doubted: bool,
 }
@@ -57,7 +57,7 @@ pub struct Record {
 
 /// FNV-1a over the bits of everything that was decided.
 #[must_use]
-pub fn digest(turned: &Turned) -> u64 {
+pub fn digest(turned: &CycleOutput) -> u64 {
     let f = &turned.frame;
     let felt = f.felt.map_or([f64::NAN; 2], |x| x.bend.0.into());
     let numbers = [f.setpoint.bend.0.x, f.setpoint.bend.0.y, f.setpoint.length.0, f.error.x, f.error.y, f.feedback.x, f.feedback.y];
@@ -113,17 +113,17 @@ impl Writer<'_> {
         self.vector(&s.acc_m_s2);
         self.option(s.mag_ut.as_ref(), Self::vector);
     }
-    fn imu(&mut self, outcome: &Outcome) {
+    fn imu(&mut self, outcome: &ImuReading) {
         match outcome {
-            Outcome::Nothing => self.u8(0),
-            Outcome::Sample(s, q) => {
+            ImuReading::Nothing => self.u8(0),
+            ImuReading::Sample(s, q) => {
                 self.u8(1);
                 self.sample(s);
                 self.f64(q.gyro_load);
                 self.f64(q.acc_load);
                 self.u8(u8::from(q.mag_overflow) | u8::from(q.expect_noise) << 1);
             }
-            Outcome::Failed(fault) => self.u8(2 + FAULTS.iter().position(|f| f == fault).unwrap_or(0) as u8),
+            ImuReading::Failed(fault) => self.u8(2 + FAULTS.iter().position(|f| f == fault).unwrap_or(0) as u8),
         }
     }
     fn alarm(&mut self, alarm: Option<Alarm>) {
@@ -161,7 +161,7 @@ impl Writer<'_> {
     }
 }
 
-const FAULTS: [Fault; 5] = [Fault::Nack, Fault::ShortRead, Fault::Bus, Fault::WrongId, Fault::BrownOut];
+const FAULTS: [ReadFault; 5] = [ReadFault::Nack, ReadFault::ShortRead, ReadFault::Bus, ReadFault::WrongId, ReadFault::BrownOut];
 const PLAIN: [Order; 9] = [
     Order::Arm,
     Order::Disarm,
@@ -230,15 +230,15 @@ impl<'a> Reader<'a> {
         let mag_ut = if self.u8()? == 0 { None } else { Some(self.vector()?) };
         Some(ImuSample { t, gyro_rad_s, acc_m_s2, mag_ut })
     }
-    fn imu(&mut self) -> Option<Outcome> {
+    fn imu(&mut self) -> Option<ImuReading> {
         Some(match self.u8()? {
-            0 => Outcome::Nothing,
+            0 => ImuReading::Nothing,
             1 => {
                 let sample = self.sample()?;
                 let (gyro_load, acc_load, bits) = (self.f64()?, self.f64()?, self.u8()?);
-                Outcome::Sample(sample, Quality { gyro_load, acc_load, mag_overflow: bits & 1 == 1, expect_noise: bits & 2 == 2 })
+                ImuReading::Sample(sample, Quality { gyro_load, acc_load, mag_overflow: bits & 1 == 1, expect_noise: bits & 2 == 2 })
             }
-            n => Outcome::Failed(*FAULTS.get(usize::from(n) - 2)?),
+            n => ImuReading::Failed(*FAULTS.get(usize::from(n) - 2)?),
         })
     }
     fn alarm(&mut self) -> Option<Option<Alarm>> {
@@ -286,7 +286,7 @@ mod tests {
             Order::Stream(command),
             Order::Lines(lines),
         ]);
-        let outcomes = [Outcome::Nothing, Outcome::Sample(sample, Quality::default())].into_iter().chain(FAULTS.map(Outcome::Failed));
+        let outcomes = [ImuReading::Nothing, ImuReading::Sample(sample, Quality::default())].into_iter().chain(FAULTS.map(ImuReading::Failed));
         let alarms = [
             None,
             Some(Alarm::Late { late_s: 0.5 }),

@@ -1,15 +1,15 @@
 //! The loop's thread: wait for the instant, turn, hand over. Nothing here locks, allocates or waits for
 //! anything but the clock.
 
-use crate::control::tick::Kept;
+use crate::control::tick::RestartState;
 use crate::hardware::rt::{Clock, Monotonic};
 use crate::primitives::units::Seconds;
 use crate::service::notify::Feed;
 use crate::supervisor::cycle::order::{Order, Refusal};
-use crate::supervisor::cycle::runner::Flight;
-use crate::supervisor::cycle::{Pilot, PilotConfig, Turned};
+use crate::supervisor::cycle::runner::Runner;
+use crate::supervisor::cycle::{Supervisor, SupervisorConfig, CycleOutput};
 use crate::supervisor::machine::Machine;
-use crate::supervisor::machine::WorldError;
+use crate::supervisor::machine::MachineError;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
@@ -20,25 +20,25 @@ pub enum Message {
     /// An order, with the number its answer carries.
     Order(u64, Order),
     /// Another configuration; the old one comes back through the ring of the spent.
-    Reload(Box<PilotConfig>),
+    Reload(Box<SupervisorConfig>),
     /// Another pilot, at rest: so that a recording begins with one that remembers nothing else.
-    Relieve(Box<Pilot>),
+    Relieve(Box<Supervisor>),
 }
 
 /// What the loop has no use for any more; freed by the hub.
 #[derive(Debug)]
-pub enum Spent {
+pub enum Retired {
     /// An old configuration.
-    Config(Box<PilotConfig>),
+    Config(Box<SupervisorConfig>),
     /// A pilot that was relieved.
-    Pilot(Box<Pilot>),
+    Supervisor(Box<Supervisor>),
 }
 
 /// Where the pistons were, worth keeping.
 #[derive(Debug, Clone, Copy)]
 pub struct KeepNote {
     /// For a restart.
-    pub kept: Kept,
+    pub kept: RestartState,
     /// Nothing needs proof: pistons at zero.
     pub at_rest: bool,
 }
@@ -47,9 +47,9 @@ pub struct KeepNote {
 pub struct Wires {
     orders: Consumer<Message>,
     answers: Producer<(u64, Result<(), Refusal>)>,
-    frames: Producer<Turned>,
+    frames: Producer<CycleOutput>,
     keeps: Producer<KeepNote>,
-    spent: Producer<Spent>,
+    spent: Producer<Retired>,
 }
 
 /// The hub's ends of the rings.
@@ -59,11 +59,11 @@ pub struct OtherEnd {
     /// Answers from it.
     pub answers: Consumer<(u64, Result<(), Refusal>)>,
     /// Every turn.
-    pub frames: Consumer<Turned>,
+    pub frames: Consumer<CycleOutput>,
     /// Where the pistons are, now and then.
     pub keeps: Consumer<KeepNote>,
     /// What is to be disposed of.
-    pub spent: Consumer<Spent>,
+    pub spent: Consumer<Retired>,
 }
 
 /// Turns the ring of frames holds: at 1 kHz four seconds of a hub that is away.
@@ -113,7 +113,7 @@ impl Shared {
 /// Everything the thread owns.
 pub struct Loop {
     /// Pilot and machine.
-    pub flight: Flight<Box<dyn Machine>>,
+    pub flight: Runner<Box<dyn Machine>>,
     /// Its ends of the rings.
     pub wires: Wires,
     /// Counters.
@@ -131,7 +131,7 @@ impl Loop {
     ///
     /// # Errors
     /// The machine's.
-    pub fn run(mut self) -> Result<(), WorldError> {
+    pub fn run(mut self) -> Result<(), MachineError> {
         let clock = Monotonic::default();
         let simulated = self.flight.machine.is_simulated();
         let period_ns = (self.period_s * 1e9) as u64;
@@ -161,18 +161,18 @@ impl Loop {
         Ok(())
     }
 
-    fn turn(&mut self, now: Seconds) -> Result<(), WorldError> {
+    fn turn(&mut self, now: Seconds) -> Result<(), MachineError> {
         let mut order = None;
         match self.wires.orders.pop() {
             Ok(Message::Order(id, o)) => order = Some((id, o)),
             Ok(Message::Reload(mut config)) => {
                 self.flight.pilot.reload(&mut config);
                 // sixteen old ones waiting: better to free one here than to leak it
-                drop(self.wires.spent.push(Spent::Config(config)));
+                drop(self.wires.spent.push(Retired::Config(config)));
             }
             Ok(Message::Relieve(mut pilot)) => {
                 std::mem::swap(&mut self.flight.pilot, &mut pilot);
-                drop(self.wires.spent.push(Spent::Pilot(pilot)));
+                drop(self.wires.spent.push(Retired::Supervisor(pilot)));
             }
             Err(_) => {}
         }

@@ -7,7 +7,7 @@ use crate::primitives::frames::Rotation;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::world::{Reply, World};
-use crate::supervisor::machine::{Nature, WorldError};
+use crate::supervisor::machine::{MachineInfo, MachineError};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, BufWriter, Read, Write};
@@ -54,7 +54,7 @@ pub struct Link {
     child: Child,
     to: BufWriter<ChildStdin>,
     from: Receiver<std::io::Result<String>>,
-    nature: Nature,
+    nature: MachineInfo,
     n: u64,
     last: String,
 }
@@ -63,34 +63,34 @@ impl Link {
     /// Starts `program` with `args` and reads its greeting.
     ///
     /// # Errors
-    /// [`WorldError`] when it cannot be started or does not greet as the protocol says.
-    pub fn start(program: &str, args: &[String]) -> Result<Self, WorldError> {
-        let fail = |source| WorldError::Start { program: program.to_owned(), source };
+    /// [`MachineError`] when it cannot be started or does not greet as the protocol says.
+    pub fn start(program: &str, args: &[String]) -> Result<Self, MachineError> {
+        let fail = |source| MachineError::Start { program: program.to_owned(), source };
         let mut child = Command::new(program).args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().map_err(fail)?;
         let missing = || fail(std::io::Error::other("no pipe to it"));
         let to = BufWriter::new(child.stdin.take().ok_or_else(missing)?);
         let from = read_lines(child.stdout.take().ok_or_else(missing)?);
-        let nature = Nature { name: String::new(), period_s: 0.0, step_mm: 0.0, rest_length_mm: 0.0 };
+        let nature = MachineInfo { name: String::new(), period_s: 0.0, step_mm: 0.0, rest_length_mm: 0.0 };
         let mut link = Self { child, to, from, nature, n: 0, last: "(nothing yet)".to_owned() };
         link.nature = greeting(&link.line()?)?;
         Ok(link)
     }
 
-    fn line(&mut self) -> Result<String, WorldError> {
+    fn line(&mut self) -> Result<String, MachineError> {
         match self.from.recv_timeout(Duration::from_secs_f64(SILENCE_S)) {
             Ok(Ok(line)) if !line.is_empty() => {
                 line.trim_end().clone_into(&mut self.last);
                 Ok(line)
             }
-            Err(RecvTimeoutError::Timeout) => Err(WorldError::Silent { seconds: SILENCE_S, last: shown(&self.last) }),
+            Err(RecvTimeoutError::Timeout) => Err(MachineError::Silent { seconds: SILENCE_S, last: shown(&self.last) }),
             Ok(Err(e)) => {
-                Err(WorldError::Malformed { line: shown(&self.last), problem: format!("then its output could not be read: {e}") })
+                Err(MachineError::Malformed { line: shown(&self.last), problem: format!("then its output could not be read: {e}") })
             }
             Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => Err(self.died()),
         }
     }
 
-    fn died(&mut self) -> WorldError {
+    fn died(&mut self) -> MachineError {
         // its output closes a moment before it is gone
         let ended = (0..50).find_map(|_| match self.child.try_wait() {
             Ok(None) => {
@@ -100,7 +100,7 @@ impl Link {
             known => Some(known.ok().flatten()),
         });
         let status = ended.flatten().map_or(String::new(), |s| format!(" ({s})"));
-        WorldError::Died { last: shown(&self.last), status }
+        MachineError::Died { last: shown(&self.last), status }
     }
 }
 
@@ -114,11 +114,11 @@ impl Drop for Link {
 }
 
 impl World for Link {
-    fn nature(&self) -> &Nature {
+    fn nature(&self) -> &MachineInfo {
         &self.nature
     }
 
-    fn step(&mut self, steps: &Steps) -> Result<Reply, WorldError> {
+    fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError> {
         self.n += 1;
         let t = self.n as f64 * self.nature.period_s;
         let [a, b, c] = steps.0;
@@ -175,11 +175,11 @@ fn shown(line: &str) -> String {
     if cut.len() < line.trim_end().len() { format!("{cut}…") } else { cut }
 }
 
-fn malformed(line: &str, problem: impl Into<String>) -> WorldError {
-    WorldError::Malformed { line: shown(line), problem: problem.into() }
+fn malformed(line: &str, problem: impl Into<String>) -> MachineError {
+    MachineError::Malformed { line: shown(line), problem: problem.into() }
 }
 
-fn greeting(line: &str) -> Result<Nature, WorldError> {
+fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
     let h: Hello = serde_json::from_str(line).map_err(|e| {
         malformed(
             line,
@@ -199,10 +199,10 @@ fn greeting(line: &str) -> Result<Nature, WorldError> {
             return Err(malformed(line, format!("{key} = {value} is outside {low} to {high}")));
         }
     }
-    Ok(Nature { name: h.plant, period_s: h.imu_period_s, step_mm: h.step_mm, rest_length_mm: h.rest_length_mm })
+    Ok(MachineInfo { name: h.plant, period_s: h.imu_period_s, step_mm: h.step_mm, rest_length_mm: h.rest_length_mm })
 }
 
-fn reply(line: &str, t: f64) -> Result<Reply, WorldError> {
+fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
     let a: Answer = serde_json::from_str(line).map_err(|e| {
         malformed(line, format!("not an answer ({e}); expected {{\"t\":…,\"imu\":{{…}} or null,\"ref\":{{\"quat\":[w,x,y,z]}}}}"))
     })?;

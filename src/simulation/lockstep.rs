@@ -1,9 +1,9 @@
 //! Any [`World`] as a [`Machine`].
 
-use crate::estimation::fusion::health::Outcome;
+use crate::estimation::fusion::health::ImuReading;
 use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::world::World;
-use crate::supervisor::machine::{Inputs, Machine, Nature, Sensed, WorldError};
+use crate::supervisor::machine::{Inputs, Machine, MachineInfo, Sensed, MachineError};
 
 /// Turns of a world that one turn of a late loop may catch up on at most.
 const CATCH_UP_MAX: u32 = 2000;
@@ -31,15 +31,15 @@ impl<W: World> Lockstep<W> {
 }
 
 impl<W: World + Send> Machine for Lockstep<W> {
-    fn nature(&self) -> &Nature {
+    fn nature(&self) -> &MachineInfo {
         self.world.nature()
     }
 
-    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, WorldError> {
+    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let period_s = self.world.nature().period_s;
         let mut said = Sensed {
             t: now,
-            imu: Outcome::Nothing,
+            imu: ImuReading::Nothing,
             base_imu: None,
             counted: Steps::default(),
             energised: self.energised,
@@ -55,7 +55,7 @@ impl<W: World + Send> Machine for Lockstep<W> {
             }
             let reply = self.world.step(&self.held)?;
             if let Some(sample) = reply.imu {
-                said.imu = Outcome::from_world(Some(sample));
+                said.imu = ImuReading::from_world(Some(sample));
             }
             said.truth = reply.truth;
         }

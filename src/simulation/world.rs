@@ -8,7 +8,7 @@ use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::plant::PlantError;
-use crate::supervisor::machine::{Nature, WorldError};
+use crate::supervisor::machine::{MachineInfo, MachineError};
 
 /// Answer to one step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,15 +24,15 @@ pub struct Reply {
 /// Something that moves when microsteps are counted.
 pub trait World {
     /// What it is.
-    fn nature(&self) -> &Nature;
+    fn nature(&self) -> &MachineInfo;
     /// Holds the counts for one period and answers.
     ///
     /// # Errors
-    /// [`WorldError`] when the other side is gone, silent or talks nonsense.
-    fn step(&mut self, steps: &Steps) -> Result<Reply, WorldError>;
+    /// [`MachineError`] when the other side is gone, silent or talks nonsense.
+    fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError>;
 }
 
-impl From<PlantError> for WorldError {
+impl From<PlantError> for MachineError {
     fn from(e: PlantError) -> Self {
         Self::Plant(e.to_string())
     }

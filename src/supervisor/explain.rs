@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 /// When something is called unexplained.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct ExplainConfig {
+pub struct ResidualConfig {
     /// Unexplained bend that is worth a word while the set-point rests, degrees. Default 4.5. Larger
     /// overlooks larger leaks and hears less of creep.
     pub rest_deg: f64,
@@ -39,7 +39,7 @@ pub struct ExplainConfig {
     pub leap_deg: f64,
 }
 
-impl Default for ExplainConfig {
+impl Default for ResidualConfig {
     fn default() -> Self {
         Self { rest_deg: 4.5, motion_deg: 12.0, share: 0.30, for_s: 0.1, leap_deg: 3.5 }
     }
@@ -48,7 +48,7 @@ impl Default for ExplainConfig {
 /// What it looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kind {
+pub enum SuspicionKind {
     /// A line slowly loses air.
     Leak,
     /// A line lost its pressure at once.
@@ -71,7 +71,7 @@ pub enum Kind {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Suspicion {
     /// What it looks like.
-    pub kind: Kind,
+    pub kind: SuspicionKind,
     /// The channel, 1 to 3; `None` where all take part.
     pub channel: Option<u8>,
     /// Share of the bellow's way that is missing (below 0) or too much.
@@ -85,21 +85,21 @@ impl std::fmt::Display for Suspicion {
         let line = self.channel.map_or_else(|| "the tip".to_owned(), |c| format!("line {c}"));
         let percent = (self.share.abs() * 100.0).min(999.0);
         match self.kind {
-            Kind::Leak => write!(f, "{line} loses air slowly ({percent:.0} % so far): look for a leak at its connectors"),
-            Kind::Burst => write!(f, "{line} lost its pressure at once: a hose came off or a bellow is torn; relax and replace"),
-            Kind::Weak => write!(f, "{line} gives {percent:.0} % less than it did: air in the line, a soft bellow, or lost steps"),
-            Kind::Strong => write!(f, "{line} gives {percent:.0} % more than it did: calibrate again, or something pushes the tip"),
-            Kind::Inverted => write!(f, "{line} moves the wrong way: check the motor's plug and `invert_dir`"),
-            Kind::Deaf => write!(f, "{line} does not answer its piston: driver off, kinked line or end stop"),
-            Kind::Contact => write!(f, "{line} is held or pushed by {:.0}° by something outside", self.deg),
-            Kind::LostSteps => write!(f, "{line} is off by a constant {:.1}°: its motor lost steps; `relax`, then `zero`", self.deg),
+            SuspicionKind::Leak => write!(f, "{line} loses air slowly ({percent:.0} % so far): look for a leak at its connectors"),
+            SuspicionKind::Burst => write!(f, "{line} lost its pressure at once: a hose came off or a bellow is torn; relax and replace"),
+            SuspicionKind::Weak => write!(f, "{line} gives {percent:.0} % less than it did: air in the line, a soft bellow, or lost steps"),
+            SuspicionKind::Strong => write!(f, "{line} gives {percent:.0} % more than it did: calibrate again, or something pushes the tip"),
+            SuspicionKind::Inverted => write!(f, "{line} moves the wrong way: check the motor's plug and `invert_dir`"),
+            SuspicionKind::Deaf => write!(f, "{line} does not answer its piston: driver off, kinked line or end stop"),
+            SuspicionKind::Contact => write!(f, "{line} is held or pushed by {:.0}° by something outside", self.deg),
+            SuspicionKind::LostSteps => write!(f, "{line} is off by a constant {:.1}°: its motor lost steps; `relax`, then `zero`", self.deg),
         }
     }
 }
 
 /// What the watch sees at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
+pub struct ResidualInput {
     /// Time since the last tick, s.
     pub dt_s: f64,
     /// Bend that the pistons as they stand should give, rad.
@@ -118,8 +118,8 @@ pub struct Seen {
 
 /// The watch's memory.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Explain {
-    config: ExplainConfig,
+pub struct ResidualMonitor {
+    config: ResidualConfig,
     r_mm: f64,
     /// Bend that the pistons should have given by now.
     model: Option<Vector2<f64>>,
@@ -169,10 +169,10 @@ const ABRUPT_S: f64 = 0.25;
 /// Smoothing of the unexplained bend, s.
 const SMOOTH_S: f64 = 0.03;
 
-impl Explain {
+impl ResidualMonitor {
     /// Nothing seen yet.
     #[must_use]
-    pub fn new(config: &ExplainConfig, r_mm: f64) -> Self {
+    pub fn new(config: &ResidualConfig, r_mm: f64) -> Self {
         let zero = Vector2::zeros();
         Self {
             config: *config,
@@ -219,7 +219,7 @@ impl Explain {
     }
 
     /// One tick; a suspicion that is new.
-    pub fn step(&mut self, seen: &Seen) -> Option<Suspicion> {
+    pub fn step(&mut self, seen: &ResidualInput) -> Option<Suspicion> {
         let model = self.follow(seen);
         let unexplained = seen.felt - model;
         let given = (seen.given - self.last_given).norm();
@@ -242,7 +242,7 @@ impl Explain {
         self.judge(seen)
     }
 
-    fn follow(&mut self, seen: &Seen) -> Vector2<f64> {
+    fn follow(&mut self, seen: &ResidualInput) -> Vector2<f64> {
         let keep = (-seen.dt_s / seen.answer_s.max(1e-3)).exp();
         let from = self.model.unwrap_or(seen.felt);
         let model = seen.given + (from - seen.given) * keep;
@@ -266,7 +266,7 @@ impl Explain {
         }
     }
 
-    fn judge(&mut self, seen: &Seen) -> Option<Suspicion> {
+    fn judge(&mut self, seen: &ResidualInput) -> Option<Suspicion> {
         let net = (seen.given - self.base_given).norm();
         let (least_deg, moved) = if self.settled { (self.config.rest_deg, net) } else { (self.config.motion_deg, net.max(self.path_rad)) };
         let allowed = least_deg.to_radians() + self.config.share * moved;
@@ -293,7 +293,7 @@ impl Explain {
     }
 
     /// The channel whose spoke the unexplained bend lies along, and what its size says.
-    fn name(&self, seen: &Seen, moved: f64, sudden: bool) -> Suspicion {
+    fn name(&self, seen: &ResidualInput, moved: f64, sudden: bool) -> Suspicion {
         let u = if sudden { self.leap } else { self.smooth };
         let along: [f64; 3] = std::array::from_fn(|j| u.dot(&Geometry::spoke(j)));
         let j = (0..3).fold(0, |best, j| if along[j].abs() > along[best].abs() { j } else { best });
@@ -307,30 +307,30 @@ impl Explain {
         // along one spoke it is one line, whatever the controller makes of it
         let of_one_line = along[j].abs() > 0.9 * u.norm();
         if led && of_one_line && share < -0.7 {
-            return of(if share < -1.5 { Kind::Inverted } else { Kind::Deaf }, share);
+            return of(if share < -1.5 { SuspicionKind::Inverted } else { SuspicionKind::Deaf }, share);
         }
         if self.settled && of_one_line && all_mm.abs() > 0.5 && x_mm / all_mm < LOST {
-            return of(Kind::Burst, x_mm / all_mm);
+            return of(SuspicionKind::Burst, x_mm / all_mm);
         }
         if seen.blocked && !sudden {
-            return Suspicion { kind: Kind::Contact, channel: None, share: -1.0, deg };
+            return Suspicion { kind: SuspicionKind::Contact, channel: None, share: -1.0, deg };
         }
         if led {
             return match share {
-                s if s < -0.7 => of(Kind::Deaf, s),
-                s if s < 0.0 => of(Kind::Weak, s),
-                s => of(Kind::Strong, s),
+                s if s < -0.7 => of(SuspicionKind::Deaf, s),
+                s if s < 0.0 => of(SuspicionKind::Weak, s),
+                s => of(SuspicionKind::Strong, s),
             };
         }
         if all_mm.abs() < 0.5 {
             // a channel near its own rest has nothing to lose: what moves it came from outside or the drive
-            return if sudden { of(Kind::LostSteps, 0.0) } else { Suspicion { kind: Kind::Contact, channel: None, share: 0.0, deg } };
+            return if sudden { of(SuspicionKind::LostSteps, 0.0) } else { Suspicion { kind: SuspicionKind::Contact, channel: None, share: 0.0, deg } };
         }
         match (x_mm / all_mm, sudden || self.abrupt) {
-            (s, true) if s < -0.75 => of(Kind::Burst, s),
-            (s, true) if s < 0.0 => of(Kind::Weak, s),
-            (s, false) if s < 0.0 => of(Kind::Leak, s),
-            (s, _) => of(Kind::Strong, s),
+            (s, true) if s < -0.75 => of(SuspicionKind::Burst, s),
+            (s, true) if s < 0.0 => of(SuspicionKind::Weak, s),
+            (s, false) if s < 0.0 => of(SuspicionKind::Leak, s),
+            (s, _) => of(SuspicionKind::Strong, s),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The safety gate: the last thing between the controller and the step generator.
 //!
 //! It is told what is wanted and what is felt, and lets the wanted counts through as long as every one
-//! of its limits holds. The first that does not latches a [`Cause`]; from then on the controller is not
+//! of its limits holds. The first that does not latches a [`TripCause`]; from then on the controller is not
 //! listened to, and the gate itself brakes and stands, goes back to zero slowly, or releases the
 //! drivers: whichever the board file names for the cause. Only [`Gate::reset`] opens it again.
 //!
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// What the gate can trip on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Cause {
+pub enum TripCause {
     /// The emergency stop is pressed.
     EmergencyStop,
     /// The step generator raised an alarm.
@@ -45,7 +45,7 @@ pub enum Cause {
 /// How the gate leaves motion after a cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Safe {
+pub enum SafeState {
     /// Brake within the limits and stand, energised: the tip keeps its pressure.
     #[default]
     Hold,
@@ -57,7 +57,7 @@ pub enum Safe {
 
 /// Limits and safe states; lengths in mm, angles in rad, times in s.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Limits {
+pub struct GateLimits {
     /// Piston travel per microstep.
     pub step_mm: f64,
     /// Time of a tick that is in time.
@@ -85,49 +85,49 @@ pub struct Limits {
     /// Speed of the way back to zero, mm/s.
     pub relax_mm_s: f64,
     /// The safe state of every cause.
-    pub on: On,
+    pub on: SafeStates,
 }
 
 /// The safe state of every cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct On {
+pub struct SafeStates {
     /// Emergency stop pressed. Default `release`.
-    pub emergency_stop: Safe,
+    pub emergency_stop: SafeState,
     /// Alarm of the step generator. Default `hold`.
-    pub step_generator: Safe,
+    pub step_generator: SafeState,
     /// Late tick. Default `hold`.
-    pub late: Safe,
+    pub late: SafeState,
     /// Motion while not armed. Default `hold`.
-    pub unarmed: Safe,
+    pub unarmed: SafeState,
     /// Travel. Default `hold`.
-    pub travel: Safe,
+    pub travel: SafeState,
     /// Speed. Default `hold`.
-    pub rate: Safe,
+    pub rate: SafeState,
     /// Acceleration. Default `hold`.
-    pub acceleration: Safe,
+    pub acceleration: SafeState,
     /// Pressure. Default `relax`.
-    pub pressure: Safe,
+    pub pressure: SafeState,
     /// Stale orientation. Default `hold`.
-    pub stale: Safe,
+    pub stale: SafeState,
     /// Filters disagree. Default `hold`.
-    pub disagreement: Safe,
+    pub disagreement: SafeState,
     /// Following error. Default `hold`.
-    pub following: Safe,
+    pub following: SafeState,
 }
 
-impl Default for On {
+impl Default for SafeStates {
     fn default() -> Self {
-        let hold = Safe::Hold;
+        let hold = SafeState::Hold;
         Self {
-            emergency_stop: Safe::Release,
+            emergency_stop: SafeState::Release,
             step_generator: hold,
             late: hold,
             unarmed: hold,
             travel: hold,
             rate: hold,
             acceleration: hold,
-            pressure: Safe::Relax,
+            pressure: SafeState::Relax,
             stale: hold,
             disagreement: hold,
             following: hold,
@@ -135,29 +135,29 @@ impl Default for On {
     }
 }
 
-impl On {
+impl SafeStates {
     /// The safe state of a cause.
     #[must_use]
-    pub fn of(&self, cause: Cause) -> Safe {
+    pub fn of(&self, cause: TripCause) -> SafeState {
         match cause {
-            Cause::EmergencyStop => self.emergency_stop,
-            Cause::StepGenerator => self.step_generator,
-            Cause::Late => self.late,
-            Cause::Unarmed => self.unarmed,
-            Cause::Travel => self.travel,
-            Cause::Rate => self.rate,
-            Cause::Acceleration => self.acceleration,
-            Cause::Pressure => self.pressure,
-            Cause::Stale => self.stale,
-            Cause::Disagreement => self.disagreement,
-            Cause::Following => self.following,
+            TripCause::EmergencyStop => self.emergency_stop,
+            TripCause::StepGenerator => self.step_generator,
+            TripCause::Late => self.late,
+            TripCause::Unarmed => self.unarmed,
+            TripCause::Travel => self.travel,
+            TripCause::Rate => self.rate,
+            TripCause::Acceleration => self.acceleration,
+            TripCause::Pressure => self.pressure,
+            TripCause::Stale => self.stale,
+            TripCause::Disagreement => self.disagreement,
+            TripCause::Following => self.following,
         }
     }
 }
 
 /// What the gate is told at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Told {
+pub struct GateInput {
     /// Time since the last tick, s.
     pub dt_s: f64,
     /// Counts that the controller wants next.
@@ -189,13 +189,13 @@ pub struct Following {
 
 /// What the gate lets through.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Passed {
+pub struct GateOutput {
     /// Counts to send.
     pub steps: Steps,
     /// The drivers may be on.
     pub energise: bool,
     /// What tripped in this very tick.
-    pub tripped: Option<Cause>,
+    pub tripped: Option<TripCause>,
     /// A way back to zero has ended.
     pub rested: bool,
 }
@@ -215,9 +215,9 @@ const WINDOW: usize = 16;
 /// The gate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gate {
-    limits: Limits,
+    limits: GateLimits,
     doing: Doing,
-    latched: Option<Cause>,
+    latched: Option<TripCause>,
     /// Emergency stop and alarm in the tick before: what stays is said once.
     stood: [bool; 2],
     /// Counts let through, newest at `head`.
@@ -236,7 +236,7 @@ pub struct Gate {
 impl Gate {
     /// A gate that passes, with the pistons at rest at these counts.
     #[must_use]
-    pub fn new(limits: &Limits, at: &Steps) -> Self {
+    pub fn new(limits: &GateLimits, at: &Steps) -> Self {
         let mut gate = Self {
             limits: *limits,
             doing: Doing::Passing,
@@ -257,7 +257,7 @@ impl Gate {
 
     /// What has tripped and was not reset.
     #[must_use]
-    pub fn latched(&self) -> Option<Cause> {
+    pub fn latched(&self) -> Option<TripCause> {
         self.latched
     }
 
@@ -299,7 +299,7 @@ impl Gate {
     }
 
     /// One tick.
-    pub fn pass(&mut self, told: &Told) -> Passed {
+    pub fn pass(&mut self, told: &GateInput) -> GateOutput {
         self.follow_setpoint(told);
         let tripped = self.judge(told);
         if let Some(cause) = tripped {
@@ -307,9 +307,9 @@ impl Gate {
             self.take_over();
             self.doing = match (self.doing, self.limits.on.of(cause)) {
                 // drivers that were let go are not switched on again by a milder cause
-                (Doing::Released, _) | (_, Safe::Release) => Doing::Released,
-                (_, Safe::Hold) => Doing::Standing,
-                (_, Safe::Relax) => Doing::Returning,
+                (Doing::Released, _) | (_, SafeState::Release) => Doing::Released,
+                (_, SafeState::Hold) => Doing::Standing,
+                (_, SafeState::Relax) => Doing::Returning,
             };
         }
         self.stood = [told.emergency_stop, told.alarm];
@@ -318,7 +318,7 @@ impl Gate {
             Doing::Passing => self.send(told.wanted, told.dt_s),
             Doing::Standing => self.go(told.dt_s, |_, _| 0.0),
             Doing::Returning => {
-                let Limits { brake_mm_s2, relax_mm_s, .. } = self.limits;
+                let GateLimits { brake_mm_s2, relax_mm_s, .. } = self.limits;
                 self.go(told.dt_s, |at_mm, dt_s| {
                     let to_go = at_mm.abs();
                     -at_mm.signum() * relax_mm_s.min((brake_mm_s2 * to_go).sqrt()).min(to_go / dt_s)
@@ -327,16 +327,16 @@ impl Gate {
             }
             Doing::Released => self.speed_mm_s = [0.0; 3],
         }
-        Passed { steps: self.sent[self.head], energise: self.doing != Doing::Released, tripped, rested }
+        GateOutput { steps: self.sent[self.head], energise: self.doing != Doing::Released, tripped, rested }
     }
 
     /// The first limit that does not hold. What the machine complains of counts at any time, what the
     /// controller wants only while it is listened to.
-    fn judge(&self, told: &Told) -> Option<Cause> {
+    fn judge(&self, told: &GateInput) -> Option<TripCause> {
         // while it passes nothing bad may stand; afterwards what is new counts
         let passing = self.doing == Doing::Passing;
         let bad = [told.emergency_stop && (passing || !self.stood[0]), told.alarm && (passing || !self.stood[1])];
-        let causes = [Cause::EmergencyStop, Cause::StepGenerator];
+        let causes = [TripCause::EmergencyStop, TripCause::StepGenerator];
         let broken = causes.into_iter().zip(bad).find(|(_, bad)| *bad).map(|(cause, _)| cause);
         if !passing {
             return broken;
@@ -347,44 +347,44 @@ impl Gate {
         let torn = told.armed && told.disagree;
         let astray = told.armed && self.astray_s > self.limits.following_for_s;
         broken
-            .or_else(|| late.then_some(Cause::Late))
+            .or_else(|| late.then_some(TripCause::Late))
             .or_else(|| self.judge_motion(told))
-            .or_else(|| blind.then_some(Cause::Stale))
-            .or_else(|| torn.then_some(Cause::Disagreement))
-            .or_else(|| astray.then_some(Cause::Following))
+            .or_else(|| blind.then_some(TripCause::Stale))
+            .or_else(|| torn.then_some(TripCause::Disagreement))
+            .or_else(|| astray.then_some(TripCause::Following))
     }
 
     /// What is wrong with the counts that are wanted.
-    fn judge_motion(&self, told: &Told) -> Option<Cause> {
+    fn judge_motion(&self, told: &GateInput) -> Option<TripCause> {
         let l = &self.limits;
         let last = self.sent[self.head];
         if !told.armed {
-            return (told.wanted != last).then_some(Cause::Unarmed);
+            return (told.wanted != last).then_some(TripCause::Unarmed);
         }
         for i in 0..3 {
             let at_mm = f64::from(told.wanted.0[i]) * l.step_mm;
             if at_mm.abs() > l.travel_mm {
-                return Some(Cause::Travel);
+                return Some(TripCause::Travel);
             }
             let (speed, acceleration) = self.motion(i, told);
             if speed.over(l.speed_mm_s) {
-                return Some(Cause::Rate);
+                return Some(TripCause::Rate);
             }
             if acceleration.over(l.acceleration_mm_s2) {
-                return Some(Cause::Acceleration);
+                return Some(TripCause::Acceleration);
             }
             if let Some(felt) = told.felt_bellow_mm
                 && (at_mm - felt[i]).abs() > l.squeeze_mm
                 && told.wanted.0[i] != last.0[i]
             {
-                return Some(Cause::Pressure);
+                return Some(TripCause::Pressure);
             }
         }
         None
     }
 
     /// Speed over the last window and its change since the one before, with their grain.
-    fn motion(&self, i: usize, told: &Told) -> (Grained, Grained) {
+    fn motion(&self, i: usize, told: &GateInput) -> (Grained, Grained) {
         let (mid, old) = (self.back(WINDOW - 1), self.back(2 * WINDOW - 1));
         let mm = |a: i32, b: i32| (f64::from(a) - f64::from(b)) * self.limits.step_mm;
         let now_s = told.dt_s + self.took(0, WINDOW - 1);
@@ -406,7 +406,7 @@ impl Gate {
     }
 
     /// How long the felt bend has been further from the set-point than its speed explains.
-    fn follow_setpoint(&mut self, told: &Told) {
+    fn follow_setpoint(&mut self, told: &GateInput) {
         let Some(Following { setpoint, felt }) = told.following else {
             (self.setpoint, self.recent_rad_s, self.astray_s) = (None, 0.0, 0.0);
             return;

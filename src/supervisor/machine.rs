@@ -14,7 +14,7 @@
 //! [`Lockstep`] makes a machine of any [`World`], so the built-in plant, a foreign plant and the
 //! hardware are interchangeable.
 
-use crate::estimation::fusion::health::Outcome;
+use crate::estimation::fusion::health::ImuReading;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
@@ -26,7 +26,7 @@ pub struct Sensed {
     /// Time of the turn on the loop's clock, as handed in.
     pub t: Seconds,
     /// The tip's IMU: the newest sample not handed over yet, a failed transfer, or nothing.
-    pub imu: Outcome,
+    pub imu: ImuReading,
     /// The base's IMU, where there is one.
     pub base_imu: Option<ImuSample>,
     /// Microsteps truly pulsed by now, signed, since zero.
@@ -85,7 +85,7 @@ impl std::fmt::Display for Alarm {
 
 /// What a world says of itself before time starts.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Nature {
+pub struct MachineInfo {
     /// Name, for reports.
     pub name: String,
     /// Length of one step of its time, s.
@@ -98,7 +98,7 @@ pub struct Nature {
 
 /// Why a world ended.
 #[derive(Debug, Error)]
-pub enum WorldError {
+pub enum MachineError {
     /// The built-in plant cannot run with its parameters.
     #[error("{0}")]
     Plant(String),
@@ -139,14 +139,14 @@ pub enum WorldError {
 /// Something that bends a tip and feels it.
 pub trait Machine: Send {
     /// What it is.
-    fn nature(&self) -> &Nature;
+    fn nature(&self) -> &MachineInfo;
 
     /// One turn of the loop at `now` (strictly later than the last): takes the counts that are wanted by
     /// the end of the coming period and hands over what has come since the last turn. Never blocks.
     ///
     /// # Errors
-    /// [`WorldError`] when the other side is gone for good.
-    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, WorldError>;
+    /// [`MachineError`] when the other side is gone for good.
+    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError>;
 
     /// Switches the drivers; off, the air may push the pistons back. Acts within some turns, which
     /// [`Sensed::energised`] tells.
@@ -167,10 +167,10 @@ pub trait Machine: Send {
 }
 
 impl<M: Machine + ?Sized> Machine for Box<M> {
-    fn nature(&self) -> &Nature {
+    fn nature(&self) -> &MachineInfo {
         (**self).nature()
     }
-    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, WorldError> {
+    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         (**self).turn(now, wanted)
     }
     fn energise(&mut self, on: bool) {

@@ -6,7 +6,7 @@ use retroflex::config::board::{Board, PlantSection};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
-use retroflex::control::tick::Config;
+use retroflex::control::tick::LoopConfig;
 use retroflex::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose};
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
@@ -28,7 +28,7 @@ pub fn plant() -> PlantSection {
 }
 
 /// The loop with nothing calibrated.
-pub fn uncalibrated() -> Config {
+pub fn uncalibrated() -> LoopConfig {
     assemble(&twin(), &Calibration::default(), &Gains::default())
 }
 

@@ -2,7 +2,7 @@
 
 use crate::rig::{BEND, Rig, bend};
 use retroflex::primitives::sample::ImuSample;
-use retroflex::simulation::plant::{Channel, Fault, Output};
+use retroflex::simulation::plant::{Channel, InjectedFault, Output};
 
 fn last(out: &[Output]) -> Output {
     *out.last().unwrap()
@@ -16,7 +16,7 @@ fn samples(rig: &mut Rig, seconds: f64) -> Vec<ImuSample> {
 fn the_bus_goes_silent_and_comes_back() {
     let mut rig = Rig::of("");
     assert_eq!(samples(&mut rig, 1.0).len(), 500);
-    rig.plant.inject(Fault::NoSample);
+    rig.plant.inject(InjectedFault::NoSample);
     assert_eq!(samples(&mut rig, 1.0).len(), 0);
     rig.plant.clear();
     assert_eq!(samples(&mut rig, 1.0).len(), 500);
@@ -26,29 +26,29 @@ fn the_bus_goes_silent_and_comes_back() {
 fn samples_freeze_turn_nan_saturate_and_spike() {
     let mut rig = Rig::of("");
     samples(&mut rig, 0.5);
-    rig.plant.inject(Fault::FrozenSample);
+    rig.plant.inject(InjectedFault::FrozenSample);
     let s = samples(&mut rig, 0.2);
     assert!(s.windows(2).all(|w| w[0].gyro_rad_s == w[1].gyro_rad_s && w[1].t.0 > w[0].t.0));
     rig.plant.clear();
-    rig.plant.inject(Fault::NanSample);
+    rig.plant.inject(InjectedFault::NanSample);
     assert!(samples(&mut rig, 0.1).iter().all(|s| !s.is_finite()));
     rig.plant.clear();
-    rig.plant.inject(Fault::Saturation);
+    rig.plant.inject(InjectedFault::Saturation);
     assert!(samples(&mut rig, 0.1).iter().all(|s| (s.gyro_rad_s.amin().to_degrees() - 500.0).abs() < 0.1));
     rig.plant.clear();
-    rig.plant.inject(Fault::Spike { gyro_deg_s: 300.0, acc_g: 1.0 });
+    rig.plant.inject(InjectedFault::Spike { gyro_deg_s: 300.0, acc_g: 1.0 });
     let s = samples(&mut rig, 0.1);
     assert!(s[0].gyro_rad_s.amin().to_degrees() > 290.0 && s[0].acc_m_s2.x > 9.0);
     assert!(s[1..].iter().all(|s| s.gyro_rad_s.norm().to_degrees() < 3.0));
-    rig.plant.inject(Fault::NoMag);
+    rig.plant.inject(InjectedFault::NoMag);
     assert!(samples(&mut rig, 0.1).iter().all(|s| s.mag_ut.is_none()));
 }
 
 #[test]
 fn biases_jump() {
     let mut rig = Rig::clean("");
-    rig.plant.inject(Fault::GyroBias { deg_s: [3.0, 0.0, 0.0] });
-    rig.plant.inject(Fault::AccBias { mg: [0.0, 100.0, 0.0] });
+    rig.plant.inject(InjectedFault::GyroBias { deg_s: [3.0, 0.0, 0.0] });
+    rig.plant.inject(InjectedFault::AccBias { mg: [0.0, 100.0, 0.0] });
     let s = samples(&mut rig, 0.1)[0];
     assert!((s.gyro_rad_s.x.to_degrees() - 3.0).abs() < 1e-9 && (s.acc_m_s2.y - 0.981).abs() < 1e-9);
     rig.plant.clear();
@@ -58,7 +58,7 @@ fn biases_jump() {
 #[test]
 fn drives_lose_invert_stop_and_switch_off() {
     let mut rig = Rig::clean("");
-    rig.plant.inject(Fault::StepLoss { channel: Channel::Two, microsteps: 100 });
+    rig.plant.inject(InjectedFault::StepLoss { channel: Channel::Two, microsteps: 100 });
     let lost = rig.at([0.0; 3]);
     assert!(lost.norm() > 3.0);
     rig.plant.clear();
@@ -69,15 +69,15 @@ fn drives_lose_invert_stop_and_switch_off() {
         last(&rig.hold(0.01)).truth.slack_mm.x
     };
     let mut rig = Rig::clean("");
-    rig.plant.inject(Fault::Inverted { channel: Channel::One });
+    rig.plant.inject(InjectedFault::Inverted { channel: Channel::One });
     assert!((slack(&mut rig, 5.0) + 5.0).abs() < 0.02);
     let mut rig = Rig::clean("");
-    rig.plant.inject(Fault::Disabled { channel: Channel::One });
+    rig.plant.inject(InjectedFault::Disabled { channel: Channel::One });
     assert_eq!(slack(&mut rig, 5.0), 0.0);
     rig.plant.clear();
     assert!((slack(&mut rig, 6.0) - 1.0).abs() < 0.03, "what was sent meanwhile is lost");
     let mut rig = Rig::clean("");
-    rig.plant.inject(Fault::EndStop { channel: Channel::One, at_mm: -4.0 });
+    rig.plant.inject(InjectedFault::EndStop { channel: Channel::One, at_mm: -4.0 });
     assert!((slack(&mut rig, 7.0) - 7.0).abs() < 0.02 && (slack(&mut rig, -9.0) + 4.0).abs() < 0.02);
     assert!((slack(&mut rig, -8.0) + 3.0).abs() < 0.03, "it comes off the stop at once, 5 mm short");
 }
@@ -88,10 +88,10 @@ fn lines_leak_burst_block_and_take_air() {
     let mut rig = Rig::clean("");
     rig.at(BEND);
     let held = pressure(&mut rig, 1.0);
-    rig.plant.inject(Fault::Leak { channel: Channel::One, rate_per_s: 0.05 });
+    rig.plant.inject(InjectedFault::Leak { channel: Channel::One, rate_per_s: 0.05 });
     let leaked = pressure(&mut rig, 10.0);
     assert!((leaked / held - (-0.5f64).exp()).abs() < 0.01, "{leaked} {held}");
-    rig.plant.inject(Fault::Burst { channel: Channel::One });
+    rig.plant.inject(InjectedFault::Burst { channel: Channel::One });
     assert!(pressure(&mut rig, 1.0).abs() < 1e-3);
     rig.plant.clear();
     assert!(pressure(&mut rig, 1.0).abs() < 1e-3, "what escaped is gone");
@@ -99,7 +99,7 @@ fn lines_leak_burst_block_and_take_air() {
 
     let mut rig = Rig::clean("");
     rig.at(BEND);
-    rig.plant.inject(Fault::Blocked { channel: Channel::One });
+    rig.plant.inject(InjectedFault::Blocked { channel: Channel::One });
     let before = last(&rig.hold(0.01)).truth.bellow_mm.x;
     rig.at([0.0; 3]);
     assert!((last(&rig.hold(0.01)).truth.bellow_mm.x - before).abs() < 1e-9);
@@ -108,10 +108,10 @@ fn lines_leak_burst_block_and_take_air() {
 
     let mut rig = Rig::clean("");
     let before = rig.at(BEND).norm();
-    rig.plant.inject(Fault::AirBubble { channel: Channel::One, factor: 1.5 });
+    rig.plant.inject(InjectedFault::AirBubble { channel: Channel::One, factor: 1.5 });
     assert!(bend(&last(&rig.hold(1.0))).norm() < before - 3.0);
     rig.plant.clear();
-    rig.plant.inject(Fault::Gain { channel: Channel::One, factor: 1.5 });
+    rig.plant.inject(InjectedFault::Gain { channel: Channel::One, factor: 1.5 });
     assert!(bend(&last(&rig.hold(1.0))).norm() > before + 3.0);
 }
 
@@ -119,7 +119,7 @@ fn lines_leak_burst_block_and_take_air() {
 fn the_world_turns_attracts_pushes_and_stands_in_the_way() {
     let mut rig = Rig::clean("");
     let rest = samples(&mut rig, 1.0)[0];
-    rig.plant.inject(Fault::BaseTurn { axis: [0.0, 2.0, 0.0], angle_deg: 10.0, over_s: 2.0 });
+    rig.plant.inject(InjectedFault::BaseTurn { axis: [0.0, 2.0, 0.0], angle_deg: 10.0, over_s: 2.0 });
     let s = samples(&mut rig, 3.0);
     let end = *s.last().unwrap();
     assert!((end.acc_m_s2.angle(&rest.acc_m_s2).to_degrees() - 10.0).abs() < 1e-3);
@@ -131,17 +131,17 @@ fn the_world_turns_attracts_pushes_and_stands_in_the_way() {
     let mag = |rig: &mut Rig| samples(rig, 0.1).iter().rev().find_map(|s| s.mag_ut).unwrap();
     let mut rig = Rig::clean("");
     let before = mag(&mut rig);
-    rig.plant.inject(Fault::Magnet { field_ut: [30.0, 0.0, 0.0] });
+    rig.plant.inject(InjectedFault::Magnet { field_ut: [30.0, 0.0, 0.0] });
     assert!(((mag(&mut rig) - before).norm() - 30.0).abs() < 1e-6);
 
-    rig.plant.inject(Fault::Push { bend_deg: 12.0, dir_deg: 90.0 });
+    rig.plant.inject(InjectedFault::Push { bend_deg: 12.0, dir_deg: 90.0 });
     let pushed = bend(&last(&rig.hold(0.1)));
     assert!(pushed.x.abs() < 1e-6 && (pushed.y - 12.0).abs() < 1e-6);
     rig.plant.clear();
     assert!(bend(&last(&rig.hold(0.1))).norm() < 1e-6);
 
     let free = rig.at(BEND).x;
-    rig.plant.inject(Fault::Wall { at_deg: 20.0, dir_deg: 0.0 });
+    rig.plant.inject(InjectedFault::Wall { at_deg: 20.0, dir_deg: 0.0 });
     let out = last(&rig.hold(0.1));
     assert!(out.truth.wall_touched && bend(&out).x < free - 8.0);
     rig.plant.clear();

@@ -2,7 +2,7 @@
 
 use super::args::{BendArgs, TransmissionArgs};
 use super::{ask, connect, outcome, say, settle};
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::cli::output;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{CalibrateAction, Request};
@@ -19,7 +19,7 @@ const MOVED_MAX: Duration = Duration::from_secs(60);
 ///
 /// # Errors
 /// A report with the service's words.
-pub fn bend(args: &BendArgs) -> Result<Outcome> {
+pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
     let request = Request::Bend { bend_deg: args.bend, dir_deg: args.toward, length_mm: args.length, speed_deg_s: args.speed };
     let value = settle(ask(&mut connection, &request))?;
@@ -29,7 +29,7 @@ pub fn bend(args: &BendArgs) -> Result<Outcome> {
     let (begun, live) = (Instant::now(), std::io::stderr().is_terminal());
     loop {
         std::thread::sleep(Duration::from_millis(50));
-        let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(Outcome::NotGoodEnough) };
+        let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
         let felt = s["felt"]["bend_deg"].as_f64().unwrap_or(0.0);
         let line =
             format!("{:>5.1} s  {}  felt {felt:.1}° of {:.1}°", begun.elapsed().as_secs_f64(), s["mode"].as_str().unwrap_or(""), args.bend);
@@ -43,7 +43,7 @@ pub fn bend(args: &BendArgs) -> Result<Outcome> {
                     if live { "\r" } else { "" },
                     s["short"].as_str().map_or_else(|| ": settled".to_owned(), |why| format!(": {why}"))
                 );
-                return Ok(if s["blocked"] == true { Outcome::NotGoodEnough } else { Outcome::Good });
+                return Ok(if s["blocked"] == true { CommandOutcome::NotGoodEnough } else { CommandOutcome::Good });
             }
             "tracking" | "holding" if begun.elapsed() < MOVED_MAX => continue,
             "faulted" => s["fault"].as_str().unwrap_or("a fault").to_owned(),
@@ -54,7 +54,7 @@ pub fn bend(args: &BendArgs) -> Result<Outcome> {
             if live { "\n" } else { "" },
             s["suspicion"].as_str().map_or_else(String::new, |x| format!("; {x}"))
         );
-        return Ok(Outcome::NotGoodEnough);
+        return Ok(CommandOutcome::NotGoodEnough);
     }
 }
 
@@ -62,18 +62,18 @@ pub fn bend(args: &BendArgs) -> Result<Outcome> {
 ///
 /// # Errors
 /// A report with the service's words.
-pub fn aligned(connection: &mut Connection) -> Result<Outcome> {
+pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
     let begun = Instant::now();
     loop {
         // the loop takes the order up in one of its next turns
         std::thread::sleep(Duration::from_millis(100));
-        let Some(s) = settle(ask(connection, &Request::Status {}))? else { return Ok(Outcome::NotGoodEnough) };
+        let Some(s) = settle(ask(connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
         if s["mode"] != "aligning" {
-            return Ok(Outcome::Good);
+            return Ok(CommandOutcome::Good);
         }
         if begun.elapsed() > ALIGNED_MAX {
             eprintln!("the tip is not still, or the base is not: no rest was found in {} s, and it goes on looking", ALIGNED_MAX.as_secs());
-            return Ok(Outcome::NotGoodEnough);
+            return Ok(CommandOutcome::NotGoodEnough);
         }
     }
 }
@@ -82,7 +82,7 @@ pub fn aligned(connection: &mut Connection) -> Result<Outcome> {
 ///
 /// # Errors
 /// A report with the service's words.
-pub fn transmission(args: &TransmissionArgs) -> Result<Outcome> {
+pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
     let action = match (args.accept, args.discard, args.short) {
         (true, ..) => CalibrateAction::Accept,
@@ -97,7 +97,7 @@ pub fn transmission(args: &TransmissionArgs) -> Result<Outcome> {
     let line = output::bar(0, "{msg}");
     loop {
         std::thread::sleep(Duration::from_millis(200));
-        let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(Outcome::NotGoodEnough) };
+        let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
         if let Some(progress) = s["calibrating"].as_str() {
             line.set_message(progress.to_owned());
             continue;
@@ -105,10 +105,10 @@ pub fn transmission(args: &TransmissionArgs) -> Result<Outcome> {
         line.finish_and_clear();
         if let Some(why) = s["calibration_failed"].as_str() {
             eprintln!("nothing was found: {why}");
-            return Ok(Outcome::NotGoodEnough);
+            return Ok(CommandOutcome::NotGoodEnough);
         }
         say(&format!("{}\n", s["proposed"]));
         eprintln!("`retroflex calibrate transmission --accept` puts it in use, `--discard` forgets it");
-        return Ok(Outcome::Good);
+        return Ok(CommandOutcome::Good);
     }
 }

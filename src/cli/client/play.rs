@@ -5,7 +5,7 @@
 
 use super::args::PlayArgs;
 use super::{ask, connect, follow, report, settle};
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::cli::output;
 use crate::diagnosis::excite::rows::{self, Row};
 use crate::model::arc::Geometry;
@@ -23,18 +23,18 @@ const LATE_MAX: Duration = Duration::from_secs(10);
 ///
 /// # Errors
 /// A schedule that cannot be read, or a report with the service's words.
-pub fn play(args: &PlayArgs) -> Result<Outcome> {
+pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     let rows = rows::read(&args.schedule).into_diagnostic()?;
     let mut connection = connect(&args.at)?;
     if args.record.is_some() {
         let start = Request::Record { action: RecordAction::Start, name: args.record.clone() };
-        if settle(ask(&mut connection, &start))?.is_none() || follow::aligned(&mut connection)? != Outcome::Good {
-            return Ok(Outcome::NotGoodEnough);
+        if settle(ask(&mut connection, &start))?.is_none() || follow::aligned(&mut connection)? != CommandOutcome::Good {
+            return Ok(CommandOutcome::NotGoodEnough);
         }
         // a schedule begins at rest, and so does its log
         std::thread::sleep(Duration::from_secs_f64(rows[0].hold_s));
         if settle(ask(&mut connection, &Request::Arm {}))?.is_none() {
-            return Ok(Outcome::NotGoodEnough);
+            return Ok(CommandOutcome::NotGoodEnough);
         }
     }
     let ended = walk(&mut connection, &rows);
@@ -46,22 +46,22 @@ pub fn play(args: &PlayArgs) -> Result<Outcome> {
     ended
 }
 
-fn walk(connection: &mut Connection, rows: &[Row]) -> Result<Outcome> {
+fn walk(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome> {
     let bar = output::bar(rows.len() as u64, "row {pos} of {len}");
     let mut before = Row::rest(0.0, &Geometry::default());
     for row in rows {
-        let Some(status) = settle(ask(connection, &Request::Status {}))? else { return Ok(Outcome::NotGoodEnough) };
+        let Some(status) = settle(ask(connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
         let way = Way::new(&before, row, &status);
         let request =
             Request::Bend { bend_deg: row.bend_deg, dir_deg: row.dir_deg, length_mm: Some(row.len_mm), speed_deg_s: way.bend_speed_deg_s };
-        if settle(ask(connection, &request))?.is_none() || stay(connection, &way, row)? != Outcome::Good {
-            return Ok(Outcome::NotGoodEnough);
+        if settle(ask(connection, &request))?.is_none() || stay(connection, &way, row)? != CommandOutcome::Good {
+            return Ok(CommandOutcome::NotGoodEnough);
         }
         before = *row;
         bar.inc(1);
     }
     bar.finish_and_clear();
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }
 
 /// From one row to the next.
@@ -84,7 +84,7 @@ impl Way {
 }
 
 /// Waits until the way and the hold are over; anything but motion and rest ends the schedule.
-fn stay(connection: &mut Connection, way: &Way, row: &Row) -> Result<Outcome> {
+fn stay(connection: &mut Connection, way: &Way, row: &Row) -> Result<CommandOutcome> {
     let begun = Instant::now();
     let mut arrived = None;
     loop {
@@ -94,7 +94,7 @@ fn stay(connection: &mut Connection, way: &Way, row: &Row) -> Result<Outcome> {
         if mode != "tracking" && mode != "holding" {
             let why = s["fault"].as_str().map_or(format!("mode {mode}"), str::to_owned);
             eprintln!("the schedule ended at bend {}° toward {}°: {why}", row.bend_deg, row.dir_deg);
-            return Ok(Outcome::NotGoodEnough);
+            return Ok(CommandOutcome::NotGoodEnough);
         }
         let on_its_way = begun.elapsed().as_secs_f64() < way.seconds
             || (mode == "tracking" && begun.elapsed().as_secs_f64() < way.seconds + LATE_MAX.as_secs_f64());
@@ -102,7 +102,7 @@ fn stay(connection: &mut Connection, way: &Way, row: &Row) -> Result<Outcome> {
             arrived = Some(Instant::now());
         }
         if arrived.is_some_and(|at| at.elapsed().as_secs_f64() >= row.hold_s) {
-            return Ok(Outcome::Good);
+            return Ok(CommandOutcome::Good);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::args::{StatusArgs, SubscribeArgs};
 use super::{At, ask, connect, report, say, settle};
-use crate::cli::Outcome;
+use crate::cli::CommandOutcome;
 use crate::service::protocol::Request;
 use miette::{Result, miette};
 use serde_json::Value;
@@ -13,17 +13,17 @@ use std::time::Duration;
 ///
 /// # Errors
 /// A report with the service's words.
-pub fn status(args: &StatusArgs) -> Result<Outcome> {
+pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
     loop {
-        let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(Outcome::NotGoodEnough) };
+        let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
         if args.json {
             say(&format!("{s}\n"));
         } else {
             say(&readable(&s));
         }
         if !args.watch {
-            return Ok(Outcome::Good);
+            return Ok(CommandOutcome::Good);
         }
         std::thread::sleep(Duration::from_millis(500));
     }
@@ -74,33 +74,33 @@ fn readable(s: &Value) -> String {
 ///
 /// # Errors
 /// A report with the service's words.
-pub fn stream(at: &At) -> Result<Outcome> {
+pub fn stream(at: &At) -> Result<CommandOutcome> {
     let mut connection = connect(at)?;
     for line in std::io::stdin().lock().lines() {
         let line = line.map_err(|e| miette!("stdin: {e}"))?;
         let numbers: Vec<f64> = line.split_whitespace().filter_map(|w| w.parse().ok()).collect();
         let [bend_deg, dir_deg] = numbers[..] else { return Err(miette!("stdin: `{line}`: expected BEND DIR, two numbers in degrees")) };
         if settle(ask(&mut connection, &Request::Stream { bend_deg, dir_deg, length_mm: None }))?.is_none() {
-            return Ok(Outcome::NotGoodEnough);
+            return Ok(CommandOutcome::NotGoodEnough);
         }
     }
-    Ok(Outcome::Good)
+    Ok(CommandOutcome::Good)
 }
 
 /// `subscribe`: frames as JSON lines.
 ///
 /// # Errors
 /// A report with the service's words.
-pub fn subscribe(args: &SubscribeArgs) -> Result<Outcome> {
+pub fn subscribe(args: &SubscribeArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
     if settle(ask(&mut connection, &Request::Subscribe { rate_hz: args.rate }))?.is_none() {
-        return Ok(Outcome::NotGoodEnough);
+        return Ok(CommandOutcome::NotGoodEnough);
     }
     let mut out = std::io::stdout();
     loop {
         let value = connection.line().map_err(report)?;
         if writeln!(out, "{value}").is_err() {
-            return Ok(Outcome::Good);
+            return Ok(CommandOutcome::Good);
         }
     }
 }

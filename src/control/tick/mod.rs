@@ -14,22 +14,22 @@ mod pistons;
 mod state;
 mod types;
 
-pub use state::{Kept, KeptRest, State};
-pub use types::{Command, Config, FeedbackConfig, Frame, Input, Mode, Senses};
+pub use state::{RestartState, RestartRest, LoopState};
+pub use types::{Command, LoopConfig, FeedbackConfig, Frame, Input, TickPhase, Senses};
 
 use crate::control::follow::Follower;
 use crate::control::limit::Cut;
 use crate::control::pi::PiGains;
-use crate::control::rest::RestState;
-use crate::estimation::fusion::health::{Action, Outcome as Reading};
-use crate::estimation::fusion::tip::{Felt, Told};
-use crate::estimation::fusion::watch::{Seen, Watch};
+use crate::control::rest::StandstillLatch;
+use crate::estimation::fusion::health::{HealthAction, ImuReading as Reading};
+use crate::estimation::fusion::tip::{TipEstimate, FusionInput};
+use crate::estimation::fusion::watch::{WatchInput, Watch};
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::model::transmission::{Line, realised};
 use crate::primitives::units::Mm;
 use nalgebra::{Vector1, Vector2, Vector3};
-use pistons::{Outcome, command_pistons};
+use pistons::{PistonOutput, command_pistons};
 use state::Held;
 
 /// Pistons must have rested this long before the tip counts as still, s.
@@ -38,12 +38,12 @@ const STILL_AFTER_S: f64 = 0.5;
 const LEARN_AFTER_S: f64 = 0.15;
 
 /// One turn of the loop.
-pub fn tick(config: &Config, state: &mut State, input: &Input) -> Frame {
+pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame {
     feel(config, state, input);
     let given = pistons_give(config, state, input);
     let felt = state.fusion.felt();
     let Some(felt_bend) = felt.map(|f| f.bend) else {
-        return frame(config, state, input, None, given, Outcome::resting(state));
+        return frame(config, state, input, None, given, PistonOutput::resting(state));
     };
     if let Some(command) = input.command {
         state.target = Shape { bend: command.bend, length: command.length };
@@ -70,7 +70,7 @@ pub fn tick(config: &Config, state: &mut State, input: &Input) -> Frame {
 }
 
 /// Fusion, told whether the pistons have rested.
-fn feel(config: &Config, state: &mut State, input: &Input) {
+fn feel(config: &LoopConfig, state: &mut LoopState, input: &Input) {
     state.still_s = if input.steps == state.last_steps { state.still_s + input.dt_s } else { 0.0 };
     for (idle_s, (now, before)) in state.idle_s.iter_mut().zip(input.steps.0.iter().zip(state.last_steps.0)) {
         *idle_s = if *now == before { *idle_s + input.dt_s } else { 0.0 };
@@ -83,12 +83,12 @@ fn feel(config: &Config, state: &mut State, input: &Input) {
         other => other,
     };
     let still = state.still_s >= STILL_AFTER_S;
-    state.fusion.update(&config.fuse, &Told { now: input.t, tip, base: input.base_imu, coils_ut, still });
+    state.fusion.update(&config.fuse, &FusionInput { now: input.t, tip, base: input.base_imu, coils_ut, still });
 }
 
 /// Whether the pistons must stand: the closed loop does not move blindly, nor while it aligns again.
 /// Entering a hold brakes each piston at its pace; leaving it, the targets start from where they stand.
-fn hold(config: &Config, state: &mut State) -> bool {
+fn hold(config: &LoopConfig, state: &mut LoopState) -> bool {
     let blind = state.fusion.hold() && config.feedback.is_some();
     if !blind && !state.fusion.realigning() {
         state.held = None;
@@ -107,7 +107,7 @@ fn hold(config: &Config, state: &mut State) -> bool {
 }
 
 /// The watch for a base that turns, where no base IMU tells; and the request to align again.
-fn watch_base(config: &Config, state: &mut State, input: &Input, should: Vector2<f64>, felt: Bend) {
+fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Input, should: Vector2<f64>, felt: Bend) {
     // by the play, not as the inverse meant it: what was answered before the flag is taken back through
     // the gap, and need not end where it began
     let played = config.geometry.shape(&bellows_of(&state.lines, &state.slack_mm)).bend.0;
@@ -123,7 +123,7 @@ fn watch_base(config: &Config, state: &mut State, input: &Input, should: Vector2
     let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.base_moved && !state.fusion.follows_base()) else {
         return;
     };
-    let seen = Seen {
+    let seen = WatchInput {
         rate_rad_s,
         felt: felt.0,
         model: should + state.pi.feedback,
@@ -147,7 +147,7 @@ fn watch_base(config: &Config, state: &mut State, input: &Input, should: Vector2
 /// What the pulses so far have done: the slack by the play operator, which teaches k_ε, and the slack
 /// as the inverse meant it, which the error is taken against. They differ while a nudge has jumped
 /// only a share of the gap, and then it is the meant one that the integrator must push on.
-fn pistons_give(config: &Config, state: &mut State, input: &Input) -> Bend {
+fn pistons_give(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Bend {
     let piston_mm = config.drive.piston_mm(&input.steps);
     for i in 0..3 {
         state.slack_mm[i] = state.lines[i].play(state.slack_mm[i], piston_mm[i]);
@@ -161,7 +161,7 @@ fn bellows_of(lines: &[Line; 3], slack_mm: &Vector3<f64>) -> Vector3<f64> {
 }
 
 /// Moves the set-point towards the target, both kept within what the bellows can be.
-fn advance_setpoint(config: &Config, state: &mut State, dt_s: f64) -> Cut {
+fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, dt_s: f64) -> Cut {
     let (q, cut) = config.limits.bellows(&config.geometry.lengths(&state.target), config.geometry.rest_length_mm);
     if cut != Cut::None {
         state.target = config.geometry.shape(&q);
@@ -178,14 +178,14 @@ fn advance_setpoint(config: &Config, state: &mut State, dt_s: f64) -> Cut {
 
 /// PI on the bend vector against what the model says should be felt by now. With a base that has
 /// moved the error means nothing, and the integrator keeps what it had.
-fn feed_back(config: &Config, state: &mut State, should: Vector2<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector2<f64> {
+fn feed_back(config: &LoopConfig, state: &mut LoopState, should: Vector2<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector2<f64> {
     let error = should - felt.0;
     let Some(f) = &config.feedback else {
         return error;
     };
     let to_go = state.target.bend.0 - felt.0;
     if state.base_moved {
-        state.rest = RestState::default();
+        state.rest = StandstillLatch::default();
         state.pi.feedback = state.pi.integral;
         return error;
     }
@@ -201,7 +201,7 @@ fn feed_back(config: &Config, state: &mut State, should: Vector2<f64>, felt: Ben
 }
 
 /// Online learners: dynamics while it moves, k_ε from every new held pose.
-fn learn(config: &Config, state: &mut State, given: Bend, felt: Bend, dt_s: f64) {
+fn learn(config: &LoopConfig, state: &mut LoopState, given: Bend, felt: Bend, dt_s: f64) {
     let learns_dynamics = config.feedback.is_some_and(|f| f.learn_dynamics);
     if learns_dynamics {
         state.bank.step(given.0, felt.0, dt_s);
@@ -224,11 +224,11 @@ fn learn(config: &Config, state: &mut State, given: Bend, felt: Bend, dt_s: f64)
     }
 }
 
-fn frame(config: &Config, state: &State, input: &Input, felt: Option<Felt>, given: Bend, outcome: Outcome) -> Frame {
+fn frame(config: &LoopConfig, state: &LoopState, input: &Input, felt: Option<TipEstimate>, given: Bend, outcome: PistonOutput) -> Frame {
     let mode = match felt {
-        None => Mode::Aligning,
-        Some(_) if state.bend.arrived(&state.target.bend.0) => Mode::Holding,
-        Some(_) => Mode::Tracking,
+        None => TickPhase::Aligning,
+        Some(_) if state.bend.arrived(&state.target.bend.0) => TickPhase::Holding,
+        Some(_) => TickPhase::Tracking,
     };
     Frame {
         t: input.t,
@@ -249,7 +249,7 @@ fn frame(config: &Config, state: &State, input: &Input, felt: Option<Felt>, give
         blocked: state.wall.blocked,
         spent: state.spent.now(),
         senses: Senses {
-            action: state.fusion.verdict().map_or(Action::Use, |v| v.action()),
+            action: state.fusion.verdict().map_or(HealthAction::Use, |v| v.action()),
             in_force: state.fusion.in_force(),
             held: state.held.is_some(),
             disagrees: felt.is_some_and(|f| f.disagrees),

@@ -1,6 +1,6 @@
 //! The command path: bend command → bellow lengths → transmission inverse → limits → paced pistons.
 
-use super::{Config, State};
+use super::{LoopConfig, LoopState};
 use crate::control::limit::Cut;
 use crate::control::reach::Patience;
 use crate::model::arc::Shape;
@@ -13,15 +13,15 @@ use nalgebra::{Vector1, Vector2, Vector3};
 const EASE_S: f64 = 0.15;
 
 /// What the command path of one tick came to.
-pub(super) struct Outcome {
+pub(super) struct PistonOutput {
     pub(super) error: Vector2<f64>,
     pub(super) bellow_mm: Vector3<f64>,
     pub(super) piston_target_mm: Vector3<f64>,
     pub(super) cut: Cut,
 }
 
-impl Outcome {
-    pub(super) fn resting(state: &State) -> Self {
+impl PistonOutput {
+    pub(super) fn resting(state: &LoopState) -> Self {
         Self {
             error: Vector2::zeros(),
             bellow_mm: Vector3::zeros(),
@@ -32,7 +32,7 @@ impl Outcome {
 }
 
 /// Bend command → bellow lengths → transmission inverse → limits → paced pistons.
-pub(super) fn command_pistons(config: &Config, state: &mut State, felt: Bend, moving: bool, dt_s: f64) -> Outcome {
+pub(super) fn command_pistons(config: &LoopConfig, state: &mut LoopState, felt: Bend, moving: bool, dt_s: f64) -> PistonOutput {
     let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.lag_s);
     let bend = Bend(state.bend.at + state.bend.velocity * lead_s + state.pi.feedback);
     let length = Mm(state.length.at.x);
@@ -51,11 +51,11 @@ pub(super) fn command_pistons(config: &Config, state: &mut State, felt: Bend, mo
     for i in 0..3 {
         state.pistons[i].step(&Vector1::new(piston_target_mm[i]), &config.piston_pace, dt_s);
     }
-    Outcome { error: Vector2::zeros(), bellow_mm, piston_target_mm, cut }
+    PistonOutput { error: Vector2::zeros(), bellow_mm, piston_target_mm, cut }
 }
 
 /// After a hold the targets leave where the pistons stand without a jump.
-fn eased(state: &mut State, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+fn eased(state: &mut LoopState, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> {
     if let Some(held) = state.held {
         state.ease_mm = held.stop_mm;
         state.easing = true;
@@ -70,7 +70,7 @@ fn eased(state: &mut State, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> 
 }
 
 /// Eq. 16 per channel; a reversal asked for by feedback alone jumps the learned share of the gap.
-fn invert_transmission(config: &Config, state: &mut State, bellow_mm: &Vector3<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector3<f64> {
+fn invert_transmission(config: &LoopConfig, state: &mut LoopState, bellow_mm: &Vector3<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector3<f64> {
     let nudging = config.feedback.is_some() && !moving;
     let mut turned = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {

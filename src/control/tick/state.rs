@@ -1,14 +1,14 @@
 //! What the loop remembers from tick to tick, and what of it outlives a restart.
 
-use super::{Config, bellows_of};
+use super::{LoopConfig, bellows_of};
 use crate::control::follow::Follower;
 use crate::control::learning::dynamics::DynamicsBank;
 use crate::control::learning::online::RefineState;
 use crate::control::pi::{Dynamics, PiState, ReferenceModel};
-use crate::control::reach::Reach;
-use crate::control::rest::RestState;
-use crate::control::spent::SpentState;
-use crate::control::wall::WallState;
+use crate::control::reach::BacklashAdaptation;
+use crate::control::rest::StandstillLatch;
+use crate::control::spent::SaturationMonitor;
+use crate::control::wall::ObstructionDetector;
 use crate::estimation::fusion::tip::Fusion;
 use crate::estimation::fusion::watch::Watch;
 use crate::model::arc::Shape;
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 /// What the loop remembers from tick to tick.
 #[derive(Debug, Clone)]
-pub struct State {
+pub struct LoopState {
     /// Orientation estimation.
     pub fusion: Fusion,
     pub(super) target: Shape,
@@ -34,13 +34,13 @@ pub struct State {
     pub(super) realised_mm: Vector3<f64>,
     pub(super) model: ReferenceModel,
     pub(super) pi: PiState,
-    pub(super) rest: RestState,
+    pub(super) rest: StandstillLatch,
     pub(super) rested_s: f64,
-    pub(super) wall: WallState,
+    pub(super) wall: ObstructionDetector,
     /// The integrator is at its bound.
     pub(super) full: bool,
-    pub(super) spent: SpentState,
-    pub(super) reach: Reach,
+    pub(super) spent: SaturationMonitor,
+    pub(super) reach: BacklashAdaptation,
     pub(super) refine: RefineState,
     pub(super) bank: DynamicsBank,
     pub(super) last_steps: Steps,
@@ -67,7 +67,7 @@ pub(super) struct Held {
 /// What outlives a restart of the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Kept {
+pub struct RestartState {
     /// Microsteps counted since zero.
     pub steps: Steps,
     /// Felt bend vector, rad.
@@ -83,13 +83,13 @@ pub struct Kept {
     /// Learnt dead time, s.
     pub delay_s: f64,
     /// The rest, once it was found.
-    pub rest: Option<KeptRest>,
+    pub rest: Option<RestartRest>,
 }
 
 /// The rest as alignment found it, in the base frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct KeptRest {
+pub struct RestartRest {
     /// Mean specific force, m/s².
     pub acc_m_s2: [f64; 3],
     /// Mean field, µT, where there was a magnetometer.
@@ -98,10 +98,10 @@ pub struct KeptRest {
     pub gyro_bias_rad_s: [f64; 3],
 }
 
-impl State {
+impl LoopState {
     /// At rest, pistons at zero, straight, not aligned.
     #[must_use]
-    pub fn new(config: &Config) -> Self {
+    pub fn new(config: &LoopConfig) -> Self {
         let rest = Shape { bend: Bend::STRAIGHT, length: Mm(config.geometry.rest_length_mm) };
         Self {
             fusion: Fusion::default(),
@@ -116,12 +116,12 @@ impl State {
             realised_mm: Vector3::zeros(),
             model: ReferenceModel::default(),
             pi: PiState::default(),
-            rest: RestState::default(),
+            rest: StandstillLatch::default(),
             rested_s: 0.0,
-            wall: WallState::default(),
+            wall: ObstructionDetector::default(),
             full: false,
-            spent: SpentState::default(),
-            reach: Reach::default(),
+            spent: SaturationMonitor::default(),
+            reach: BacklashAdaptation::default(),
             refine: RefineState::new(&config.lines),
             bank: DynamicsBank::default(),
             last_steps: Steps::default(),
@@ -149,7 +149,7 @@ impl State {
 
     /// The pistons rest at these counts, wherever they were led from, and the tip is to stay at `at`:
     /// what feedback is in the pistons becomes the integral part, so that nothing moves by itself.
-    pub fn stand(&mut self, config: &Config, steps: &Steps, at: Bend) {
+    pub fn stand(&mut self, config: &LoopConfig, steps: &Steps, at: Bend) {
         let piston_mm = config.drive.piston_mm(steps);
         for i in 0..3 {
             let line = &self.lines[i];
@@ -168,8 +168,8 @@ impl State {
         let feedback = given.bend.0 - at.0;
         self.pi = PiState { integral: feedback, feedback };
         self.model = ReferenceModel::resting(at.0);
-        (self.rest, self.rested_s, self.wall) = (RestState::default(), 0.0, WallState::default());
-        (self.full, self.spent) = (false, SpentState::default());
+        (self.rest, self.rested_s, self.wall) = (StandstillLatch::default(), 0.0, ObstructionDetector::default());
+        (self.full, self.spent) = (false, SaturationMonitor::default());
         (self.held, self.ease_mm, self.easing) = (None, Vector3::zeros(), false);
         self.last_steps = *steps;
         self.reach.forget();
@@ -178,18 +178,18 @@ impl State {
     /// Takes the feedback out of the command, as an open loop needs it.
     pub fn forget_feedback(&mut self) {
         self.pi = PiState::default();
-        (self.full, self.spent) = (false, SpentState::default());
+        (self.full, self.spent) = (false, SaturationMonitor::default());
     }
 
     /// What is worth keeping over a restart, with the pistons at these counts.
     #[must_use]
-    pub fn keep(&self, steps: &Steps) -> Kept {
-        let rest = self.fusion.rest().map(|r| KeptRest {
+    pub fn keep(&self, steps: &Steps) -> RestartState {
+        let rest = self.fusion.rest().map(|r| RestartRest {
             acc_m_s2: r.acc_rest_m_s2.into(),
             mag_ut: r.mag_rest_ut.map(Into::into),
             gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
         });
-        Kept {
+        RestartState {
             steps: *steps,
             bend_rad: self.fusion.felt().map_or([0.0; 2], |f| f.bend.0.into()),
             slack_mm: self.slack_mm.into(),
@@ -202,7 +202,7 @@ impl State {
     }
 
     /// Takes up what was kept before alignment: where the pistons stand and what was learnt.
-    pub fn take_up(&mut self, config: &Config, kept: &Kept) {
+    pub fn take_up(&mut self, config: &LoopConfig, kept: &RestartState) {
         self.lines = [0, 1, 2].map(|i: usize| Line { k_epsilon: kept.k_epsilon[i], k_lambda_mm: kept.k_lambda_mm[i] });
         self.dynamics = Dynamics { lag_s: kept.lag_s, delay_s: kept.delay_s };
         self.slack_mm = kept.slack_mm.into();

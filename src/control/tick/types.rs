@@ -2,13 +2,13 @@
 
 use crate::control::follow::Pace;
 use crate::control::learning::online::RefineConfig;
-use crate::control::limit::{Cut, Limits};
+use crate::control::limit::{Cut, ActuatorLimits};
 use crate::control::pi::Dynamics;
-use crate::control::rest::RestConfig;
-use crate::control::spent::Spent;
-use crate::control::wall::WallConfig;
-use crate::estimation::fusion::health::{Action, CauseSet, Outcome as Reading};
-use crate::estimation::fusion::tip::{Felt, FuseConfig};
+use crate::control::rest::StandstillConfig;
+use crate::control::spent::Saturation;
+use crate::control::wall::ObstructionConfig;
+use crate::estimation::fusion::health::{HealthAction, CauseSet, ImuReading as Reading};
+use crate::estimation::fusion::tip::{TipEstimate, FuseConfig};
 use crate::estimation::imu_calibration::Correction;
 use crate::estimation::imu_calibration::motor::MotorField;
 use crate::model::arc::{Geometry, Shape};
@@ -21,7 +21,7 @@ use nalgebra::{Vector2, Vector3};
 
 /// Everything that does not change while the loop runs.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Config {
+pub struct LoopConfig {
     /// Bellows and backbone.
     pub geometry: Geometry,
     /// Rack and pinion.
@@ -39,7 +39,7 @@ pub struct Config {
     /// Pace of each piston, mm/s and mm/s².
     pub piston_pace: Pace,
     /// Static limits.
-    pub limits: Limits,
+    pub limits: ActuatorLimits,
     /// The outer loop; `None` runs open loop.
     pub feedback: Option<FeedbackConfig>,
     /// Online refinement of k_ε.
@@ -68,9 +68,9 @@ pub struct FeedbackConfig {
     /// Learn lag and dead time while running.
     pub learn_dynamics: bool,
     /// The rest latch.
-    pub rest: RestConfig,
+    pub rest: StandstillConfig,
     /// The watch for a tip that is held.
-    pub wall: WallConfig,
+    pub wall: ObstructionConfig,
 }
 
 /// Where the tip shall go.
@@ -112,7 +112,7 @@ impl Default for Input {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Senses {
     /// The harshest thing the judge of readings asks for.
-    pub action: Action,
+    pub action: HealthAction,
     /// What is counted against the sensor.
     pub in_force: CauseSet,
     /// The pistons are held because of it.
@@ -123,7 +123,7 @@ pub struct Senses {
 
 /// What the loop is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mode {
+pub enum TickPhase {
     /// Waiting for a still tip; pistons stay.
     Aligning,
     /// The set-point moves.
@@ -138,13 +138,13 @@ pub struct Frame {
     /// Time of the tick.
     pub t: Seconds,
     /// What the loop was doing.
-    pub mode: Mode,
+    pub mode: TickPhase,
     /// The target as commanded.
     pub target: Shape,
     /// The set-point on its way to the target.
     pub setpoint: Shape,
     /// Felt orientation, once aligned.
-    pub felt: Option<Felt>,
+    pub felt: Option<TipEstimate>,
     /// Bend that the pistons as they stand should give, rad.
     pub pistons_give: Bend,
     /// Error that the PI acted on, rad.
@@ -168,7 +168,7 @@ pub struct Frame {
     /// Pushed without coming.
     pub blocked: bool,
     /// The controller has done what it may, and the tip is still off.
-    pub spent: Spent,
+    pub spent: Saturation,
     /// How the sensors are.
     pub senses: Senses,
     /// The base has turned: the integrator is frozen until a re-alignment.

@@ -7,7 +7,7 @@
 //!   below a threshold are struck out, and the rest is solved again.
 //! * **Nearest signature**: the effect whose tangent makes the smallest angle with what is left.
 
-use crate::diagnosis::begin::Ground;
+use crate::diagnosis::begin::BaseFit;
 use crate::diagnosis::chain::{Model, NOMINAL};
 use crate::diagnosis::fit::{Point, bounds, fit_with_slope, nominal_start};
 use crate::diagnosis::observe::Observed;
@@ -58,7 +58,7 @@ impl Library {
         let (fitted, _) = fit_with_slope(log, &none, &nominal_start(lines), 6, false);
         let point = Point::new(log, &none, &bounds(&none), fitted.theta, &all);
         let tangent = Tangent::new(log, &none, &point, &bounds(&none), &all);
-        let ground = Ground { model: none, point, tangent };
+        let ground = BaseFit { model: none, point, tangent };
         let (mut columns, mut at) = (ground.tangent.clone(), vec![NOMINAL]);
         for e in catalogue {
             let model = Model::new(&[e.as_ref()]);

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 /// Kinds of manoeuvre.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum ManoeuvreKind {
     /// `count` poses around a full circle of δ at one bend.
     Circle,
     /// Up to the bend in `count` rungs and down again.
@@ -29,13 +29,13 @@ pub enum Kind {
 }
 
 /// Kinds a new manoeuvre is drawn from.
-const KINDS: [Kind; 7] = [Kind::Circle, Kind::Ladder, Kind::Nested, Kind::Reversals, Kind::Stroke, Kind::Hold, Kind::Single];
+const KINDS: [ManoeuvreKind; 7] = [ManoeuvreKind::Circle, ManoeuvreKind::Ladder, ManoeuvreKind::Nested, ManoeuvreKind::Reversals, ManoeuvreKind::Stroke, ManoeuvreKind::Hold, ManoeuvreKind::Single];
 
 /// One manoeuvre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Manoeuvre {
     /// What is done.
-    pub kind: Kind,
+    pub kind: ManoeuvreKind,
     /// Largest bend, degrees.
     pub bend_deg: f64,
     /// Direction it starts in, degrees.
@@ -66,16 +66,16 @@ impl Manoeuvre {
         let n = self.count.max(1);
         let part = |k: usize| k as f64 / n as f64;
         let mut rows: Vec<Row> = match self.kind {
-            Kind::Circle => (0..n).map(|k| pose(self.bend_deg, self.dir_deg + 360.0 * part(k), self.len_mm, self.hold_s)).collect(),
-            Kind::Ladder => (1..=n).chain((1..n).rev()).map(|k| here(self.bend_deg * part(k))).collect(),
-            Kind::Nested => (0..n).map(|k| here(self.bend_deg * (1.0 - part(k)) * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
-            Kind::Reversals => (0..2 * n).map(|k| here(self.bend_deg * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
-            Kind::Stroke => {
+            ManoeuvreKind::Circle => (0..n).map(|k| pose(self.bend_deg, self.dir_deg + 360.0 * part(k), self.len_mm, self.hold_s)).collect(),
+            ManoeuvreKind::Ladder => (1..=n).chain((1..n).rev()).map(|k| here(self.bend_deg * part(k))).collect(),
+            ManoeuvreKind::Nested => (0..n).map(|k| here(self.bend_deg * (1.0 - part(k)) * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
+            ManoeuvreKind::Reversals => (0..2 * n).map(|k| here(self.bend_deg * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
+            ManoeuvreKind::Stroke => {
                 let lengths = [self.len_mm, 2.0 * rest_mm - self.len_mm];
                 (0..2 * n).map(|k| pose(self.bend_deg, self.dir_deg, lengths[k % 2], self.hold_s)).collect()
             }
-            Kind::Hold => vec![here(self.bend_deg), pose(0.0, 0.0, rest_mm, self.hold_s / 3.0)],
-            Kind::Single => (0..3).flat_map(|i| single(rig, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))).collect(),
+            ManoeuvreKind::Hold => vec![here(self.bend_deg), pose(0.0, 0.0, rest_mm, self.hold_s / 3.0)],
+            ManoeuvreKind::Single => (0..3).flat_map(|i| single(rig, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))).collect(),
         };
         for row in &mut rows {
             *row = within(rig, row);
@@ -125,8 +125,8 @@ const LENGTH_MM: (f64, f64) = (17.5, 24.0);
 const SPEED_MM_S: (f64, f64) = (3.0, 28.0);
 const COUNT: (usize, usize) = (2, 8);
 
-fn hold_range(kind: Kind) -> (f64, f64) {
-    if kind == Kind::Hold { (6.0, 30.0) } else { (0.15, 2.5) }
+fn hold_range(kind: ManoeuvreKind) -> (f64, f64) {
+    if kind == ManoeuvreKind::Hold { (6.0, 30.0) } else { (0.15, 2.5) }
 }
 
 /// Poses (β, δ, l) that pull bellow `i` in and push it out while the other two keep their length.
@@ -170,19 +170,19 @@ pub fn first_guess() -> Vec<Manoeuvre> {
         speed_mm_s,
     };
     vec![
-        m(Kind::Circle, 35.0, 0.0, 20.0, 6, 0.4, 25.0),
-        m(Kind::Ladder, 70.0, 90.0, 22.0, 4, 0.8, 15.0),
-        m(Kind::Reversals, 20.0, 30.0, 20.0, 4, 0.15, 28.0),
-        m(Kind::Single, 40.0, 0.0, 20.0, 2, 0.8, 20.0),
-        m(Kind::Nested, 65.0, 150.0, 20.0, 6, 0.3, 6.0),
-        m(Kind::Hold, 70.0, 240.0, 20.0, 2, 18.0, 25.0),
-        m(Kind::Stroke, 45.0, 300.0, 23.0, 2, 1.0, 20.0),
-        m(Kind::Circle, 70.0, 15.0, 21.5, 8, 0.6, 12.0),
-        m(Kind::Hold, 65.0, 60.0, 23.0, 2, 18.0, 25.0),
-        m(Kind::Ladder, 75.0, 330.0, 20.0, 4, 0.6, 25.0),
-        m(Kind::Nested, 60.0, 270.0, 22.0, 5, 0.3, 25.0),
-        m(Kind::Reversals, 35.0, 120.0, 20.0, 3, 0.15, 28.0),
-        m(Kind::Hold, 60.0, 150.0, 18.5, 2, 15.0, 25.0),
+        m(ManoeuvreKind::Circle, 35.0, 0.0, 20.0, 6, 0.4, 25.0),
+        m(ManoeuvreKind::Ladder, 70.0, 90.0, 22.0, 4, 0.8, 15.0),
+        m(ManoeuvreKind::Reversals, 20.0, 30.0, 20.0, 4, 0.15, 28.0),
+        m(ManoeuvreKind::Single, 40.0, 0.0, 20.0, 2, 0.8, 20.0),
+        m(ManoeuvreKind::Nested, 65.0, 150.0, 20.0, 6, 0.3, 6.0),
+        m(ManoeuvreKind::Hold, 70.0, 240.0, 20.0, 2, 18.0, 25.0),
+        m(ManoeuvreKind::Stroke, 45.0, 300.0, 23.0, 2, 1.0, 20.0),
+        m(ManoeuvreKind::Circle, 70.0, 15.0, 21.5, 8, 0.6, 12.0),
+        m(ManoeuvreKind::Hold, 65.0, 60.0, 23.0, 2, 18.0, 25.0),
+        m(ManoeuvreKind::Ladder, 75.0, 330.0, 20.0, 4, 0.6, 25.0),
+        m(ManoeuvreKind::Nested, 60.0, 270.0, 22.0, 5, 0.3, 25.0),
+        m(ManoeuvreKind::Reversals, 35.0, 120.0, 20.0, 3, 0.15, 28.0),
+        m(ManoeuvreKind::Hold, 60.0, 150.0, 18.5, 2, 15.0, 25.0),
     ]
 }
 

@@ -44,7 +44,7 @@ pub struct Entry {
 
 /// The answer.
 #[derive(Debug, Clone, Serialize)]
-pub struct Verdict {
+pub struct MapVerdict {
     /// `none`, `effects` or `unknown`.
     pub kind: &'static str,
     /// Names.
@@ -80,7 +80,7 @@ pub struct Document {
     /// Every single effect, most closed first.
     pub effects: Vec<Entry>,
     /// The answer.
-    pub verdict: Verdict,
+    pub verdict: MapVerdict,
     /// What this log cannot show, whatever the scores say.
     pub notes: Vec<String>,
     /// The fitted model on other logs.
@@ -98,7 +98,7 @@ impl Document {
             gap: Figures { recalibrated: 0.0, explained: 0.0, noise_floor: 0.0 },
             set: vec![],
             effects: vec![],
-            verdict: Verdict { kind: "unknown", names: vec![], equivalent: vec![] },
+            verdict: MapVerdict { kind: "unknown", names: vec![], equivalent: vec![] },
             notes: vec!["the inputs do not fix the nominal model: they move together or not at all. Record them one by one".to_owned()],
             fresh: vec![],
         }

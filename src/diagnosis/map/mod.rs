@@ -12,9 +12,9 @@ pub mod operators;
 pub mod regress;
 pub mod table;
 
-use crate::diagnosis::map::document::{Document, Entry, Figures, Fresh, Parameter, Verdict};
+use crate::diagnosis::map::document::{Document, Entry, Figures, Fresh, Parameter, MapVerdict};
 use crate::diagnosis::map::file::{MapFile, Nominal};
-use crate::diagnosis::map::model::{Ground, Member};
+use crate::diagnosis::map::model::{MapBase, Member};
 use crate::diagnosis::map::operators::{DRIVEN, Operator, STILL};
 use crate::diagnosis::map::regress::{Regressed, Task};
 use crate::diagnosis::map::table::Signals;
@@ -42,7 +42,7 @@ struct Set {
 /// Diagnoses; `fresh` are other logs of the rig, on which the fitted model is tried as it is.
 #[must_use]
 pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed: u64) -> Document {
-    let ground = Ground::new(map, log);
+    let ground = MapBase::new(map, log);
     let task = Task::new(&log.output);
     let catalogue = catalogue(map, log);
     let Some(nominal) = ground.scored(&task, log, &[], 0) else { return Document::empty(map) };
@@ -76,7 +76,7 @@ pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed:
         gap: Figures { recalibrated: nominal.scores.energy().sqrt(), explained: chosen.scores.energy().sqrt(), noise_floor: noise },
         set: (!chosen.members.is_empty()).then(|| entry(&chosen, &nominal, gap, seed)).into_iter().collect(),
         effects,
-        verdict: Verdict { kind, names: chosen.members.iter().map(|m| m.operator.name).collect(), equivalent },
+        verdict: MapVerdict { kind, names: chosen.members.iter().map(|m| m.operator.name).collect(), equivalent },
         notes,
         fresh: refit,
     }
@@ -92,7 +92,7 @@ fn catalogue(map: &MapFile, log: &Signals) -> Vec<Operator> {
 }
 
 /// `members` and the operator, at the η that leaves least of what the fits have seen.
-fn best(ground: &Ground, task: &Task<'_>, log: &Signals, members: &[Member], operator: &Operator) -> Option<Set> {
+fn best(ground: &MapBase, task: &Task<'_>, log: &Signals, members: &[Member], operator: &Operator) -> Option<Set> {
     let at = |eta: f64| {
         let member = Member { operator: *operator, eta, columns: (operator.columns)(&ground.drive, eta) };
         let all: Vec<Member> = members.iter().cloned().chain([member]).collect();
@@ -109,7 +109,7 @@ fn best(ground: &Ground, task: &Task<'_>, log: &Signals, members: &[Member], ope
 }
 
 /// Forward: the operator that closes most, while it is worth it.
-fn grown(ground: &Ground, task: &Task<'_>, log: &Signals, nominal: &Set, catalogue: &[Operator], gap: f64) -> Set {
+fn grown(ground: &MapBase, task: &Task<'_>, log: &Signals, nominal: &Set, catalogue: &[Operator], gap: f64) -> Set {
     let mut set = nominal.clone();
     while set.members.len() < MEMBERS {
         let fresh = catalogue.iter().filter(|o| set.members.iter().all(|m| m.operator.name != o.name));
@@ -129,7 +129,7 @@ fn pays(from: &Regressed, to: &Regressed, gap: f64) -> bool {
 }
 
 /// Backward: members that the others have made needless go.
-fn thinned(ground: &Ground, task: &Task<'_>, log: &Signals, mut set: Set, gap: f64) -> Set {
+fn thinned(ground: &MapBase, task: &Task<'_>, log: &Signals, mut set: Set, gap: f64) -> Set {
     while set.members.len() > 1 {
         let without = (0..set.members.len()).filter_map(|k| {
             let mut rest = set.members.clone();
@@ -146,7 +146,7 @@ fn thinned(ground: &Ground, task: &Task<'_>, log: &Signals, mut set: Set, gap: f
 }
 
 /// For each member the operators that do as well in its place.
-fn equivalent(ground: &Ground, task: &Task<'_>, log: &Signals, chosen: &Set, catalogue: &[Operator], gap: f64) -> Vec<Vec<&'static str>> {
+fn equivalent(ground: &MapBase, task: &Task<'_>, log: &Signals, chosen: &Set, catalogue: &[Operator], gap: f64) -> Vec<Vec<&'static str>> {
     let mut out = Vec::new();
     for (k, member) in chosen.members.iter().enumerate() {
         let mut rest = chosen.members.clone();
@@ -198,7 +198,7 @@ fn interval(from: &Regressed, to: &Regressed, floor: f64, seed: u64) -> [f64; 2]
 }
 
 /// The fitted models on a log they have not seen; only the offset is set anew.
-fn tried(ground: &Ground, nominal: &Set, chosen: &Set, name: &str, other: &Signals) -> Option<Fresh> {
+fn tried(ground: &MapBase, nominal: &Set, chosen: &Set, name: &str, other: &Signals) -> Option<Fresh> {
     let rmse = |set: &Set| ground.rmse_on(other, &set.members, &set.scores.coefficients);
     Some(Fresh { log: name.to_owned(), before: rmse(nominal)?, after: rmse(chosen)? })
 }

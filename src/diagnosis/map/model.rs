@@ -31,7 +31,7 @@ struct Scale {
 }
 
 /// The nominal model on the log.
-pub struct Ground {
+pub struct MapBase {
     scale: Scale,
     /// What the operators work on.
     pub drive: Drive,
@@ -69,7 +69,7 @@ fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
     vec![first, oscillator(&force, wh, zeta)]
 }
 
-impl Ground {
+impl MapBase {
     /// Identifies the nominal model on the log.
     #[must_use]
     pub fn new(map: &MapFile, log: &Signals) -> Self {

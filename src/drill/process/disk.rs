@@ -1,6 +1,6 @@
 //! A disk that is full, and one that can only be read.
 
-use crate::control::tick::Kept;
+use crate::control::tick::RestartState;
 use crate::drill::Row;
 use crate::drill::bench::{Make, bend};
 use crate::service::memory::{Memory, Store};
@@ -34,7 +34,7 @@ pub fn exercise(make: &Make, folder: &Path, harm: Option<Harm>) -> io::Result<()
     let mut out = io::stdout().lock();
     let mut bench = make.bench(0, 1).map_err(|e| other(&e))?;
     bench.until(10.0, |t| t.mode == Mode::Disarmed).map_err(|e| other(&e))?;
-    let mut keep = |armed: bool, kept: Kept, out: &mut io::StdoutLock<'_>| -> io::Result<bool> {
+    let mut keep = |armed: bool, kept: RestartState, out: &mut io::StdoutLock<'_>| -> io::Result<bool> {
         let memory = Memory { armed, kept: Some(kept), ..Memory::default() };
         match store.write(&memory) {
             Ok(_) => {

@@ -5,7 +5,7 @@ use crate::drill::Row;
 use crate::drill::bench::{Breakable, Make, bend};
 use crate::service::memory::Store;
 use crate::service::protocol::Request;
-use crate::simulation::plant::Fault;
+use crate::simulation::plant::InjectedFault;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
 use std::io::{self, BufRead, BufReader};
@@ -105,7 +105,7 @@ fn kill_at(program: &Path, folder: &Path, after: Duration) -> io::Result<Option<
 }
 
 /// A restart on a machine that stands at rest: microsteps emitted in three seconds, and the mode.
-fn start_elsewhere(make: &Make, kept: crate::control::tick::Kept) -> io::Result<(i64, Mode)> {
+fn start_elsewhere(make: &Make, kept: crate::control::tick::RestartState) -> io::Result<(i64, Mode)> {
     let machine = Breakable::new(make.sim(0, 3).map_err(world)?);
     let mut bench = make.bench_on(machine, Some(kept), 0.0);
     let turned = bench.run(3.0).map_err(world)?;
@@ -165,7 +165,7 @@ pub fn while_bent(make: &Make) -> io::Result<Row> {
     for moved in [false, true] {
         let mut machine = bench.flight.machine.clone();
         if moved {
-            machine.inject(Fault::Push { bend_deg: 15.0, dir_deg: 200.0 });
+            machine.inject(InjectedFault::Push { bend_deg: 15.0, dir_deg: 200.0 });
         }
         let mut again = make.bench_on(machine, Some(kept), now_s);
         let first = again.turn(None).map_err(world)?;

@@ -49,9 +49,9 @@ use crate::estimation::fusion::base::BaseTurn;
 use crate::model::bend::Bend;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
-use kalman::{ACC, Belief, GYRO, Innovation, MAG, MOUNT, N, State, TWIST};
+use kalman::{ACC, Belief, GYRO, Innovation, MAG, MOUNT, N, StateVector, TWIST};
 use laws::{Turn, Twist, bend_by_turn, velocity};
-use leap::Leap;
+use leap::Reacquisition;
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
 /// Time over which the surprise of gravity decides whether the gyroscope drifts, s.
@@ -83,14 +83,14 @@ pub struct BendFilter {
     /// Velocity of the sensor by the bend's rate, now and at the last correction, m/s, rest axes.
     velocity_m_s: [Vector3<f64>; 2],
     corrected: Vector2<f64>,
-    leap: Leap,
+    leap: Reacquisition,
     /// Running mean of the twist's normalised misfit squared.
     misfit: f64,
 }
 
 /// Which parts of a sample may be believed, and whether the pistons rest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Heed {
+pub struct MeasurementMask {
     /// Correct with the accelerometer.
     pub acc: bool,
     /// Correct with the magnetometer.
@@ -125,7 +125,7 @@ impl BendFilter {
             doubt: 1.0,
             velocity_m_s: [Vector3::zeros(); 2],
             corrected: Vector2::zeros(),
-            leap: Leap::default(),
+            leap: Reacquisition::default(),
             misfit: 0.0,
         }
     }
@@ -245,7 +245,7 @@ impl BendFilter {
     }
 
     /// One sample, `dt_s` after the last, with the base turned by `base` since the rest.
-    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: Heed, base: &BaseTurn) {
+    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, base: &BaseTurn) {
         let carried = self.s.inverse() * base.rate_rad_s;
         self.predict(&(sample.gyro_rad_s - carried), dt_s);
         let base_now = base.r_rest_now.inverse().to_rotation_matrix().into_inner();
@@ -333,7 +333,7 @@ impl BendFilter {
 
     /// What gravity contradicts for long is the gyroscope's drift, so it raises the bias' wander and not
     /// gravity's own noise; what it contradicts for a moment is the tip's acceleration.
-    fn correct_gravity(&mut self, turn: &Turn, before: &State) {
+    fn correct_gravity(&mut self, turn: &Turn, before: &StateVector) {
         let rest = self.rest.acc_rest_m_s2;
         let motion = self.config.acc_motion_m_s2_per_rad_s * self.turning_rad_s;
         let white = self.rest.acc_sigma_m_s2.max(0.005).powi(2) / f64::from(self.acc.n) + motion * motion;
@@ -350,7 +350,7 @@ impl BendFilter {
     /// While the field's readings keep exceeding their noise, the excess is taken for a direction error,
     /// which lasts, not for white noise: it may lie without bound, and the worse it fits the less is
     /// believed of it.
-    fn correct_field(&mut self, turn: &Turn, rest: &Vector3<f64>, before: &State) {
+    fn correct_field(&mut self, turn: &Turn, rest: &Vector3<f64>, before: &StateVector) {
         let white = self.rest.mag_sigma_ut.max(0.05).powi(2) / f64::from(self.mag.n);
         let noise = self.noise(white, self.config.field_error * rest.norm());
         let h = Belief::rows(MAG, &turn.slopes(rest, &self.belief.block(MAG)));
@@ -387,7 +387,7 @@ impl BendFilter {
 
     /// A tip whose pistons rest reads its bias: the whole second of rest counts once. A rate that neither
     /// creep nor drift can make is a base that turns.
-    fn correct_stillness(&mut self, before: &State) {
+    fn correct_stillness(&mut self, before: &StateVector) {
         let mean = self.rate.mean();
         let n_per_s = 1.0 / self.config.correction_period_s;
         let sigma = self.config.still_rate_sigma_rad_s;

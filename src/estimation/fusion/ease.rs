@@ -14,13 +14,13 @@ const GONE_RAD: f64 = 1e-5;
 
 /// Difference between what is felt and what the estimator says.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Ease {
+pub struct CorrectionSmoother {
     /// Added to the estimate, rad.
     pub offset: Vector2<f64>,
     armed_s: f64,
 }
 
-impl Ease {
+impl CorrectionSmoother {
     /// From now on for a while.
     pub fn arm(&mut self) {
         self.armed_s = ARMED_S;
@@ -44,7 +44,7 @@ mod tests {
 
     #[test]
     fn a_jump_is_spread_and_wholly_let_in() {
-        let mut ease = Ease::default();
+        let mut ease = CorrectionSmoother::default();
         ease.step(&Vector2::new(0.2, 0.0), 0.005);
         assert_eq!(ease.offset, Vector2::zeros(), "corrections pass when nothing was wrong");
         ease.arm();

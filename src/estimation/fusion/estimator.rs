@@ -2,7 +2,7 @@
 
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::base::BaseTurn;
-use crate::estimation::fusion::bend::{BendFilter, BendFilterConfig, Heed};
+use crate::estimation::fusion::bend::{BendFilter, BendFilterConfig, MeasurementMask};
 use crate::estimation::fusion::generic::Generic;
 use crate::estimation::fusion::{FilterName, Periods};
 use crate::model::bend::Bend;
@@ -89,7 +89,7 @@ impl Estimator {
     }
 
     /// One sample, `dt_s` after the last.
-    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: Heed, base: &BaseTurn) {
+    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, base: &BaseTurn) {
         match self {
             Self::Bend(f) => f.update(sample, dt_s, heed, base),
             Self::Generic(f) => f.update(sample, dt_s, heed, base),
@@ -105,7 +105,7 @@ impl Estimator {
     }
 
     /// The first sample after `gap_s` in which nothing could be used.
-    pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, heed: Heed, base: &BaseTurn) {
+    pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, heed: MeasurementMask, base: &BaseTurn) {
         match self {
             Self::Bend(f) => f.lost((gap_s * DARK_RAD_S).min(DARK_RAD)),
             Self::Generic(f) => f.relevel(sample, heed, base),

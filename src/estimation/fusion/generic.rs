@@ -7,7 +7,7 @@
 
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::base::BaseTurn;
-use crate::estimation::fusion::bend::Heed;
+use crate::estimation::fusion::bend::MeasurementMask;
 use crate::estimation::fusion::health::FieldReference;
 use crate::estimation::fusion::intake::GAP_MAX_S;
 use crate::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
@@ -95,7 +95,7 @@ impl Generic {
     }
 
     /// One sample, `dt_s` after the last.
-    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: Heed, base: &BaseTurn) {
+    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, base: &BaseTurn) {
         let told = ImuSample {
             t: sample.t,
             gyro_rad_s: sample.gyro_rad_s - self.gyro_bias_rad_s,
@@ -109,7 +109,7 @@ impl Generic {
     }
 
     /// Starts again from one sample after a time in which nothing was seen.
-    pub fn relevel(&mut self, sample: &ImuSample, heed: Heed, base: &BaseTurn) {
+    pub fn relevel(&mut self, sample: &ImuSample, heed: MeasurementMask, base: &BaseTurn) {
         self.update(sample, GAP_MAX_S * 1.1, heed, base);
     }
 
@@ -152,7 +152,7 @@ mod tests {
             for base in [UnitQuaternion::from_euler_angles(0.4, 0.9, -2.0), UnitQuaternion::from_euler_angles(2.8, 0.1, 1.0)] {
                 let rest = rest(&base);
                 let mut filter = Generic::new(name, Periods { imu_s: 0.002, mag_s: 0.01 }, &rest);
-                let heed = Heed { acc: true, mag: true, still: false };
+                let heed = MeasurementMask { acc: true, mag: true, still: false };
                 let mut before = UnitQuaternion::identity();
                 for k in 1..=1500 {
                     let t = f64::from(k) * 0.002;

@@ -7,7 +7,7 @@
 //! grows with the rate of the tip: the second opinion is late by half a period.
 
 use crate::estimation::fusion::base::BaseTurn;
-use crate::estimation::fusion::bend::Heed;
+use crate::estimation::fusion::bend::MeasurementMask;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::primitives::sample::ImuSample;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -68,7 +68,7 @@ impl Second {
     }
 
     /// Gathers a sample; true when a period was full and the estimator took its mean.
-    pub fn gather(&mut self, config: &SecondConfig, sample: &ImuSample, dt_s: f64, heed: Heed, base: &BaseTurn) -> bool {
+    pub fn gather(&mut self, config: &SecondConfig, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, base: &BaseTurn) -> bool {
         self.turn *= UnitQuaternion::from_scaled_axis(sample.gyro_rad_s * dt_s);
         self.gathered_s += dt_s;
         if heed.acc {
@@ -86,14 +86,14 @@ impl Second {
             acc_m_s2: self.acc / f64::from(self.n.max(1)),
             mag_ut: (self.mag.1 > 0).then(|| self.mag.0 / f64::from(self.mag.1)),
         };
-        let heed = Heed { acc: self.n > 0, mag: self.mag.1 > 0, ..heed };
+        let heed = MeasurementMask { acc: self.n > 0, mag: self.mag.1 > 0, ..heed };
         self.estimator.update(&mean, self.gathered_s, heed, base);
         self.empty();
         true
     }
 
     /// Starts again from one sample after a time in which nothing was seen.
-    pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, heed: Heed, base: &BaseTurn) {
+    pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, heed: MeasurementMask, base: &BaseTurn) {
         self.empty();
         self.estimator.recover(sample, gap_s, heed, base);
     }

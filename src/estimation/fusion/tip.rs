@@ -8,14 +8,14 @@
 //!
 //! The judge speaks first: nothing reaches an estimator that it has not let through. A hole in the
 //! readings that is longer than a sample may be integrated over widens the estimate, and what gravity
-//! and field then correct is let in smoothly ([`Ease`]). Nothing here allocates.
+//! and field then correct is let in smoothly ([`CorrectionSmoother`]). Nothing here allocates.
 
 use crate::estimation::fusion::align::{AlignConfig, AlignState, Alignment};
 use crate::estimation::fusion::base::{BaseConfig, BaseTracker, BaseTurn};
-use crate::estimation::fusion::bend::{BendFilter, BendFilterConfig, Heed};
-use crate::estimation::fusion::ease::Ease;
+use crate::estimation::fusion::bend::{BendFilter, BendFilterConfig, MeasurementMask};
+use crate::estimation::fusion::ease::CorrectionSmoother;
 use crate::estimation::fusion::estimator::{Choice, Estimator};
-use crate::estimation::fusion::health::{self, Cause, CauseSet, Health, Known, Outcome, Quality, Reading, Verdict};
+use crate::estimation::fusion::health::{self, HealthCause, CauseSet, Health, KnownErrors, ImuReading, Quality, TimedReading, HealthVerdict};
 use crate::estimation::fusion::second::{Second, SecondConfig};
 use crate::estimation::fusion::watch::WatchConfig;
 use crate::model::bend::Bend;
@@ -39,7 +39,7 @@ pub struct FuseConfig {
     /// The estimator beside it.
     pub second: SecondConfig,
     /// When a reading is believed, and what to do when it is not.
-    pub health: health::Config,
+    pub health: health::HealthConfig,
     /// The base's own IMU, where there is one.
     pub base: BaseConfig,
     /// The watch for a base that moves, where there is none.
@@ -48,7 +48,7 @@ pub struct FuseConfig {
 
 /// What fusion says after a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Felt {
+pub struct TipEstimate {
     /// Tip in the base.
     pub r_base_tip: Rotation<Base, Tip>,
     /// The bend in it.
@@ -63,11 +63,11 @@ pub struct Felt {
 
 /// What fusion is told at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Told {
+pub struct FusionInput {
     /// Time of the tick, on the clock of the sample stamps.
     pub now: Seconds,
     /// What came from the tip.
-    pub tip: Outcome,
+    pub tip: ImuReading,
     /// A sample of the base's IMU, if there is one.
     pub base: Option<ImuSample>,
     /// Field of the motors' coils in the base, µT; zero where it is not known.
@@ -98,11 +98,11 @@ struct Refused {
 struct Running {
     rest: Alignment,
     /// The judge's limits for this source.
-    limits: health::Config,
+    limits: health::HealthConfig,
     noisy: bool,
     estimator: Estimator,
     second: Second,
-    ease: Ease,
+    ease: CorrectionSmoother,
     last: Option<ImuSample>,
     /// What was refused since for leaping.
     refused: Refused,
@@ -120,8 +120,8 @@ struct Running {
 /// Orientation estimation from power-up on.
 #[derive(Debug, Clone)]
 pub struct Fusion {
-    judge: health::State,
-    verdict: Option<Verdict>,
+    judge: health::HealthState,
+    verdict: Option<HealthVerdict>,
     base: BaseTracker,
     stage: Stage,
 }
@@ -129,7 +129,7 @@ pub struct Fusion {
 impl Default for Fusion {
     fn default() -> Self {
         let stage = Stage::Aligning(AlignState::default());
-        Self { judge: health::State::default(), verdict: None, base: BaseTracker::Absent, stage }
+        Self { judge: health::HealthState::default(), verdict: None, base: BaseTracker::Absent, stage }
     }
 }
 
@@ -144,8 +144,8 @@ const BRIDGED_PERIODS: f64 = 6.0;
 
 impl Fusion {
     /// One tick.
-    pub fn update(&mut self, config: &FuseConfig, told: &Told) {
-        let told = &Told { tip: self.without_coils(told), ..*told };
+    pub fn update(&mut self, config: &FuseConfig, told: &FusionInput) {
+        let told = &FusionInput { tip: self.without_coils(told), ..*told };
         let Self { judge, verdict, base, stage } = self;
         if let Some(sample) = &told.base {
             let up = if let Stage::Running(r) = stage { Some(r.rest.acc_rest_m_s2) } else { None };
@@ -153,9 +153,9 @@ impl Fusion {
         }
         match stage {
             Stage::Aligning(state) => {
-                let said = Health::judge(&config.health, judge, Reading { now: told.now, outcome: told.tip });
+                let said = Health::judge(&config.health, judge, TimedReading { now: told.now, outcome: told.tip });
                 *verdict = Some(said);
-                if let (true, Outcome::Sample(sample, _)) = (said.gyro && !frozen(&said), &told.tip)
+                if let (true, ImuReading::Sample(sample, _)) = (said.gyro && !frozen(&said), &told.tip)
                     && let Some(rest) = state.add(&config.align, sample)
                 {
                     *stage = Stage::Running(Running::new(config, &rest));
@@ -164,7 +164,7 @@ impl Fusion {
             }
             Stage::Running(running) => {
                 let outcome = running.expecting_noise(told.tip);
-                let said = Health::judge(&running.limits, judge, Reading { now: told.now, outcome });
+                let said = Health::judge(&running.limits, judge, TimedReading { now: told.now, outcome });
                 *verdict = Some(said);
                 running.update(config, &said, told, base);
                 if let Some(known) = running.known() {
@@ -175,13 +175,13 @@ impl Fusion {
     }
 
     /// What came from the tip, its field without the motors' share of it.
-    fn without_coils(&self, told: &Told) -> Outcome {
+    fn without_coils(&self, told: &FusionInput) -> ImuReading {
         let here = match &self.stage {
             Stage::Aligning(_) => told.coils_ut,
             Stage::Running(r) => r.estimator.r_base_tip().inverse().apply(&told.coils_ut),
         };
         match told.tip {
-            Outcome::Sample(s, quality) => Outcome::Sample(ImuSample { mag_ut: s.mag_ut.map(|m| m - here), ..s }, quality),
+            ImuReading::Sample(s, quality) => ImuReading::Sample(ImuSample { mag_ut: s.mag_ut.map(|m| m - here), ..s }, quality),
             other => other,
         }
     }
@@ -210,7 +210,7 @@ impl Fusion {
     pub fn assume(&mut self, config: &FuseConfig, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
         if let Stage::Running(running) = &mut self.stage {
             running.assume(config, bend, acc_m_s2, mag_ut);
-            self.judge.set_known(Known::default(), &running.rest.acc_rest_m_s2, running.rest.mag_rest_ut.as_ref());
+            self.judge.set_known(KnownErrors::default(), &running.rest.acc_rest_m_s2, running.rest.mag_rest_ut.as_ref());
         }
     }
 
@@ -226,7 +226,7 @@ impl Fusion {
         let why = |state: &AlignState| state.refused.map_or_else(|| "no sample came".to_owned(), |why| why.to_string());
         let faults = self.in_force();
         match &self.stage {
-            Stage::Aligning(_) if faults.contains(Cause::Spike) => {
+            Stage::Aligning(_) if faults.contains(HealthCause::Spike) => {
                 format!("the gyroscope or the accelerometer leaps further than a tip can: {faults}")
             }
             Stage::Aligning(_) if !faults.is_empty() => format!("the IMU is not well: {faults}"),
@@ -237,13 +237,13 @@ impl Fusion {
 
     /// The felt orientation, once aligned.
     #[must_use]
-    pub fn felt(&self) -> Option<Felt> {
+    pub fn felt(&self) -> Option<TipEstimate> {
         if let Stage::Running(running) = &self.stage { Some(running.felt()) } else { None }
     }
 
     /// The judge's last word.
     #[must_use]
-    pub fn verdict(&self) -> Option<Verdict> {
+    pub fn verdict(&self) -> Option<HealthVerdict> {
         self.verdict
     }
     /// Everything that is counted against the sensor now.
@@ -265,7 +265,7 @@ impl Fusion {
     #[must_use]
     pub fn doubts_base(&self, config: &FuseConfig) -> bool {
         let Stage::Running(r) = &self.stage else { return false };
-        let alone = config.watch.enabled && !self.base.follows() && !self.in_force().contains(Cause::FieldDisturbed);
+        let alone = config.watch.enabled && !self.base.follows() && !self.in_force().contains(HealthCause::FieldDisturbed);
         alone && r.bend_filter().is_some_and(|f| f.twist_misfit() > config.watch.misfit)
     }
     /// Twist per bend that the tip may make by what it has shown, rad/rad, where the bend filter says it.
@@ -295,14 +295,14 @@ impl Fusion {
 }
 
 /// A fresh judge's memory that knows the rest.
-fn judged_from(before: &health::State, rest: &Alignment) -> health::State {
+fn judged_from(before: &health::HealthState, rest: &Alignment) -> health::HealthState {
     let mut judge = before.clone();
-    judge.set_known(Known::default(), &rest.acc_rest_m_s2, rest.mag_rest_ut.as_ref());
+    judge.set_known(KnownErrors::default(), &rest.acc_rest_m_s2, rest.mag_rest_ut.as_ref());
     judge
 }
 
-fn frozen(verdict: &Verdict) -> bool {
-    verdict.in_force.contains(Cause::Frozen)
+fn frozen(verdict: &HealthVerdict) -> bool {
+    verdict.in_force.contains(HealthCause::Frozen)
 }
 
 impl Running {
@@ -315,7 +315,7 @@ impl Running {
             noisy: rest.noisy(),
             estimator: Estimator::new(config.filter, &config.bend, rest, 0.0),
             second: Second::new(second),
-            ease: Ease::default(),
+            ease: CorrectionSmoother::default(),
             last: None,
             refused: Refused::default(),
             bend_rate: Vector2::zeros(),
@@ -327,28 +327,28 @@ impl Running {
     }
 
     /// A source that had noise at rest has it for ever; one that had none may say so.
-    fn expecting_noise(&self, outcome: Outcome) -> Outcome {
+    fn expecting_noise(&self, outcome: ImuReading) -> ImuReading {
         match outcome {
-            Outcome::Sample(sample, quality) => {
+            ImuReading::Sample(sample, quality) => {
                 let expect_noise = quality.expect_noise || self.noisy;
-                Outcome::Sample(sample, Quality { expect_noise, ..quality })
+                ImuReading::Sample(sample, Quality { expect_noise, ..quality })
             }
             other => other,
         }
     }
 
-    fn update(&mut self, config: &FuseConfig, said: &Verdict, told: &Told, base: &BaseTracker) {
+    fn update(&mut self, config: &FuseConfig, said: &HealthVerdict, told: &FusionInput, base: &BaseTracker) {
         if said.recovered.is_some() {
             self.ease.arm();
         }
-        let (true, Outcome::Sample(sample, _)) = (said.gyro, &told.tip) else {
+        let (true, ImuReading::Sample(sample, _)) = (said.gyro, &told.tip) else {
             // between samples, and over the first moments of a hole, the tip goes on as it went
             let age_s = self.last.map_or(0.0, |last| told.now.0 - last.t.0);
             self.ahead = self.bend_rate * age_s.clamp(0.0, self.limits.blind_max_s);
             self.refuse(said, &told.tip);
             return;
         };
-        let heed = Heed { acc: said.acc, mag: said.mag, still: told.still && !said.hold };
+        let heed = MeasurementMask { acc: said.acc, mag: said.mag, still: told.still && !said.hold };
         let turn = base.turn();
         let gap_s = self.last.map_or(self.rest.periods_s().0, |last| sample.t.0 - last.t.0);
         if gap_s <= 0.0 {
@@ -373,12 +373,12 @@ impl Running {
     }
 
     /// A rate that was refused for leaping, or for being beyond the range, may have been true.
-    fn refuse(&mut self, said: &Verdict, tip: &Outcome) {
-        let (leaps, beyond) = (said.faults.contains(Cause::Spike), said.faults.contains(Cause::Saturated));
+    fn refuse(&mut self, said: &HealthVerdict, tip: &ImuReading) {
+        let (leaps, beyond) = (said.faults.contains(HealthCause::Spike), said.faults.contains(HealthCause::Saturated));
         if leaps || beyond {
             self.estimator.may_have_leapt();
         }
-        if let (true, false, Outcome::Sample(sample, _)) = (leaps, beyond, tip) {
+        if let (true, false, ImuReading::Sample(sample, _)) = (leaps, beyond, tip) {
             let since_s = self.refused.until_s.or(self.last.map(|last| last.t.0)).map_or(0.0, |before| sample.t.0 - before);
             self.refused.turn_rad += sample.gyro_rad_s * since_s;
             self.refused.until_s = Some(sample.t.0);
@@ -396,7 +396,7 @@ impl Running {
         ImuSample { gyro_rad_s, ..*sample }
     }
 
-    fn step(&mut self, config: &FuseConfig, sample: &ImuSample, dt_s: f64, heed: Heed, turn: &BaseTurn) {
+    fn step(&mut self, config: &FuseConfig, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, turn: &BaseTurn) {
         let before = self.estimator.bend().0;
         self.estimator.update(sample, dt_s, heed, turn);
         if self.estimator.leapt() {
@@ -414,7 +414,7 @@ impl Running {
         }
     }
 
-    fn align_again(&mut self, config: &FuseConfig, sample: &ImuSample, said: &Verdict) {
+    fn align_again(&mut self, config: &FuseConfig, sample: &ImuSample, said: &HealthVerdict) {
         let Some((state, bend)) = &mut self.again else { return };
         let sound = said.acc && !said.hold;
         let Some(now) = state.add(&config.align, sample).filter(|_| sound) else { return };
@@ -454,10 +454,10 @@ impl Running {
     }
 
     /// What the bend filter, first or second, has learnt of the sensor.
-    fn known(&self) -> Option<Known> {
+    fn known(&self) -> Option<KnownErrors> {
         let f = self.bend_filter()?;
         let (acc_bias_m_s2, acc_sigma) = f.acc_bias_m_s2();
-        Some(Known {
+        Some(KnownErrors {
             acc_bias_m_s2,
             acc_slack_m_s2: SIGMAS * acc_sigma,
             iron_ut: f.mag_bias_ut(),
@@ -465,9 +465,9 @@ impl Running {
         })
     }
 
-    fn felt(&self) -> Felt {
+    fn felt(&self) -> TipEstimate {
         let said = self.estimator.bend();
-        let mut felt = Felt {
+        let mut felt = TipEstimate {
             r_base_tip: self.estimator.r_base_tip(),
             bend: said,
             sigma_rad: self.estimator.sigma_rad(),

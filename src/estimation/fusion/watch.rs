@@ -69,7 +69,7 @@ impl Default for WatchConfig {
 
 /// What the watch is told at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
+pub struct WatchInput {
     /// Rate of the tip, bias taken off, tip axes, rad/s.
     pub rate_rad_s: Vector3<f64>,
     /// Felt bend vector, rad.
@@ -124,7 +124,7 @@ const QUIET_RAD: f64 = 0.017;
 
 impl Watch {
     /// One tick; true when the base must have moved.
-    pub fn step(&mut self, config: &WatchConfig, seen: &Seen) -> bool {
+    pub fn step(&mut self, config: &WatchConfig, seen: &WatchInput) -> bool {
         let (model, setpoint) = self.last.replace((seen.model, seen.setpoint)).unwrap_or((seen.model, seen.setpoint));
         let path = (seen.setpoint - setpoint).norm();
         let keep = |tau_s: f64| (-seen.dt_s / tau_s).exp();
@@ -139,7 +139,7 @@ impl Watch {
         self.judge(config, seen)
     }
 
-    fn follow_bend(&mut self, config: &WatchConfig, seen: &Seen, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
+    fn follow_bend(&mut self, config: &WatchConfig, seen: &WatchInput, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
         if self.path_fast > RESTING_RAD {
             (self.settled, self.bend, self.onset) = (false, Vector2::zeros(), Onset::None);
         } else if self.settled {
@@ -156,7 +156,7 @@ impl Watch {
         }
     }
 
-    fn judge(&mut self, config: &WatchConfig, seen: &Seen) -> bool {
+    fn judge(&mut self, config: &WatchConfig, seen: &WatchInput) -> bool {
         let share = seen.twists.map_or(config.twist_share, |shown| config.twist_share.min(shown));
         let twist_max = config.twist_deg.to_radians() + share * self.path_slow;
         self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + seen.dt_s } else { 0.0 };
@@ -192,7 +192,7 @@ mod tests {
     ) -> Option<f64> {
         let mut watch = Watch::default();
         (0..800).map(|k| f64::from(k) * DT_S).find(|&t| {
-            let seen = Seen {
+            let seen = WatchInput {
                 rate_rad_s: rate(t),
                 felt: Vector2::new(0.7, 0.0),
                 model: model(t),
@@ -243,7 +243,7 @@ mod tests {
                 let bend = Vector2::new(0.2 + t.min(1.0), 0.0);
                 let twisting = if t < 0.5 { 0.4 } else { 0.0 };
                 let rate_rad_s = Vector3::new(0.0, 1.0, twisting);
-                let still = Seen {
+                let still = WatchInput {
                     rate_rad_s,
                     felt: bend,
                     model: bend,

@@ -7,7 +7,7 @@
 //! all round give cross-axis terms too, by the ellipsoid.
 
 use super::still::Rest;
-use super::{Limits, Refusal, ellipsoid, sphere_coverage};
+use super::{CalibrationLimits, Refusal, ellipsoid, sphere_coverage};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::storage::Owned;
 use nalgebra::{DVector, Dyn, Matrix3, OMatrix, OVector, SVector, U6, Vector3};
@@ -102,7 +102,7 @@ fn mean_noise(rest: &Rest) -> f64 {
 /// # Errors
 /// [`Refusal::MissingFace`] names the first face that was never up; [`Refusal::NotAnEllipsoid`] when
 /// the rests contradict each other.
-pub fn six_positions(rests: &[Rest], limits: &Limits) -> Result<AccFit, Refusal> {
+pub fn six_positions(rests: &[Rest], limits: &CalibrationLimits) -> Result<AccFit, Refusal> {
     let faces = by_face(rests);
     for (face, found) in FACES.iter().zip(&faces) {
         if found.is_none() {
@@ -146,7 +146,7 @@ fn within(rms: f64, limit: f64) -> Result<(), Refusal> {
 ///
 /// # Errors
 /// [`Refusal`] when there are too few, they leave half the sphere out, or fit no ellipsoid.
-pub fn ellipsoid(rests: &[Rest], limits: &Limits) -> Result<AccFit, Refusal> {
+pub fn ellipsoid(rests: &[Rest], limits: &CalibrationLimits) -> Result<AccFit, Refusal> {
     let points: Vec<Vector3<f64>> = rests.iter().map(|r| r.acc_m_s2).collect();
     let e = ellipsoid::fit(&points, limits)?;
     let directions: Vec<Vector3<f64>> = points.iter().map(|x| e.shape * (x - e.centre)).collect();
@@ -220,7 +220,7 @@ mod tests {
         let (bias, scale) = (Vector3::new(0.4, -0.25, 0.6), Vector3::new(1.02, 0.985, 1.01));
         for seed in 0..20 {
             let rests = six(6.0, bias, scale, &mut StdRng::seed_from_u64(seed));
-            let fit = six_positions(&rests, &Limits::default()).expect("six faces");
+            let fit = six_positions(&rests, &CalibrationLimits::default()).expect("six faces");
             let z = (fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2);
             let zs = (fit.matrix.diagonal() - scale).component_div(&fit.matrix_sigma.diagonal());
             assert!(z.amax() < 5.0 && zs.amax() < 5.0, "seed {seed}: {z} {zs}");
@@ -234,7 +234,7 @@ mod tests {
         let mut rng = StdRng::seed_from_u64(3);
         let mut rests = six(2.0, Vector3::zeros(), Vector3::repeat(1.0), &mut rng);
         rests.retain(|r| r.acc_m_s2.y > -8.0);
-        let refused = six_positions(&rests, &Limits::default()).unwrap_err();
+        let refused = six_positions(&rests, &CalibrationLimits::default()).unwrap_err();
         assert_eq!(refused, Refusal::MissingFace { face: "-y" });
     }
 
@@ -251,7 +251,7 @@ mod tests {
                     measured(up, bias, &matrix, &mut rng)
                 })
                 .collect();
-            let fit = ellipsoid(&rests, &Limits::default()).expect("covered");
+            let fit = ellipsoid(&rests, &CalibrationLimits::default()).expect("covered");
             worst = worst.max((fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2).amax());
             worst = worst.max((fit.matrix - matrix).component_div(&fit.matrix_sigma).amax());
             assert!((fit.matrix - matrix).amax() < 1e-3, "{}", fit.matrix - matrix);
@@ -268,7 +268,7 @@ mod tests {
                 measured(up, Vector3::zeros(), &Matrix3::identity(), &mut rng)
             })
             .collect();
-        let refused = ellipsoid(&rests, &Limits::default()).unwrap_err();
+        let refused = ellipsoid(&rests, &CalibrationLimits::default()).unwrap_err();
         assert!(matches!(refused, Refusal::PoorCoverage { .. } | Refusal::TooUncertain { .. }), "{refused}");
     }
 
@@ -293,7 +293,7 @@ mod tests {
                 mag_ut: None,
             });
         }
-        let rests = still::rests(&samples, &Limits::default());
+        let rests = still::rests(&samples, &CalibrationLimits::default());
         assert_eq!(rests.len(), 3, "{rests:?}");
         for (rest, up) in rests.iter().zip([Vector3::z(), Vector3::x(), -Vector3::z()]) {
             assert!((rest.acc_m_s2 - up * GRAVITY_M_S2).norm() < 0.02);

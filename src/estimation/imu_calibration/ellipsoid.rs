@@ -9,7 +9,7 @@
 //! leaves residuals with a memory, and they know less than they count. Readings are in time order;
 //! of very many, every second, third or so is used.
 
-use super::{Limits, Refusal};
+use super::{CalibrationLimits, Refusal};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::storage::Owned;
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, OMatrix, OVector, SMatrix, SVector, U9, Vector3};
@@ -166,7 +166,7 @@ fn memory(residuals: &[f64]) -> f64 {
 ///
 /// # Errors
 /// [`Refusal`] for too few or non-finite points, or points on no ellipsoid or a flat one.
-pub(super) fn fit(points: &[Vector3<f64>], limits: &Limits) -> Result<Ellipsoid, Refusal> {
+pub(super) fn fit(points: &[Vector3<f64>], limits: &CalibrationLimits) -> Result<Ellipsoid, Refusal> {
     let want = limits.ellipsoid_samples.max(12);
     if points.len() < want {
         return Err(Refusal::TooFewSamples { have: points.len(), want });

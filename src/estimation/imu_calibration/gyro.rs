@@ -5,7 +5,7 @@
 //! block means over √10.
 
 use super::still;
-use super::{Limits, Refusal};
+use super::{CalibrationLimits, Refusal};
 use crate::primitives::sample::ImuSample;
 use nalgebra::Vector3;
 
@@ -28,7 +28,7 @@ pub struct GyroBias {
 ///
 /// # Errors
 /// [`Refusal`] when it is too short, not finite, or something moved in it.
-pub fn at_rest(samples: &[ImuSample], limits: &Limits) -> Result<GyroBias, Refusal> {
+pub fn at_rest(samples: &[ImuSample], limits: &CalibrationLimits) -> Result<GyroBias, Refusal> {
     let rest = still::rest(samples, limits)?;
     let (have, limit) = (rest.gyro_rad_s.amax(), limits.still_mean_rad_s);
     if have > limit {
@@ -83,7 +83,7 @@ mod tests {
         let bias = Vector3::new(0.02, -0.035, 0.011);
         let mut chi2 = 0.0;
         for seed in 0..40 {
-            let fit = at_rest(&recording(1000, bias, Vector3::zeros(), seed), &Limits::default()).expect("still");
+            let fit = at_rest(&recording(1000, bias, Vector3::zeros(), seed), &CalibrationLimits::default()).expect("still");
             let z = (fit.bias_rad_s - bias).component_div(&fit.sigma_rad_s);
             assert!(z.amax() < 4.5, "seed {seed}: {z}");
             assert!(fit.sigma_rad_s.amax() < 4e-4, "2 s of 0.004 rad/s noise");
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn motion_is_refused_even_when_slow_and_steady() {
-        let limits = Limits::default();
+        let limits = CalibrationLimits::default();
         let creep = Vector3::new(0.01, 0.0, 0.0); // 0.57 °/s, well inside a bias
         let refused = at_rest(&recording(1000, Vector3::zeros(), creep, 1), &limits).unwrap_err();
         assert!(matches!(refused, Refusal::Moving { what: "the turn from end to end", .. }), "{refused}");
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn short_and_broken_recordings_are_refused() {
-        let limits = Limits::default();
+        let limits = CalibrationLimits::default();
         let still = |n| recording(n, Vector3::zeros(), Vector3::zeros(), 4);
         assert!(matches!(at_rest(&[], &limits), Err(Refusal::TooFewSamples { have: 0, .. })));
         assert!(matches!(at_rest(&still(400), &limits), Err(Refusal::TooFewSamples { have: 400, want: 502 })));

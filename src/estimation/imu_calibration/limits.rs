@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// How good a recording must be: the `[calib_imu]` table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Limits {
+pub struct CalibrationLimits {
     /// Largest standard deviation of the gyroscope in a rest, rad/s per axis. Default 0.02, four
     /// times the noise of the parts used. A bigger value accepts an unsteady hand, and its bias.
     pub still_gyro_rad_s: f64,
@@ -63,7 +63,7 @@ pub struct Limits {
     pub bend_out_of_plane_deg: f64,
 }
 
-impl Default for Limits {
+impl Default for CalibrationLimits {
     fn default() -> Self {
         Self {
             still_gyro_rad_s: 0.02,

@@ -5,7 +5,7 @@
 //! The strength itself cannot be known from the readings: the matrix has determinant 1, and
 //! [`MagFit::field_ut`] is the strength in the sensor's own units.
 
-use super::{Limits, Refusal, ellipsoid, sphere_coverage};
+use super::{CalibrationLimits, Refusal, ellipsoid, sphere_coverage};
 use nalgebra::{Matrix3, Vector3};
 
 /// What a tumble says about the magnetometer: `m = matrix (m_raw − bias)`.
@@ -33,7 +33,7 @@ pub struct MagFit {
 ///
 /// # Errors
 /// [`Refusal`] when the tumble is too short or too lazy, or the field was not one field.
-pub fn ellipsoid(readings_ut: &[Vector3<f64>], limits: &Limits) -> Result<MagFit, Refusal> {
+pub fn ellipsoid(readings_ut: &[Vector3<f64>], limits: &CalibrationLimits) -> Result<MagFit, Refusal> {
     let e = ellipsoid::fit(readings_ut, limits)?;
     let field_ut = e.radius();
     let directions: Vec<Vector3<f64>> = readings_ut.iter().map(|x| e.shape * (x - e.centre)).collect();
@@ -99,7 +99,7 @@ mod tests {
         let (bias, matrix) = truth();
         let mut chi2 = 0.0;
         for seed in 0..20 {
-            let fit = ellipsoid(&tumble(1500, seed, |d| d), &Limits::default()).expect("tumbled");
+            let fit = ellipsoid(&tumble(1500, seed, |d| d), &CalibrationLimits::default()).expect("tumbled");
             let z = (fit.bias_ut - bias).component_div(&fit.bias_sigma_ut);
             let zm = (fit.matrix - matrix).component_div(&fit.matrix_sigma);
             assert!(z.amax() < 4.5 && zm.amax() < 4.5, "seed {seed}: {z} {zm}");
@@ -116,7 +116,7 @@ mod tests {
         for k in 0..30 {
             readings[k * 50] += Vector3::new(40.0, 0.0, -40.0);
         }
-        let fit = ellipsoid(&readings, &Limits::default()).expect("2 % wild");
+        let fit = ellipsoid(&readings, &CalibrationLimits::default()).expect("2 % wild");
         assert!((25..60).contains(&fit.outliers), "{}", fit.outliers);
         assert!((fit.bias_ut - truth().0).norm() < 0.2, "{}", fit.bias_ut - truth().0);
     }
@@ -124,12 +124,12 @@ mod tests {
     #[test]
     fn a_wide_cone_is_enough_and_a_narrow_one_is_refused() {
         let wide = tumble(1500, 4, |d| if d.normalize().z < -0.6 { -d } else { d });
-        ellipsoid(&wide, &Limits::default()).expect("four fifths of the sphere");
+        ellipsoid(&wide, &CalibrationLimits::default()).expect("four fifths of the sphere");
         let cap = tumble(1500, 5, |d| Vector3::new(d.x * 0.4, d.y * 0.4, d.z.abs() + 1.0));
-        let refused = ellipsoid(&cap, &Limits::default()).unwrap_err();
+        let refused = ellipsoid(&cap, &CalibrationLimits::default()).unwrap_err();
         assert!(matches!(refused, Refusal::PoorCoverage { .. } | Refusal::Flat { .. }), "{refused}");
         let disc = tumble(1500, 6, |d| Vector3::new(d.x, d.y, 0.0));
-        let refused = ellipsoid(&disc, &Limits::default()).unwrap_err();
+        let refused = ellipsoid(&disc, &CalibrationLimits::default()).unwrap_err();
         assert!(matches!(refused, Refusal::Flat { ratio, .. } if ratio > 2.0), "one axis only: {refused}");
     }
 
@@ -139,11 +139,11 @@ mod tests {
         for (k, x) in readings.iter_mut().enumerate() {
             *x += Vector3::new(12.0, 0.0, 0.0) * (k as f64 * 0.01).sin(); // a magnet passes by
         }
-        let refused = ellipsoid(&readings, &Limits::default()).unwrap_err();
+        let refused = ellipsoid(&readings, &CalibrationLimits::default()).unwrap_err();
         assert!(matches!(refused, Refusal::PoorFit { .. }), "{refused}");
-        assert!(matches!(ellipsoid(&readings[..10], &Limits::default()), Err(Refusal::TooFewSamples { .. })));
-        assert_eq!(ellipsoid(&[Vector3::zeros(); 100], &Limits::default()), Err(Refusal::NotAnEllipsoid));
+        assert!(matches!(ellipsoid(&readings[..10], &CalibrationLimits::default()), Err(Refusal::TooFewSamples { .. })));
+        assert_eq!(ellipsoid(&[Vector3::zeros(); 100], &CalibrationLimits::default()), Err(Refusal::NotAnEllipsoid));
         readings[9].y = f64::INFINITY;
-        assert_eq!(ellipsoid(&readings, &Limits::default()), Err(Refusal::NotFinite { index: 9 }));
+        assert_eq!(ellipsoid(&readings, &CalibrationLimits::default()), Err(Refusal::NotFinite { index: 9 }));
     }
 }

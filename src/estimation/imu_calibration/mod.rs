@@ -24,7 +24,7 @@ pub mod mount;
 mod refusal;
 pub mod still;
 
-pub use limits::Limits;
+pub use limits::CalibrationLimits;
 pub use refusal::Refusal;
 
 use crate::primitives::sample::ImuSample;

@@ -9,7 +9,7 @@
 //! turned there first. Gauss-Newton on (m₀, C, S, k), bilinear and well behaved; k has a flat prior
 //! on 0 to 1 (mean 0.5, sigma 0.29), which is what remains when a motor was never seen idle.
 
-use super::{Limits, Pedigree, Refusal, Rows};
+use super::{CalibrationLimits, Pedigree, Refusal, Rows};
 use nalgebra::{SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -145,7 +145,7 @@ fn normal(samples: &[MotorSample], p: &SVector<f64, SIZE>) -> Normal {
 /// # Errors
 /// [`Refusal`] when a motor missed too much of its cycle, motors cannot be told apart, or the data
 /// are too few or not finite.
-pub fn fit(samples: &[MotorSample], limits: &Limits, from: Pedigree<'_>) -> Result<MotorFit, Refusal> {
+pub fn fit(samples: &[MotorSample], limits: &CalibrationLimits, from: Pedigree<'_>) -> Result<MotorFit, Refusal> {
     if samples.len() < 4 * SIZE {
         return Err(Refusal::TooFewSamples { have: samples.len(), want: 4 * SIZE });
     }
@@ -189,7 +189,7 @@ fn report(
     sigma: &SVector<f64, SIZE>,
     variance: f64,
     coverage: [f64; 3],
-    limits: &Limits,
+    limits: &CalibrationLimits,
     from: Pedigree<'_>,
 ) -> Result<MotorFit, Refusal> {
     let triple = |v: &SVector<f64, SIZE>, at: usize| [v[at], v[at + 1], v[at + 2]];
@@ -267,7 +267,7 @@ mod tests {
         let truth = truth();
         let (mut chi2, mut n) = (0.0, 0.0);
         for seed in 0..20 {
-            let fit = fit(&recording(seed, 0.5, true, false), &Limits::default(), FROM).expect("stepped");
+            let fit = fit(&recording(seed, 0.5, true, false), &CalibrationLimits::default(), FROM).expect("stepped");
             let f = &fit.field;
             let mut z = scores(&f.cos_ut, &truth.cos_ut, &f.cos_sigma_ut);
             z.extend(scores(&f.sin_ut, &truth.sin_ut, &f.sin_sigma_ut));
@@ -287,23 +287,23 @@ mod tests {
 
     #[test]
     fn a_motor_never_idle_keeps_the_prior_and_says_so() {
-        let fit = fit(&recording(1, 0.5, false, false), &Limits::default(), FROM).expect("stepped");
+        let fit = fit(&recording(1, 0.5, false, false), &CalibrationLimits::default(), FROM).expect("stepped");
         assert_eq!(fit.field.idle_factor.map(|k| (k * 1e6).round() / 1e6), [0.5; 3]);
         assert!(fit.field.idle_sigma.iter().all(|s| (s - 0.289).abs() < 1e-3), "{:?}", fit.field.idle_sigma);
     }
 
     #[test]
     fn motors_that_step_together_cannot_be_told_apart() {
-        let refused = fit(&recording(2, 0.5, true, true), &Limits::default(), FROM).unwrap_err();
+        let refused = fit(&recording(2, 0.5, true, true), &CalibrationLimits::default(), FROM).unwrap_err();
         assert!(matches!(refused, Refusal::TooUncertain { .. }), "{refused}");
     }
 
     #[test]
     fn a_motor_that_stood_still_is_refused() {
         let samples: Vec<_> = recording(3, 0.5, true, false).into_iter().take(700).collect();
-        let refused = fit(&samples, &Limits::default(), FROM).unwrap_err();
+        let refused = fit(&samples, &CalibrationLimits::default(), FROM).unwrap_err();
         assert!(matches!(refused, Refusal::PoorCoverage { have, .. } if have < 0.1), "{refused}");
-        assert!(matches!(fit(&samples[..50], &Limits::default(), FROM), Err(Refusal::TooFewSamples { .. })));
+        assert!(matches!(fit(&samples[..50], &CalibrationLimits::default(), FROM), Err(Refusal::TooFewSamples { .. })));
     }
 
     #[test]

@@ -10,7 +10,7 @@
 //! A twist that grows with bend lifts every axis out of the plane alike; over a full circle of
 //! directions this does not tilt the normal, and [`Mount::twist_per_bend`] reports it.
 
-use super::{Limits, Refusal};
+use super::{CalibrationLimits, Refusal};
 use crate::primitives::frames::{Rotation, Sensor, Tip};
 use crate::primitives::sample::ImuSample;
 use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
@@ -58,9 +58,9 @@ pub struct Mount {
 /// Mount from bends in several directions.
 ///
 /// # Errors
-/// [`Refusal`] when there are fewer than four bends of [`Limits::bend_min_deg`], they all go one way,
+/// [`Refusal`] when there are fewer than four bends of [`CalibrationLimits::bend_min_deg`], they all go one way,
 /// or they do not share a plane.
-pub fn from_bends(bends: &[BendTurn], limits: &Limits) -> Result<Mount, Refusal> {
+pub fn from_bends(bends: &[BendTurn], limits: &CalibrationLimits) -> Result<Mount, Refusal> {
     if let Some(index) = bends.iter().position(|b| !b.turn_rad.iter().all(|x| x.is_finite())) {
         return Err(Refusal::NotFinite { index });
     }
@@ -109,7 +109,7 @@ fn upright(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
 }
 
 /// Residuals and sigmas of a rotation.
-fn judged(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread: f64, limits: &Limits) -> Result<Mount, Refusal> {
+fn judged(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread: f64, limits: &CalibrationLimits) -> Result<Mount, Refusal> {
     let turned: Vec<Vector3<f64>> = bends.iter().map(|b| q * b.turn_rad).collect();
     let weight: f64 = turned.iter().map(|t| t.norm_squared()).sum();
     let twist_per_bend = turned.iter().map(|t| t.z * t.norm()).sum::<f64>() / weight;
@@ -201,7 +201,7 @@ mod tests {
     fn all_three_angles_come_back_with_known_directions() {
         let mut chi2 = 0.0;
         for seed in 0..20 {
-            let fit = from_bends(&bends(12, true, 0.0, &mut StdRng::seed_from_u64(seed)), &Limits::default());
+            let fit = from_bends(&bends(12, true, 0.0, &mut StdRng::seed_from_u64(seed)), &CalibrationLimits::default());
             let fit = fit.expect("full circle");
             let error = (fit.r_tip_sensor.quat() * mounted().inverse()).scaled_axis();
             let z = error.component_div(&fit.sigma_rad);
@@ -215,7 +215,7 @@ mod tests {
 
     #[test]
     fn the_tips_axis_needs_no_directions() {
-        let fit = from_bends(&bends(8, false, 0.0, &mut StdRng::seed_from_u64(1)), &Limits::default()).expect("round");
+        let fit = from_bends(&bends(8, false, 0.0, &mut StdRng::seed_from_u64(1)), &CalibrationLimits::default()).expect("round");
         let axis = fit.r_tip_sensor.inverse().apply(&Vector3::z());
         let want = mounted().inverse() * Vector3::z();
         assert!(axis.angle(&want).to_degrees() < 0.2, "{}", axis.angle(&want).to_degrees());
@@ -225,7 +225,7 @@ mod tests {
 
     #[test]
     fn twist_is_reported_and_does_not_tilt_the_mount() {
-        let fit = from_bends(&bends(12, true, 0.06, &mut StdRng::seed_from_u64(2)), &Limits::default()).expect("round");
+        let fit = from_bends(&bends(12, true, 0.06, &mut StdRng::seed_from_u64(2)), &CalibrationLimits::default()).expect("round");
         assert!((fit.twist_per_bend - 0.06).abs() < 0.01, "{}", fit.twist_per_bend);
         let tilt = (fit.r_tip_sensor.quat() * mounted().inverse()).scaled_axis().xy().norm();
         assert!(tilt.to_degrees() < 0.3, "{}", tilt.to_degrees());
@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     fn lazy_bends_are_refused() {
-        let limits = Limits::default();
+        let limits = CalibrationLimits::default();
         let mut rng = StdRng::seed_from_u64(3);
         let all = bends(12, true, 0.0, &mut rng);
         let one_way: Vec<_> = [0, 6, 0, 6, 0].map(|k| all[k]).to_vec();

@@ -3,7 +3,7 @@
 //! A gyroscope alone cannot tell a slow steady turn from a bias; the directions of gravity and of the
 //! field at the two ends of the stretch can.
 
-use super::{Limits, Refusal};
+use super::{CalibrationLimits, Refusal};
 use crate::primitives::sample::ImuSample;
 use nalgebra::Vector3;
 
@@ -56,7 +56,7 @@ fn turn(samples: &[ImuSample]) -> f64 {
 ///
 /// # Errors
 /// [`Refusal`] when it is too short, not finite, or something moved in it.
-pub fn rest(samples: &[ImuSample], limits: &Limits) -> Result<Rest, Refusal> {
+pub fn rest(samples: &[ImuSample], limits: &CalibrationLimits) -> Result<Rest, Refusal> {
     if let Some(index) = samples.iter().position(|s| !s.is_finite()) {
         return Err(Refusal::NotFinite { index });
     }
@@ -89,10 +89,10 @@ pub fn rest(samples: &[ImuSample], limits: &Limits) -> Result<Rest, Refusal> {
     Ok(Rest { first: 0, samples: n, duration_s, gyro_rad_s, gyro_std_rad_s, acc_m_s2, acc_std_m_s2, mag_ut })
 }
 
-/// All rests of a recording: back-to-back windows of [`Limits::still_min_s`] that pass [`rest`], with
+/// All rests of a recording: back-to-back windows of [`CalibrationLimits::still_min_s`] that pass [`rest`], with
 /// neighbours of the same attitude joined.
 #[must_use]
-pub fn rests(samples: &[ImuSample], limits: &Limits) -> Vec<Rest> {
+pub fn rests(samples: &[ImuSample], limits: &CalibrationLimits) -> Vec<Rest> {
     let mut found: Vec<Rest> = Vec::new();
     let mut from = 0;
     while from < samples.len() {

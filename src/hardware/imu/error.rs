@@ -1,7 +1,7 @@
 //! What can go wrong between the bus and a sample, as values that carry their advice.
 
 use super::Part;
-use crate::estimation::fusion::health::Fault;
+use crate::estimation::fusion::health::ReadFault;
 use embedded_hal::i2c::ErrorKind;
 
 /// A reading that did not come, or cannot be trusted.
@@ -96,13 +96,13 @@ impl ImuError {
 
     /// The fault as the health judge counts it.
     #[must_use]
-    pub fn fault(&self) -> Fault {
+    pub fn fault(&self) -> ReadFault {
         match self {
-            Self::Nack { .. } | Self::Timeout { .. } => Fault::Nack,
-            Self::ShortRead { .. } => Fault::ShortRead,
-            Self::Bus { .. } => Fault::Bus,
-            Self::WrongId { .. } => Fault::WrongId,
-            Self::ResetToDefaults { .. } | Self::NotReady { .. } => Fault::BrownOut,
+            Self::Nack { .. } | Self::Timeout { .. } => ReadFault::Nack,
+            Self::ShortRead { .. } => ReadFault::ShortRead,
+            Self::Bus { .. } => ReadFault::Bus,
+            Self::WrongId { .. } => ReadFault::WrongId,
+            Self::ResetToDefaults { .. } | Self::NotReady { .. } => ReadFault::BrownOut,
         }
     }
 }

@@ -22,7 +22,7 @@
 mod config;
 pub mod reg;
 
-pub use config::{Config, Settings, scale};
+pub use config::{IcmConfig, Settings, scale};
 
 use super::port::Port;
 use super::{ChipId, ConfigError, Identity, Imu, ImuError, Part, RawImu, Scale};
@@ -61,7 +61,7 @@ impl<I: I2c> Icm20948<I> {
     ///
     /// # Errors
     /// [`ConfigError`] for a setting that the part does not have.
-    pub fn new(bus: I, config: &Config) -> Result<Self, ConfigError> {
+    pub fn new(bus: I, config: &IcmConfig) -> Result<Self, ConfigError> {
         let settings = config.settings()?;
         let port = Port { part: Part::Icm20948, address: settings.address };
         let (last, last_mag) = (None, None);

@@ -6,7 +6,7 @@
 
 mod config;
 
-pub use config::{Config, Settings, scale};
+pub use config::{LsmConfig, Settings, scale};
 
 use super::lis2mdl::Lis2mdl;
 use super::port::Port;
@@ -69,7 +69,7 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
     ///
     /// # Errors
     /// [`ConfigError`] for a setting that the parts do not have.
-    pub fn new(bus: I, config: &Config) -> Result<Self, ConfigError> {
+    pub fn new(bus: I, config: &LsmConfig) -> Result<Self, ConfigError> {
         let settings = config.settings()?;
         let mag = Lis2mdl::new(config.mag_rate_hz).ok_or(ConfigError {
             part: Part::Lis2mdl,

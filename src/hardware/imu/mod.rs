@@ -26,9 +26,9 @@ mod supervisor;
 
 pub use error::{ConfigError, ImuError};
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
-pub use supervisor::{Supervisor, SupervisorConfig};
+pub use supervisor::{ImuRecovery, RecoveryConfig};
 
-use crate::estimation::fusion::health::Outcome;
+use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::imu_calibration::Correction;
 use crate::primitives::units::Seconds;
 use embedded_hal::delay::DelayNs;
@@ -108,15 +108,15 @@ pub trait Imu {
 #[serde(tag = "part", rename_all = "snake_case")]
 pub enum ImuConfig {
     /// One chip with everything inside; the default.
-    Icm20948(icm20948::Config),
+    Icm20948(icm20948::IcmConfig),
     /// Two chips on one bus.
     #[serde(rename = "lsm6dso_lis2mdl")]
-    Lsm6dsoLis2mdl(lsm6dso::Config),
+    Lsm6dsoLis2mdl(lsm6dso::LsmConfig),
 }
 
 impl Default for ImuConfig {
     fn default() -> Self {
-        Self::Icm20948(icm20948::Config::default())
+        Self::Icm20948(icm20948::IcmConfig::default())
     }
 }
 
@@ -133,9 +133,9 @@ pub fn open<I: I2c + Send + 'static>(config: &ImuConfig, bus: I) -> Result<Box<d
 
 /// A reading as the health judge wants it: scaled, corrected and stamped, or the fault.
 #[must_use]
-pub fn outcome(result: &Result<RawImu, ImuError>, scale: &Scale, correction: &Correction, t: Seconds) -> Outcome {
+pub fn outcome(result: &Result<RawImu, ImuError>, scale: &Scale, correction: &Correction, t: Seconds) -> ImuReading {
     match result {
-        Ok(raw) => Outcome::Sample(correction.apply(&scale.sample(raw, t)), raw.quality()),
-        Err(error) => Outcome::Failed(error.fault()),
+        Ok(raw) => ImuReading::Sample(correction.apply(&scale.sample(raw, t)), raw.quality()),
+        Err(error) => ImuReading::Failed(error.fault()),
     }
 }

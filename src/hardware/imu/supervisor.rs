@@ -11,7 +11,7 @@
 //! scaled and stamped but not corrected: the loop does that. Time comes in with the call.
 
 use super::{Identity, Imu, ImuError};
-use crate::estimation::fusion::health::{Fault, Outcome};
+use crate::estimation::fusion::health::{ReadFault, ImuReading};
 use crate::primitives::units::Seconds;
 use embedded_hal::delay::DelayNs;
 use serde::Deserialize;
@@ -19,7 +19,7 @@ use serde::Deserialize;
 /// When to set a sensor up again.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct SupervisorConfig {
+pub struct RecoveryConfig {
     /// Failed readings in a row after which the chip is set up again. Default 25 (50 ms at 500 Hz). Larger
     /// waits longer before it interferes; a chip that says it restarted is set up at once.
     pub retry_after: u32,
@@ -27,15 +27,15 @@ pub struct SupervisorConfig {
     pub retry_every_s: f64,
 }
 
-impl Default for SupervisorConfig {
+impl Default for RecoveryConfig {
     fn default() -> Self {
         Self { retry_after: 25, retry_every_s: 0.05 }
     }
 }
 
 /// A sensor and its keeper.
-pub struct Supervisor<S: Imu + ?Sized> {
-    config: SupervisorConfig,
+pub struct ImuRecovery<S: Imu + ?Sized> {
+    config: RecoveryConfig,
     failures: u32,
     tried_s: Option<f64>,
     in_the_way: Option<ImuError>,
@@ -43,10 +43,10 @@ pub struct Supervisor<S: Imu + ?Sized> {
     sensor: Box<S>,
 }
 
-impl<S: Imu + ?Sized> Supervisor<S> {
+impl<S: Imu + ?Sized> ImuRecovery<S> {
     /// Over a sensor that need not be set up yet.
     #[must_use]
-    pub fn new(sensor: Box<S>, config: SupervisorConfig) -> Self {
+    pub fn new(sensor: Box<S>, config: RecoveryConfig) -> Self {
         Self { config, failures: 0, tried_s: None, in_the_way: None, restarts: 0, sensor }
     }
 
@@ -61,18 +61,18 @@ impl<S: Imu + ?Sized> Supervisor<S> {
     }
 
     /// One reading at `now`, and an attempt to set the sensor up again where that is due.
-    pub fn read(&mut self, delay: &mut dyn DelayNs, now: Seconds) -> Outcome {
+    pub fn read(&mut self, delay: &mut dyn DelayNs, now: Seconds) -> ImuReading {
         let scale = self.sensor.scale();
         let error = match self.sensor.read() {
             Ok(raw) => {
                 (self.failures, self.in_the_way) = (0, None);
-                return Outcome::Sample(scale.sample(&raw, now), raw.quality());
+                return ImuReading::Sample(scale.sample(&raw, now), raw.quality());
             }
             Err(error) => error,
         };
         self.failures = match error.fault() {
             // reading on would say the same for ever
-            Fault::BrownOut | Fault::WrongId => self.failures.max(self.config.retry_after),
+            ReadFault::BrownOut | ReadFault::WrongId => self.failures.max(self.config.retry_after),
             _ => self.failures.saturating_add(1),
         };
         if self.failures >= self.config.retry_after {
@@ -82,9 +82,9 @@ impl<S: Imu + ?Sized> Supervisor<S> {
                 self.in_the_way = self.sensor.init(delay).err();
             }
             // what stands in the way of setting it up is what is wrong
-            return Outcome::Failed(self.in_the_way.unwrap_or(error).fault());
+            return ImuReading::Failed(self.in_the_way.unwrap_or(error).fault());
         }
-        Outcome::Failed(error.fault())
+        ImuReading::Failed(error.fault())
     }
 
     /// How often the sensor was set up again.
@@ -107,24 +107,24 @@ mod tests {
 
     const DT_S: f64 = 0.002;
 
-    fn watched() -> (FakeBus, Supervisor<Icm20948<FakeBus>>) {
+    fn watched() -> (FakeBus, ImuRecovery<Icm20948<FakeBus>>) {
         let bus = FakeBus::new();
         bus.machine().attach(FakeIcm20948::new(0x68, 3));
-        let sensor = Icm20948::new(bus.clone(), &icm20948::Config::default()).unwrap();
-        let mut watched = Supervisor::new(Box::new(sensor), SupervisorConfig::default());
+        let sensor = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
+        let mut watched = ImuRecovery::new(Box::new(sensor), RecoveryConfig::default());
         watched.start(&mut bus.delay()).unwrap();
         (bus, watched)
     }
 
     /// Reads for a while; how many samples came and which fault was said last.
-    fn live(bus: &FakeBus, watched: &mut Supervisor<Icm20948<FakeBus>>, from_s: f64, seconds: f64) -> (u32, Option<Fault>) {
+    fn live(bus: &FakeBus, watched: &mut ImuRecovery<Icm20948<FakeBus>>, from_s: f64, seconds: f64) -> (u32, Option<ReadFault>) {
         let (mut samples, mut last) = (0, None);
         for k in 0..(seconds / DT_S) as u32 {
             bus.machine().advance(DT_S);
             match watched.read(&mut bus.delay(), Seconds(from_s + f64::from(k) * DT_S)) {
-                Outcome::Sample(..) => samples += 1,
-                Outcome::Failed(fault) => last = Some(fault),
-                Outcome::Nothing => {}
+                ImuReading::Sample(..) => samples += 1,
+                ImuReading::Failed(fault) => last = Some(fault),
+                ImuReading::Nothing => {}
             }
         }
         (samples, last)
@@ -136,7 +136,7 @@ mod tests {
         assert_eq!(live(&bus, &mut watched, 0.0, 0.2), (100, None));
         bus.machine().brown_out();
         let (samples, fault) = live(&bus, &mut watched, 1.0, 0.2);
-        assert!(samples > 80 && fault == Some(Fault::BrownOut), "{samples} {fault:?}");
+        assert!(samples > 80 && fault == Some(ReadFault::BrownOut), "{samples} {fault:?}");
         assert_eq!(watched.restarts(), 1);
     }
 
@@ -144,7 +144,7 @@ mod tests {
     fn a_few_lost_readings_are_no_reason_and_a_dead_bus_is_tried_in_vain() {
         let (bus, mut watched) = watched();
         bus.machine().nack(0x68, 10);
-        assert_eq!(live(&bus, &mut watched, 0.0, 0.2), (90, Some(Fault::Nack)));
+        assert_eq!(live(&bus, &mut watched, 0.0, 0.2), (90, Some(ReadFault::Nack)));
         assert_eq!(watched.restarts(), 0);
         bus.machine().stuck = true;
         let (samples, fault) = live(&bus, &mut watched, 1.0, 0.5);

@@ -5,8 +5,8 @@
 
 use crate::hardware::pins::Pins;
 use crate::hardware::stepper::{StartError, Stepper, Sync};
-use crate::motion::report::{Fault, Mode, Order, Report};
-use crate::motion::{Limits, Motion, MotionConfig, State, StepperConfig};
+use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
+use crate::motion::{MotionLimits, Motion, MotionConfig, MotionState, StepperConfig};
 use crate::primitives::units::Steps;
 
 /// Most segments queued in one turn.
@@ -22,7 +22,7 @@ pub enum DriveState {
     /// Braking or waiting: the target is taken up by itself later.
     Busy,
     /// At a fault until [`Drive::clear`].
-    Faulted(Fault),
+    Faulted(StepperFault),
     /// The step thread is gone.
     Dead,
 }
@@ -49,7 +49,7 @@ impl<P: Pins + 'static> Drive<P> {
     /// # Errors
     /// [`StartError`].
     pub fn start(pins: P, stepper: &StepperConfig, motion: &MotionConfig, step_mm: f64, period_s: f64) -> Result<Self, StartError> {
-        let limits = Limits::try_from(motion)?;
+        let limits = MotionLimits::try_from(motion)?;
         let stepper_handle = Stepper::start(pins, stepper, motion, step_mm)?;
         Ok(Self {
             keeps: stepper_handle.is_energised(),
@@ -83,7 +83,7 @@ impl<P> Drive<P> {
     }
 
     fn feed(&mut self, now_ns: u64, target_mm: [f64; 3]) -> DriveState {
-        let rests = self.motion.state().iter().all(State::is_rest);
+        let rests = self.motion.state().iter().all(MotionState::is_rest);
         let pausing = !self.on || self.rebase.is_some();
         if pausing && rests {
             // nothing more is queued; when the queue is worked off the thread rests
@@ -105,14 +105,14 @@ impl<P> Drive<P> {
     /// Orders what can only be done at rest.
     fn pause(&mut self) -> DriveState {
         let Some(report) = self.stepper.latest() else { return DriveState::Busy };
-        let (resting, epoch, energised) = (report.mode == Mode::Resting, report.epoch, report.energised);
+        let (resting, epoch, energised) = (report.mode == StepperMode::Resting, report.epoch, report.energised);
         if !resting {
             return DriveState::Busy;
         }
         if let Some((position_mm, ordered)) = self.rebase {
             match ordered {
                 None => {
-                    if self.stepper.order(Order::Rebase(position_mm)) {
+                    if self.stepper.order(StepperOrder::Rebase(position_mm)) {
                         self.rebase = Some((position_mm, Some(epoch)));
                     }
                 }
@@ -122,7 +122,7 @@ impl<P> Drive<P> {
             return DriveState::Busy;
         }
         // a full ring of orders is tried again on the next turn
-        let _ = energised && !self.keeps && self.stepper.order(Order::Release);
+        let _ = energised && !self.keeps && self.stepper.order(StepperOrder::Release);
         if energised { DriveState::Busy } else { DriveState::Off }
     }
 
@@ -130,11 +130,11 @@ impl<P> Drive<P> {
     pub fn energise(&mut self, on: bool) {
         self.keeps = false;
         if on && !self.on {
-            let _ = self.stepper.order(Order::Energise);
+            let _ = self.stepper.order(StepperOrder::Energise);
         }
         self.on = on;
         if !on && matches!(self.state, DriveState::Faulted(_)) {
-            let _ = self.stepper.order(Order::Release);
+            let _ = self.stepper.order(StepperOrder::Release);
         }
     }
 
@@ -145,9 +145,9 @@ impl<P> Drive<P> {
 
     /// Leaves a fault, as far as its cause is gone.
     pub fn clear(&mut self) {
-        let _ = self.stepper.order(Order::Clear);
+        let _ = self.stepper.order(StepperOrder::Clear);
         if self.on {
-            let _ = self.stepper.order(Order::Energise);
+            let _ = self.stepper.order(StepperOrder::Energise);
         }
     }
 
@@ -159,7 +159,7 @@ impl<P> Drive<P> {
 
     /// What the step thread reported last; `None` before its first report.
     #[must_use]
-    pub fn report(&self) -> Option<&Report> {
+    pub fn report(&self) -> Option<&StepperReport> {
         self.stepper.latest()
     }
 

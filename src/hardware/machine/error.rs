@@ -6,7 +6,7 @@ use crate::hardware::stepper::StartError;
 
 /// Why a machine could not be opened.
 #[derive(Debug, thiserror::Error)]
-pub enum MachineError {
+pub enum HardwareError {
     /// The pins.
     #[error(transparent)]
     Pins(#[from] OpenError),
@@ -64,7 +64,7 @@ pub enum MachineError {
     NotBuilt,
 }
 
-impl MachineError {
+impl HardwareError {
     /// True for a wrong board file (exit code 2), false for hardware that does not answer (exit code 3).
     #[must_use]
     pub fn is_config(&self) -> bool {

@@ -1,14 +1,14 @@
 //! [`Machine`] on hardware.
 
-use crate::estimation::fusion::health::Outcome;
-use crate::hardware::machine::{Drive, DriveState, MachineConfig, MachineError, Sensor};
+use crate::estimation::fusion::health::ImuReading;
+use crate::hardware::machine::{Drive, DriveState, MachineConfig, HardwareError, Sensor};
 use crate::hardware::pins;
 use crate::hardware::rt::monotonic_ns;
-use crate::motion::report::Fault;
+use crate::motion::report::StepperFault;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
 use crate::supervisor::machine::{Alarm, Inputs, Machine, Sensed};
-use crate::supervisor::machine::{Nature, WorldError};
+use crate::supervisor::machine::{MachineInfo, MachineError};
 
 /// A queue that runs dry once is braked within the limits and taken up again: no step is lost and nothing
 /// needs to be done. This often …
@@ -21,7 +21,7 @@ pub struct Hardware {
     drive: Drive,
     imu: Option<Sensor>,
     base_imu: Option<Sensor>,
-    nature: Nature,
+    nature: MachineInfo,
     /// Monotonic time at the loop's zero, ns; set by the first turn.
     zero_ns: Option<u64>,
     /// How often the queue ran dry.
@@ -35,14 +35,14 @@ impl Hardware {
     /// Opens pins and sensors and starts their threads; drivers off, pistons called zero.
     ///
     /// # Errors
-    /// [`MachineError`]; sensors are tried first, so that nothing is driven blind.
-    pub fn open(config: &MachineConfig) -> Result<Self, MachineError> {
+    /// [`HardwareError`]; sensors are tried first, so that nothing is driven blind.
+    pub fn open(config: &MachineConfig) -> Result<Self, HardwareError> {
         let imu = config.imu.as_ref().map(Sensor::start).transpose()?;
         let base_imu = config.base_imu.as_ref().map(Sensor::start).transpose()?;
         let pins = pins::open(&config.pins, config.microsteps)?;
         let drive = Drive::start(pins, &config.stepper, &config.motion, config.step_mm, config.period_s)?;
         let nature =
-            Nature { name: config.name.clone(), period_s: config.period_s, step_mm: config.step_mm, rest_length_mm: config.rest_length_mm };
+            MachineInfo { name: config.name.clone(), period_s: config.period_s, step_mm: config.step_mm, rest_length_mm: config.rest_length_mm };
         Ok(Self { drive, imu, base_imu, nature, zero_ns: None, dry: 0, dried_s: [f64::NEG_INFINITY; STARVED_TIMES], starved: false })
     }
 
@@ -54,9 +54,9 @@ impl Hardware {
 
     fn alarm(&self) -> Option<Alarm> {
         match self.drive.state() {
-            DriveState::Faulted(Fault::Late { late_ns, .. }) => Some(Alarm::Late { late_s: late_ns as f64 * 1e-9 }),
-            DriveState::Faulted(Fault::Torn { gap_mm, .. }) => Some(Alarm::Torn { gap_mm }),
-            DriveState::Faulted(Fault::Pins) => Some(Alarm::Pins),
+            DriveState::Faulted(StepperFault::Late { late_ns, .. }) => Some(Alarm::Late { late_s: late_ns as f64 * 1e-9 }),
+            DriveState::Faulted(StepperFault::Torn { gap_mm, .. }) => Some(Alarm::Torn { gap_mm }),
+            DriveState::Faulted(StepperFault::Pins) => Some(Alarm::Pins),
             DriveState::Dead => Some(Alarm::Dead),
             _ if self.starved => Some(Alarm::Starved),
             _ => None,
@@ -70,23 +70,23 @@ fn on_loop_clock(t_ns: u64, zero_ns: u64) -> Seconds {
 }
 
 impl Machine for Hardware {
-    fn nature(&self) -> &Nature {
+    fn nature(&self) -> &MachineInfo {
         &self.nature
     }
 
-    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, WorldError> {
+    fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let now_ns = monotonic_ns();
         let zero_ns = *self.zero_ns.get_or_insert_with(|| now_ns.saturating_sub((now.0 * 1e9) as u64));
         let target_mm = wanted.0.map(|n| f64::from(n) * self.nature.step_mm);
         let state = self.drive.turn(now_ns, target_mm);
         let stamped = |s: &mut Sensor| {
             s.newest().map(|r| match r.outcome {
-                Outcome::Sample(sample, quality) => Outcome::Sample(ImuSample { t: on_loop_clock(r.t_ns, zero_ns), ..sample }, quality),
+                ImuReading::Sample(sample, quality) => ImuReading::Sample(ImuSample { t: on_loop_clock(r.t_ns, zero_ns), ..sample }, quality),
                 other => other,
             })
         };
-        let base_imu = self.base_imu.as_mut().and_then(stamped).and_then(|o| if let Outcome::Sample(s, _) = o { Some(s) } else { None });
-        let imu = self.imu.as_mut().and_then(stamped).unwrap_or(Outcome::Nothing);
+        let base_imu = self.base_imu.as_mut().and_then(stamped).and_then(|o| if let ImuReading::Sample(s, _) = o { Some(s) } else { None });
+        let imu = self.imu.as_mut().and_then(stamped).unwrap_or(ImuReading::Nothing);
         let report = self.drive.report();
         if let Some(dry) = report.map(|r| r.dry).filter(|d| *d > self.dry) {
             self.dry = dry;
@@ -94,7 +94,7 @@ impl Machine for Hardware {
             self.dried_s[STARVED_TIMES - 1] = now.0;
             self.starved |= now.0 - self.dried_s[0] < STARVED_WITHIN_S;
         }
-        let pressed = state == DriveState::Faulted(Fault::EmergencyStop);
+        let pressed = state == DriveState::Faulted(StepperFault::EmergencyStop);
         Ok(Sensed {
             t: now,
             imu,

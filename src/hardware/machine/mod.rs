@@ -17,7 +17,7 @@ mod hardware;
 mod sensor;
 
 pub use drive::{Drive, DriveState};
-pub use error::MachineError;
+pub use error::HardwareError;
 pub use hardware::Hardware;
 pub use sensor::{Sensor, SensorConfig};
 

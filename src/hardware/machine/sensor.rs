@@ -4,10 +4,10 @@
 //! Readings go through a wait-free ring with the time at which the transfer began. A transfer that never
 //! returns keeps this thread and nothing else.
 
-use crate::estimation::fusion::health::Outcome;
+use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::imu_calibration::{Correction, ImuCalibration};
 use crate::hardware::imu::{self, Identity, Imu, ImuConfig, ImuError};
-use crate::hardware::machine::MachineError;
+use crate::hardware::machine::HardwareError;
 use crate::hardware::rt::{self, RtStatus, RtWish};
 use crate::primitives::units::Seconds;
 use embedded_hal::delay::DelayNs;
@@ -49,7 +49,7 @@ pub struct Stamped {
     /// When.
     pub t_ns: u64,
     /// What; the stamp inside a sample is not set yet.
-    pub outcome: Outcome,
+    pub outcome: ImuReading,
 }
 
 /// The loop's handle on the thread.
@@ -75,8 +75,8 @@ impl Sensor {
     /// Opens the bus, sets the chip up and starts reading.
     ///
     /// # Errors
-    /// [`MachineError`]: no bus, no permission, a chip that does not answer, is another or never comes up.
-    pub fn start(config: &SensorConfig) -> Result<Self, MachineError> {
+    /// [`HardwareError`]: no bus, no permission, a chip that does not answer, is another or never comes up.
+    pub fn start(config: &SensorConfig) -> Result<Self, HardwareError> {
         let (to, readings) = rtrb::RingBuffer::new(READINGS);
         let stop = Arc::new(AtomicBool::new(false));
         let (tell, told) = std::sync::mpsc::channel();
@@ -95,10 +95,10 @@ impl Sensor {
             Ok(Err(error)) => Err(error),
             Err(RecvTimeoutError::Timeout) => {
                 stop.store(true, Ordering::Relaxed);
-                Err(MachineError::BusHangs { path: config.bus.clone(), limit_s })
+                Err(HardwareError::BusHangs { path: config.bus.clone(), limit_s })
             }
             Err(RecvTimeoutError::Disconnected) => {
-                Err(MachineError::Bus { path: config.bus.clone(), why: "the IMU thread died as it started".to_owned() })
+                Err(HardwareError::Bus { path: config.bus.clone(), why: "the IMU thread died as it started".to_owned() })
             }
         }
     }
@@ -138,7 +138,7 @@ impl Drop for Sensor {
     }
 }
 
-type Started = Result<(Identity, RtStatus), MachineError>;
+type Started = Result<(Identity, RtStatus), HardwareError>;
 
 /// The thread's side.
 struct Reader {
@@ -154,7 +154,7 @@ impl Reader {
     fn run(&mut self, tell: &Sender<Started>) {
         let wish = RtWish { priority: self.config.priority, cpu: None };
         let begun = open(&self.config).and_then(|mut chip| {
-            let identity = chip.init(&mut Sleep).map_err(|source| MachineError::Imu { path: self.config.bus.clone(), source })?;
+            let identity = chip.init(&mut Sleep).map_err(|source| HardwareError::Imu { path: self.config.bus.clone(), source })?;
             Ok((chip, identity))
         });
         let mut chip = match begun {
@@ -189,7 +189,7 @@ impl Reader {
         let restart = matches!(result, Err(ImuError::ResetToDefaults { .. } | ImuError::NotReady { .. }));
         self.failures = if result.is_ok() { 0 } else { self.failures + 1 };
         let mut outcome = imu::outcome(&result, &chip.scale(), &self.correction, Seconds(0.0));
-        if let Outcome::Sample(sample, _) = &mut outcome {
+        if let ImuReading::Sample(sample, _) = &mut outcome {
             sample.gyro_rad_s = self.config.mount * sample.gyro_rad_s;
             sample.acc_m_s2 = self.config.mount * sample.acc_m_s2;
             sample.mag_ut = sample.mag_ut.map(|m| self.config.mount * m);
@@ -207,30 +207,30 @@ impl Reader {
 
 /// The driver on its bus.
 #[cfg(feature = "hw")]
-fn open(config: &SensorConfig) -> Result<Box<dyn Imu + Send>, MachineError> {
+fn open(config: &SensorConfig) -> Result<Box<dyn Imu + Send>, HardwareError> {
     use crate::hardware::imu::linux::Classified;
     let path = config.bus.clone();
     // the libraries fold the reasons; the file itself tells them apart
     if let Err(e) = std::fs::File::options().read(true).write(true).open(&path) {
         return Err(match e.kind() {
-            std::io::ErrorKind::NotFound => MachineError::NoBus { path },
-            std::io::ErrorKind::PermissionDenied => MachineError::BusPermission { path },
-            _ => MachineError::Bus { path, why: e.to_string() },
+            std::io::ErrorKind::NotFound => HardwareError::NoBus { path },
+            std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission { path },
+            _ => HardwareError::Bus { path, why: e.to_string() },
         });
     }
     if config.rppal {
         let number = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok());
         let bus = match number {
-            Some(n) => rppal::i2c::I2c::with_bus(n).map_err(|e| MachineError::Bus { path, why: e.to_string() })?,
-            None => return Err(MachineError::Bus { path, why: "rppal wants /dev/i2c-N".to_owned() }),
+            Some(n) => rppal::i2c::I2c::with_bus(n).map_err(|e| HardwareError::Bus { path, why: e.to_string() })?,
+            None => return Err(HardwareError::Bus { path, why: "rppal wants /dev/i2c-N".to_owned() }),
         };
         return Ok(imu::open(&config.chip, Classified(bus))?);
     }
-    let bus = linux_embedded_hal::I2cdev::new(&path).map_err(|e| MachineError::Bus { path, why: e.to_string() })?;
+    let bus = linux_embedded_hal::I2cdev::new(&path).map_err(|e| HardwareError::Bus { path, why: e.to_string() })?;
     Ok(imu::open(&config.chip, Classified(bus))?)
 }
 
 #[cfg(not(feature = "hw"))]
-fn open(_: &SensorConfig) -> Result<Box<dyn Imu + Send>, MachineError> {
-    Err(MachineError::NotBuilt)
+fn open(_: &SensorConfig) -> Result<Box<dyn Imu + Send>, HardwareError> {
+    Err(HardwareError::NotBuilt)
 }

@@ -13,7 +13,7 @@
 //! `gravity` (the tip really sags), a tilted base and `mount_misalignment` (turns the other sensors
 //! too). Many attitudes separate it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Reading, Stage, Starts};
+use crate::model::effects::{Effect, Memory, Moment, Param, ImuPrediction, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Offset of the specific force.
@@ -42,7 +42,7 @@ impl Effect for AccelBias {
     fn starts(&self) -> Starts {
         vec![vec![0.02; 3]]
     }
-    fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut Reading) {
+    fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut ImuPrediction) {
         reading.acc_m_s2 += Vector3::new(p[0], p[1], p[2]);
     }
 }

@@ -14,7 +14,7 @@
 //! Signature: in the gyroscope only; the other sensors see no motion. Easily confused with
 //! `thermal_drift` and `base_motion`, which the accelerometer sees. Still holds separate it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Reading, Stage, Starts};
+use crate::model::effects::{Effect, Memory, Moment, Param, ImuPrediction, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Times of the knots after the first, s.
@@ -51,7 +51,7 @@ impl Effect for GyroBias {
     fn starts(&self) -> Starts {
         vec![vec![1e-4; NAMES.len()]]
     }
-    fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut Reading) {
+    fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut ImuPrediction) {
         let next = KNOTS_S.iter().position(|&k| at.t_s < k);
         let (from, to, share) = match next {
             None => (KNOTS_S.len(), KNOTS_S.len(), 0.0),

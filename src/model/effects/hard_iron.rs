@@ -12,7 +12,7 @@
 //! Signature: in the magnetometer only, fixed to the body. Easily confused with `motor_field` (fixed
 //! in the world, follows the motors) and `torsion`. A tumble with the motors off separates it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Reading, Stage, Starts};
+use crate::model::effects::{Effect, Memory, Moment, Param, ImuPrediction, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Field of magnetised parts on the tip.
@@ -41,7 +41,7 @@ impl Effect for HardIron {
     fn starts(&self) -> Starts {
         vec![vec![1.0; 3]]
     }
-    fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut Reading) {
+    fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut ImuPrediction) {
         reading.mag_ut += Vector3::new(p[0], p[1], p[2]);
     }
 }

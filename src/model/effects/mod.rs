@@ -142,7 +142,7 @@ pub struct Pose {
 
 /// What the tip IMU should read, sensor frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reading {
+pub struct ImuPrediction {
     /// Specific force, m/s².
     pub acc_m_s2: Vector3<f64>,
     /// Rate, rad/s.
@@ -192,7 +192,7 @@ pub trait Effect: Send + Sync {
     /// `k_epsilon` are the nominal gains.
     fn canonical(&self, _p: &mut [f64], _k_epsilon: &Vector3<f64>) {}
     /// What the sensor makes of the truth.
-    fn sensor(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _reading: &mut Reading) {}
+    fn sensor(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _reading: &mut ImuPrediction) {}
     /// Dead time from command to motion, s.
     fn transport_s(&self, _p: &[f64]) -> f64 {
         0.0

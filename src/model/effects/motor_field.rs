@@ -19,7 +19,7 @@
 //! to the body, blind to the motors) and `gear_periodic` (moves the tip). Motors on and off while still separate it.
 
 use crate::model::drive::Drive;
-use crate::model::effects::{Effect, Memory, Moment, Param, Reading, Stage, Starts};
+use crate::model::effects::{Effect, Memory, Moment, Param, ImuPrediction, Stage, Starts};
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
@@ -72,7 +72,7 @@ impl Effect for MotorField {
     fn follows_motors(&self) -> bool {
         true
     }
-    fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut Reading) {
+    fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut ImuPrediction) {
         let mut field = Vector3::zeros();
         for (motor, u_mm) in p.chunks_exact(6).zip(at.counted_mm.iter()) {
             let (sin, cos) = (TAU * u_mm / (CYCLE * self.step_mm)).sin_cos();
@@ -112,7 +112,7 @@ mod tests {
         let mut p = proof::with(&e, &[("idle", 0.4)]);
         p[6..12].copy_from_slice(&[5.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
         let zero = Vector3::zeros();
-        let mut r = Reading { acc_m_s2: zero, gyro_rad_s: zero, mag_ut: zero, r_base_sensor };
+        let mut r = ImuPrediction { acc_m_s2: zero, gyro_rad_s: zero, mag_ut: zero, r_base_sensor };
         let at = Moment { idle_s, ..proof::moment(0.0, Vector3::new(0.3, u_mm, 0.7)) };
         e.sensor(&p, &mut Memory::default(), &at, &mut r);
         assert_eq!((r.acc_m_s2, r.gyro_rad_s), (zero, zero));

@@ -4,7 +4,7 @@
 //! constant curvature → sensor, at 100 Hz.
 
 use crate::model::arc::Geometry;
-use crate::model::effects::{Effect, Memory, Moment, Param, Pose, Reading, by_name};
+use crate::model::effects::{Effect, Memory, Moment, Param, Pose, ImuPrediction, by_name};
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector2, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use std::time::Instant;
@@ -20,7 +20,7 @@ pub struct Link {
     pub w_mm: Vector3<f64>,
     pub q_mm: Vector3<f64>,
     pub pose: Pose,
-    pub reading: Reading,
+    pub reading: ImuPrediction,
 }
 
 impl Link {
@@ -89,7 +89,7 @@ fn link(e: &dyn Effect, p: &[f64], m: &mut Memory, at: &Moment) -> Link {
     let mut pose = Pose { bend: bend.0, twist: 0.0, bellow_mm: q_mm };
     e.shape(p, m, at, &mut pose);
     let r_base_sensor = UnitQuaternion::from_scaled_axis(Vector3::new(pose.bend.y, pose.bend.x, pose.twist));
-    let mut reading = Reading {
+    let mut reading = ImuPrediction {
         acc_m_s2: r_base_sensor.inverse() * at.up_base * 9.81,
         gyro_rad_s: Vector3::new(0.01, -0.02, 0.03),
         mag_ut: r_base_sensor.inverse() * Vector3::new(20.0, 0.0, -43.0),

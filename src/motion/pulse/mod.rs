@@ -20,17 +20,17 @@ mod modes;
 
 use crate::motion::config::EmergencyStop;
 use crate::motion::histogram::Histogram;
-use crate::motion::limits::Limits;
-use crate::motion::lines::{Levels, Line, PulseTiming};
+use crate::motion::limits::MotionLimits;
+use crate::motion::lines::{Levels, OutputLine, PulseTiming};
 use crate::motion::queue::{Source, TimedSegment};
-use crate::motion::report::{Fault, Inputs, Mode, Order, Report};
-use crate::motion::state::State;
+use crate::motion::report::{StepperFault, StepperInputs, StepperMode, StepperOrder, StepperReport};
+use crate::motion::state::MotionState;
 use crate::motion::steps::StepStream;
 use crate::primitives::units::Steps;
 
 /// What the shell is to do now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Action {
+pub enum PulseAction {
     /// Bring the lines to these levels, then call [`StepCore::wrote`].
     Write(Levels),
     /// Nothing before this time, ns of the monotonic clock; look at inputs and orders then.
@@ -41,23 +41,23 @@ pub enum Action {
 #[derive(Debug, Clone)]
 pub struct StepCore {
     timing: PulseTiming,
-    limits: Limits,
+    limits: MotionLimits,
     step_mm: f64,
-    mode: Mode,
+    mode: StepperMode,
     current: Option<TimedSegment>,
     stream: StepStream,
-    lines: [Line; 3],
+    lines: [OutputLine; 3],
     levels: Levels,
     written: Levels,
     enable: bool,
     rewrite: bool,
     awake_ns: u64,
     moved_ns: u64,
-    at: [State; 3],
+    at: [MotionState; 3],
     counted: [i32; 3],
     epoch: u32,
     after_stop: AfterStop,
-    inputs: Inputs,
+    inputs: StepperInputs,
     pressed: u8,
     dry: u32,
     refused: u32,
@@ -70,7 +70,7 @@ pub struct StepCore {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum AfterStop {
     Rest,
-    Fault(Fault),
+    Fault(StepperFault),
     Finish,
 }
 
@@ -82,26 +82,26 @@ const INTERVAL_LONGEST_NS: u64 = 50_000_000;
 impl StepCore {
     /// At rest at zero, drivers released.
     #[must_use]
-    pub fn new(timing: PulseTiming, limits: &Limits, step_mm: f64) -> Self {
+    pub fn new(timing: PulseTiming, limits: &MotionLimits, step_mm: f64) -> Self {
         Self {
             timing,
             limits: *limits,
             step_mm,
-            mode: Mode::Resting,
+            mode: StepperMode::Resting,
             current: None,
             stream: StepStream::new(step_mm, [0; 3]),
-            lines: [Line::default(); 3],
+            lines: [OutputLine::default(); 3],
             levels: Levels::default(),
             written: Levels::default(),
             enable: false,
             rewrite: false,
             awake_ns: 0,
             moved_ns: 0,
-            at: [State::rest(0.0); 3],
+            at: [MotionState::rest(0.0); 3],
             counted: [0; 3],
             epoch: 0,
             after_stop: AfterStop::Rest,
-            inputs: Inputs::default(),
+            inputs: StepperInputs::default(),
             pressed: 0,
             dry: 0,
             refused: 0,
@@ -121,19 +121,19 @@ impl StepCore {
     }
 
     /// What to do at `now_ns`, a reading of the clock just taken.
-    pub fn poll(&mut self, now_ns: u64, source: &mut impl Source) -> Action {
+    pub fn poll(&mut self, now_ns: u64, source: &mut impl Source) -> PulseAction {
         self.advance(now_ns, source);
         self.check_lateness(now_ns);
         self.idle(now_ns);
-        if self.mode == Mode::Faulted(Fault::Pins) {
-            return Action::WaitUntil(now_ns + self.timing.poll_ns);
+        if self.mode == StepperMode::Faulted(StepperFault::Pins) {
+            return PulseAction::WaitUntil(now_ns + self.timing.poll_ns);
         }
         let wanted = self.wanted(now_ns);
         if wanted == self.levels && !self.rewrite {
-            return Action::WaitUntil(self.next_ns(now_ns));
+            return PulseAction::WaitUntil(self.next_ns(now_ns));
         }
         self.written = wanted;
-        Action::Write(wanted)
+        PulseAction::Write(wanted)
     }
 
     /// The levels last asked for are on the lines; the write was over at `done_ns`.
@@ -162,15 +162,15 @@ impl StepCore {
     }
 
     /// The pins failed: nothing is known of them any more, so they are left alone until
-    /// [`Order::Clear`], and then written whether they seem to need it or not.
+    /// [`StepperOrder::Clear`], and then written whether they seem to need it or not.
     pub fn pins_failed(&mut self) {
-        self.fail(Fault::Pins);
-        self.mode = Mode::Faulted(Fault::Pins);
+        self.fail(StepperFault::Pins);
+        self.mode = StepperMode::Faulted(StepperFault::Pins);
         self.rewrite = true;
     }
 
     /// The input lines as just read.
-    pub fn observe(&mut self, inputs: Inputs) {
+    pub fn observe(&mut self, inputs: StepperInputs) {
         self.pressed = if inputs.emergency_stop { self.pressed.saturating_add(1) } else { 0 };
         self.inputs = inputs;
         if self.pressed < PRESSED_READINGS {
@@ -178,48 +178,48 @@ impl StepCore {
         }
         match self.timing.emergency_stop {
             EmergencyStop::Release => {
-                self.fail(Fault::EmergencyStop);
+                self.fail(StepperFault::EmergencyStop);
                 self.enable = false;
             }
-            EmergencyStop::Hold if matches!(self.mode, Mode::Faulted(_)) => {}
-            EmergencyStop::Hold => self.stop(AfterStop::Fault(Fault::EmergencyStop)),
+            EmergencyStop::Hold if matches!(self.mode, StepperMode::Faulted(_)) => {}
+            EmergencyStop::Hold => self.stop(AfterStop::Fault(StepperFault::EmergencyStop)),
         }
     }
 
     /// Takes an order of the loop.
-    pub fn order(&mut self, order: Order) {
-        let faulted = matches!(self.mode, Mode::Faulted(_));
+    pub fn order(&mut self, order: StepperOrder) {
+        let faulted = matches!(self.mode, StepperMode::Faulted(_));
         match order {
-            Order::Stop if !faulted => self.stop(AfterStop::Rest),
-            Order::Finish if !faulted => self.stop(AfterStop::Finish),
-            Order::Finish => {
+            StepperOrder::Stop if !faulted => self.stop(AfterStop::Rest),
+            StepperOrder::Finish if !faulted => self.stop(AfterStop::Finish),
+            StepperOrder::Finish => {
                 self.enable = false;
                 self.after_stop = AfterStop::Finish;
             }
-            Order::Energise if !faulted => self.enable = true,
-            Order::Release if self.mode == Mode::Resting || faulted => self.enable = false,
-            Order::Clear if faulted && self.pressed < PRESSED_READINGS => self.settle(),
-            Order::Rebase(position_mm) if self.mode == Mode::Resting => self.rebase(position_mm),
+            StepperOrder::Energise if !faulted => self.enable = true,
+            StepperOrder::Release if self.mode == StepperMode::Resting || faulted => self.enable = false,
+            StepperOrder::Clear if faulted && self.pressed < PRESSED_READINGS => self.settle(),
+            StepperOrder::Rebase(position_mm) if self.mode == StepperMode::Resting => self.rebase(position_mm),
             _ => {}
         }
     }
 
-    /// True when [`Order::Finish`] has been carried out and the lines are in their last state.
+    /// True when [`StepperOrder::Finish`] has been carried out and the lines are in their last state.
     #[must_use]
     pub fn is_finished(&self) -> bool {
         let down = !self.levels.enable && self.levels.step == [false; 3];
         let over = match self.mode {
-            Mode::Faulted(Fault::Pins) => true,
-            Mode::Resting | Mode::Faulted(_) => down,
-            Mode::Following | Mode::Stopping => false,
+            StepperMode::Faulted(StepperFault::Pins) => true,
+            StepperMode::Resting | StepperMode::Faulted(_) => down,
+            StepperMode::Following | StepperMode::Stopping => false,
         };
         self.after_stop == AfterStop::Finish && over
     }
 
     /// Everything worth knowing.
     #[must_use]
-    pub fn report(&self, now_ns: u64) -> Report {
-        Report {
+    pub fn report(&self, now_ns: u64) -> StepperReport {
+        StepperReport {
             t_ns: now_ns,
             mode: self.mode,
             epoch: self.epoch,
@@ -235,7 +235,7 @@ impl StepCore {
 
     /// What it is at.
     #[must_use]
-    pub fn mode(&self) -> Mode {
+    pub fn mode(&self) -> StepperMode {
         self.mode
     }
 
@@ -253,7 +253,7 @@ impl StepCore {
 
     /// Input lines as last read.
     #[must_use]
-    pub fn inputs(&self) -> Inputs {
+    pub fn inputs(&self) -> StepperInputs {
         self.inputs
     }
 
@@ -289,7 +289,7 @@ impl StepCore {
             if let Some((due_ns, _)) = self.stream.peek(channel) {
                 let late_ns = now_ns.saturating_sub(due_ns.max(self.awake_ns));
                 if late_ns > self.timing.late_ns {
-                    self.fail(Fault::Late { channel, late_ns });
+                    self.fail(StepperFault::Late { channel, late_ns });
                     return;
                 }
             }
@@ -299,7 +299,7 @@ impl StepCore {
     /// Releases the drivers after a long rest, if that is wanted.
     fn idle(&mut self, now_ns: u64) {
         let over = self.timing.idle_ns.is_some_and(|idle_ns| now_ns > self.moved_ns + idle_ns);
-        if over && self.levels.enable && self.mode != Mode::Stopping && self.stream.is_spent() {
+        if over && self.levels.enable && self.mode != StepperMode::Stopping && self.stream.is_spent() {
             self.enable = false;
         }
     }

@@ -3,9 +3,9 @@
 
 use super::{AfterStop, StepCore};
 use crate::motion::queue::{Source, TimedSegment};
-use crate::motion::report::{Fault, Mode};
+use crate::motion::report::{StepperFault, StepperMode};
 use crate::motion::segment::Segment;
-use crate::motion::state::State;
+use crate::motion::state::MotionState;
 use crate::motion::steps::count;
 use crate::motion::stop::stop_segment;
 
@@ -13,7 +13,7 @@ impl StepCore {
     /// Goes on to the segment that is due, or brakes for want of one.
     pub(super) fn advance(&mut self, now_ns: u64, source: &mut impl Source) {
         loop {
-            if matches!(self.mode, Mode::Faulted(_)) {
+            if matches!(self.mode, StepperMode::Faulted(_)) {
                 self.refuse_all(source);
                 return;
             }
@@ -22,26 +22,26 @@ impl StepCore {
                 Some(current) => Some(current.end_ns()),
                 None => None,
             };
-            if let (Some(_), Mode::Stopping) = (end_ns, self.mode)
-                && self.at.iter().all(State::is_rest)
+            if let (Some(_), StepperMode::Stopping) = (end_ns, self.mode)
+                && self.at.iter().all(MotionState::is_rest)
             {
                 self.finish_stop();
                 continue;
             }
-            if self.mode != Mode::Stopping
+            if self.mode != StepperMode::Stopping
                 && let Some(next) = source.next_segment()
             {
                 self.accept(&next, end_ns, now_ns);
                 continue;
             }
             match end_ns {
-                Some(end_ns) if !self.at.iter().all(State::is_rest) => self.brake(end_ns),
+                Some(end_ns) if !self.at.iter().all(MotionState::is_rest) => self.brake(end_ns),
                 _ => {
                     self.current = None;
-                    if self.mode == Mode::Stopping {
+                    if self.mode == StepperMode::Stopping {
                         self.finish_stop();
                     }
-                    self.mode = if let Mode::Following = self.mode { Mode::Resting } else { self.mode };
+                    self.mode = if let StepperMode::Following = self.mode { StepperMode::Resting } else { self.mode };
                     return;
                 }
             }
@@ -50,7 +50,7 @@ impl StepCore {
 
     /// Takes up a segment if it is of this epoch, in time and joins on; else refuses or fails.
     fn accept(&mut self, next: &TimedSegment, end_ns: Option<u64>, now_ns: u64) {
-        let in_time = if self.at.iter().all(State::is_rest) {
+        let in_time = if self.at.iter().all(MotionState::is_rest) {
             let fresh = next.segment.is_still() || now_ns <= next.start_ns + self.timing.late_ns;
             fresh && next.start_ns >= end_ns.unwrap_or(0)
         } else {
@@ -68,12 +68,12 @@ impl StepCore {
             self.fail(fault);
             return;
         }
-        self.mode = Mode::Following;
+        self.mode = StepperMode::Following;
         self.begin(*next);
     }
 
     /// The first channel of a segment that jumps, outruns the speed limit or is no number.
-    fn tear(&self, segment: &Segment) -> Option<Fault> {
+    fn tear(&self, segment: &Segment) -> Option<StepperFault> {
         let longest_mm = self.limits.speed_max_mm_s * segment.duration_s * 1.001 + 1e-6;
         segment.channels.iter().enumerate().find_map(|(channel, c)| {
             let gap_mm = c.start.position_mm - self.at[channel].position_mm;
@@ -81,7 +81,7 @@ impl StepCore {
             if gap_mm.abs() <= 1e-6 && way_mm.abs() <= longest_mm {
                 None
             } else {
-                Some(Fault::Torn { channel, gap_mm: if gap_mm.abs() <= 1e-6 { way_mm } else { gap_mm } })
+                Some(StepperFault::Torn { channel, gap_mm: if gap_mm.abs() <= 1e-6 { way_mm } else { gap_mm } })
             }
         })
     }
@@ -99,12 +99,12 @@ impl StepCore {
 
     /// No segment follows although the pistons move: brake from where the last one ended.
     fn brake(&mut self, end_ns: u64) {
-        if self.mode == Mode::Following {
+        if self.mode == StepperMode::Following {
             self.dry += 1;
             self.epoch += 1;
             self.after_stop = AfterStop::Rest;
         }
-        self.mode = Mode::Stopping;
+        self.mode = StepperMode::Stopping;
         let segment = stop_segment(&self.at, &self.limits);
         let duration_ns = (segment.duration_s * 1e9).round() as u64;
         self.begin(TimedSegment { epoch: self.epoch, start_ns: end_ns, duration_ns, segment });
@@ -112,7 +112,7 @@ impl StepCore {
 
     /// From the end of the segment in hand on, brake; nothing queued before counts any more.
     pub(super) fn stop(&mut self, after: AfterStop) {
-        if self.mode == Mode::Stopping {
+        if self.mode == StepperMode::Stopping {
             // A stop under way is only ever made more final.
             if after != AfterStop::Rest {
                 self.after_stop = after;
@@ -121,36 +121,36 @@ impl StepCore {
         }
         self.epoch += 1;
         self.after_stop = after;
-        self.mode = Mode::Stopping;
+        self.mode = StepperMode::Stopping;
     }
 
     /// A stop has come to rest.
     fn finish_stop(&mut self) {
         self.current = None;
         self.mode = match self.after_stop {
-            AfterStop::Fault(fault) => Mode::Faulted(fault),
-            AfterStop::Rest => Mode::Resting,
+            AfterStop::Fault(fault) => StepperMode::Faulted(fault),
+            AfterStop::Rest => StepperMode::Resting,
             AfterStop::Finish => {
                 self.enable = false;
-                Mode::Resting
+                StepperMode::Resting
             }
         };
     }
 
     /// Stops dead: no further step; what was pulsed is where the pistons are.
-    pub(super) fn fail(&mut self, fault: Fault) {
-        if !matches!(self.mode, Mode::Faulted(_)) {
-            self.mode = Mode::Faulted(fault);
+    pub(super) fn fail(&mut self, fault: StepperFault) {
+        if !matches!(self.mode, StepperMode::Faulted(_)) {
+            self.mode = StepperMode::Faulted(fault);
             self.epoch += 1;
         }
         self.current = None;
         self.stream.reset(self.counted);
-        self.at = self.counted.map(|n| State::rest(f64::from(n) * self.step_mm));
+        self.at = self.counted.map(|n| MotionState::rest(f64::from(n) * self.step_mm));
     }
 
     /// Leaves a fault, at rest where the count says.
     pub(super) fn settle(&mut self) {
-        self.mode = Mode::Resting;
+        self.mode = StepperMode::Resting;
         self.after_stop = AfterStop::Rest;
         self.epoch += 1;
     }
@@ -158,7 +158,7 @@ impl StepCore {
     /// Declares positions, and the counts they round to.
     pub(super) fn rebase(&mut self, position_mm: [f64; 3]) {
         if position_mm.iter().all(|p| p.is_finite()) {
-            self.at = position_mm.map(State::rest);
+            self.at = position_mm.map(MotionState::rest);
             self.counted = position_mm.map(|p| count(p, self.step_mm));
             self.stream.reset(self.counted);
             self.epoch += 1;

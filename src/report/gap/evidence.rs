@@ -2,7 +2,7 @@
 
 use crate::diagnosis::chain::lines;
 use crate::diagnosis::diagnose::Diagnosed;
-use crate::diagnosis::observe::{G_M_S2, Kind, Observed};
+use crate::diagnosis::observe::{G_M_S2, Quantity, Observed};
 use crate::diagnosis::search::HeldOut;
 use crate::model::arc::Geometry;
 use crate::model::bend::Bend;
@@ -143,7 +143,7 @@ fn label(kind: usize, axis: usize) -> String {
     match kind {
         0 => format!("bend b_{axis_name} by the tracker"),
         1 => format!("gravity along sensor {axis_name}"),
-        _ => format!("{} along sensor {axis_name}", if Kind::ALL[kind] == Kind::Mag { "field" } else { "signal" }),
+        _ => format!("{} along sensor {axis_name}", if Quantity::ALL[kind] == Quantity::Mag { "field" } else { "signal" }),
     }
 }
 

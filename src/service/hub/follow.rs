@@ -2,10 +2,10 @@
 
 use super::{ANSWER_MAX_S, Hub, Waiting, requests::unix_s};
 use crate::service::calibrate::Next;
-use crate::service::memory::{Fault, Gains};
+use crate::service::memory::{RecordedFault, LearnedGains};
 use crate::service::protocol::Failure;
 use crate::service::status;
-use crate::supervisor::cycle::Turned;
+use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
 use serde_json::Value;
 use std::time::{Duration, Instant};
@@ -48,7 +48,7 @@ impl Hub {
         }
     }
 
-    fn follow(&mut self, turned: &Turned) {
+    fn follow(&mut self, turned: &CycleOutput) {
         self.log(turned);
         if let Some(recording) = &mut self.recording
             && let Err(e) = recording.turn(turned)
@@ -60,7 +60,7 @@ impl Hub {
         self.lead_calibration(turned);
     }
 
-    fn stream_frames(&mut self, turned: &Turned) {
+    fn stream_frames(&mut self, turned: &CycleOutput) {
         let t = turned.sensed.t.0;
         let mut line = None;
         for s in &mut self.subscriptions {
@@ -74,7 +74,7 @@ impl Hub {
     }
 
     /// Every change of mode, fault and suspicion is one event.
-    fn log(&mut self, turned: &Turned) {
+    fn log(&mut self, turned: &CycleOutput) {
         let config = &self.parts.config_hash;
         let before = self.last.as_ref();
         if before.is_none_or(|b| b.mode != turned.mode) {
@@ -85,7 +85,7 @@ impl Hub {
             let words = status::words(cause);
             let suspicion = turned.suspicion.map_or_else(String::new, |s| format!("; {s}"));
             tracing::error!(event = "fault", cause = status::name(cause), steps = ?turned.steps.0, config = %config, "{words}{suspicion}");
-            let entry = Fault { unix_s: unix_s(), cause: status::name(cause), words: format!("{words}{suspicion}") };
+            let entry = RecordedFault { unix_s: unix_s(), cause: status::name(cause), words: format!("{words}{suspicion}") };
             self.parts.memory.fault(entry);
             self.last_checkpoint = long_ago();
         }
@@ -105,7 +105,7 @@ impl Hub {
         }
     }
 
-    fn lead_calibration(&mut self, turned: &Turned) {
+    fn lead_calibration(&mut self, turned: &CycleOutput) {
         let Some(session) = &mut self.calibration else { return };
         match session.step(turned) {
             Next::Wait => {}
@@ -126,7 +126,7 @@ impl Hub {
                         self.calibration_failed = Some(why);
                     }
                     Ok(found) => {
-                        let gains = Gains {
+                        let gains = LearnedGains {
                             k_epsilon: found.lines.map(|l| l.k_epsilon),
                             k_lambda_mm: found.lines.map(|l| l.k_lambda_mm),
                             lag_s: found.dynamics.lag_s,

@@ -12,7 +12,7 @@ use crate::service::record::Recording;
 use crate::service::server::Line;
 use crate::service::tape;
 use crate::service::turns::Message;
-use crate::supervisor::cycle::Pilot;
+use crate::supervisor::cycle::Supervisor;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
@@ -111,7 +111,7 @@ impl Hub {
         let mut next = self.parts.pilot.clone();
         let whole = crate::config::assemble(&self.parts.board, &self.parts.calibration, &gains);
         // what the machine and the calibration said stays; what the gains file says is new
-        next.tick = crate::control::tick::Config {
+        next.tick = crate::control::tick::LoopConfig {
             geometry: next.tick.geometry,
             drive: next.tick.drive,
             lines: next.tick.lines,
@@ -188,12 +188,12 @@ impl Hub {
     }
 
     /// A pilot that remembers nothing but what the header of the tape says takes over, at rest.
-    fn relieve(&mut self, kept: Option<crate::control::tick::Kept>) {
+    fn relieve(&mut self, kept: Option<crate::control::tick::RestartState>) {
         let mut config = self.parts.pilot.clone();
         config.tick.lines = self.first_lines().map(|[k_epsilon, k_lambda_mm]| crate::model::transmission::Line { k_epsilon, k_lambda_mm });
         let [lag_s, delay_s] = self.first_dynamics();
         config.tick.dynamics = crate::control::pi::Dynamics { lag_s, delay_s };
-        let pilot = Pilot::new(config, kept);
+        let pilot = Supervisor::new(config, kept);
         if self.parts.other_end.orders.push(Message::Relieve(Box::new(pilot))).is_err()
             && let Some(r) = &mut self.recording
         {
@@ -202,11 +202,11 @@ impl Hub {
     }
 
     /// What a pilot of now would begin with.
-    fn first_kept(&self, at_boot: bool) -> Option<crate::control::tick::Kept> {
+    fn first_kept(&self, at_boot: bool) -> Option<crate::control::tick::RestartState> {
         let kept = self.parts.memory.kept?;
         if at_boot && self.parts.memory.tip != self.parts.tip {
             let lines = self.first_lines();
-            return Some(crate::control::tick::Kept {
+            return Some(crate::control::tick::RestartState {
                 k_epsilon: lines.map(|l| l[0]),
                 k_lambda_mm: lines.map(|l| l[1]),
                 rest: None,

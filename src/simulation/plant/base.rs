@@ -5,9 +5,9 @@
 //! two sines whose periods stand in the golden ratio and so never repeat.
 
 use crate::primitives::frames::{Rotation, World};
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::shape::arc::Plate;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -39,7 +39,7 @@ impl Default for BaseMotion {
     }
 }
 
-impl Cause for BaseMotion {
+impl PlantEffect for BaseMotion {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.base_motion.angle_deg", self.angle_deg, -180.0..=180.0, "1 to 10 is typical")?;
         ranges("effects.base_motion.axis", &self.axis, -1e3..=1e3, "a direction")?;
@@ -56,7 +56,7 @@ impl Cause for BaseMotion {
         self.angle_deg = (self.angle_deg * factor).clamp(-180.0, 180.0);
         self.sway_deg *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let angle_deg = lot.sized(3.0, 12.0, severity);
         Self {
             angle_deg,

@@ -1,10 +1,10 @@
 //! What every imperfection of the plant has in common: a size, a range, a typical draw.
 
 use crate::simulation::plant::check::PlantError;
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 
 /// One physical cause beyond the nominal model.
-pub(crate) trait Cause: Clone {
+pub(crate) trait PlantEffect: Clone {
     /// Refuses what the physics cannot run with.
     fn check(&self) -> Result<(), PlantError>;
     /// How much of it there is, in a unit of its own; 0 means that the plant is as without it.
@@ -12,11 +12,11 @@ pub(crate) trait Cause: Clone {
     /// Makes it `factor` times as big.
     fn scale(&mut self, factor: f64);
     /// One of a plausible size: the small end of what is typical at severity 0, the big end at 1.
-    fn draw(severity: f64, lot: &mut Lot) -> Self;
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self;
 }
 
 /// The cause if there is any of it, so that size 0 and absence are the same plant bit for bit.
-pub(crate) fn active<C: Cause>(cause: Option<&C>) -> Option<C> {
+pub(crate) fn active<C: PlantEffect>(cause: Option<&C>) -> Option<C> {
     cause.filter(|c| c.size() != 0.0).cloned()
 }
 

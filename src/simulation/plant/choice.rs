@@ -18,7 +18,7 @@ use crate::simulation::plant::line::crosstalk::Crosstalk;
 use crate::simulation::plant::line::gas_compression::GasCompression;
 use crate::simulation::plant::line::leak::Leak;
 use crate::simulation::plant::line::thermal_drift::ThermalDrift;
-use crate::simulation::plant::lot::{Lot, Stream};
+use crate::simulation::plant::lot::{PlantRng, Stream};
 use crate::simulation::plant::shape::cable_stiffness::CableStiffness;
 use crate::simulation::plant::shape::clocking::Clocking;
 use crate::simulation::plant::shape::curvature::Curvature;
@@ -34,7 +34,7 @@ impl PlantConfig {
     /// # Errors
     /// [`PlantError::UnknownEffect`] for a name that [`effect_names`] does not list.
     pub fn with_effect<R: Rng + ?Sized>(mut self, name: &str, severity: f64, rng: &mut R) -> Result<Self, PlantError> {
-        let mut lot = Lot::new(rng.next_u64(), Stream::Choice);
+        let mut lot = PlantRng::new(rng.next_u64(), Stream::Choice);
         if self.effects.choose(name, severity, &mut lot) {
             return Ok(self);
         }
@@ -46,7 +46,7 @@ impl PlantConfig {
     /// tip orientation and each there with even odds. What is set already is left alone.
     #[must_use]
     pub fn background<R: Rng + ?Sized>(mut self, rng: &mut R) -> Self {
-        let mut lot = Lot::new(rng.next_u64(), Stream::Choice);
+        let mut lot = PlantRng::new(rng.next_u64(), Stream::Choice);
         let e = &mut self.effects;
         let mut tenth = |size: f64| size * lot.between(0.3, 1.0);
         let small = Effects {
@@ -78,7 +78,7 @@ impl PlantConfig {
 
 impl Effects {
     /// Takes each cause of `small` that is not set here, with even odds.
-    fn fill(&mut self, small: Effects, lot: &mut Lot) {
+    fn fill(&mut self, small: Effects, lot: &mut PlantRng) {
         macro_rules! take {
             ($($name:ident),*) => { $(
                 let wanted = lot.chance(0.5);

@@ -13,7 +13,7 @@ use crate::simulation::plant::bellows::ringing::Ringing;
 use crate::simulation::plant::bellows::snap_through::SnapThrough;
 use crate::simulation::plant::bellows::softening::Softening;
 use crate::simulation::plant::bellows::stiffening::Stiffening;
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::drive::gear_periodic::GearPeriodic;
 use crate::simulation::plant::drive::missed_steps::MissedSteps;
@@ -31,7 +31,7 @@ use crate::simulation::plant::line::line_lag::LineLag;
 use crate::simulation::plant::line::play::PlayWear;
 use crate::simulation::plant::line::rate_coupling::RateCoupling;
 use crate::simulation::plant::line::thermal_drift::ThermalDrift;
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::shape::cable_stiffness::CableStiffness;
 use crate::simulation::plant::shape::clocking::Clocking;
 use crate::simulation::plant::shape::contact::Contact;
@@ -78,7 +78,7 @@ macro_rules! causes {
                 Ok(())
             }
             /// Draws the named cause; false if this table has none of the name.
-            fn draw(&mut self, name: &str, severity: f64, lot: &mut Lot) -> bool {
+            fn draw(&mut self, name: &str, severity: f64, lot: &mut PlantRng) -> bool {
                 match name {
                     $( stringify!($name) => self.$name = Some(<$kind>::draw(severity, lot)), )*
                     _ => return false,
@@ -86,7 +86,7 @@ macro_rules! causes {
                 true
             }
             /// Makes every cause bigger or smaller by a factor of its own.
-            fn vary(&mut self, sigma: f64, lot: &mut Lot) {
+            fn vary(&mut self, sigma: f64, lot: &mut PlantRng) {
                 $( if let Some(cause) = &mut self.$name { cause.scale(lot.factor(sigma)); } )*
             }
         }
@@ -155,11 +155,11 @@ impl Effects {
         self.outside.check()
     }
     /// Sets the named cause to a random one of its typical range; false if there is no such name.
-    pub(crate) fn choose(&mut self, name: &str, severity: f64, lot: &mut Lot) -> bool {
+    pub(crate) fn choose(&mut self, name: &str, severity: f64, lot: &mut PlantRng) -> bool {
         self.draw(name, severity, lot) || self.outside.draw(name, severity, lot)
     }
     /// Sizes as another unit of the same make has them.
-    pub(crate) fn varied(&self, sigma: f64, lot: &mut Lot) -> Self {
+    pub(crate) fn varied(&self, sigma: f64, lot: &mut PlantRng) -> Self {
         let mut unit = self.clone();
         unit.vary(sigma, lot);
         unit.outside.vary(sigma, lot);

@@ -36,7 +36,7 @@ impl Channel {
 
 /// Something that breaks.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Fault {
+pub enum InjectedFault {
     /// The IMU does not answer (bus error, pulled plug): no sample at all.
     NoSample,
     /// The IMU repeats its last reading under new time stamps.
@@ -156,29 +156,29 @@ const WALL_GIVE_DEG: f64 = 4.0;
 
 impl Plant {
     /// Breaks something from now on.
-    pub fn inject(&mut self, fault: Fault) {
+    pub fn inject(&mut self, fault: InjectedFault) {
         match fault {
-            Fault::NoSample
-            | Fault::FrozenSample
-            | Fault::NanSample
-            | Fault::Spike { .. }
-            | Fault::Saturation
-            | Fault::NoMag
-            | Fault::GyroBias { .. }
-            | Fault::AccBias { .. } => self.break_sensor(fault),
-            Fault::StepLoss { .. } | Fault::Inverted { .. } | Fault::Disabled { .. } | Fault::EndStop { .. } => self.break_drive(fault),
-            Fault::Leak { channel, rate_per_s } => self.line.broken.leak(channel.index(), rate_per_s),
-            Fault::Burst { channel } => self.line.broken.leak(channel.index(), BURST_PER_S),
-            Fault::Blocked { channel } => self.line.broken.block(channel.index()),
-            Fault::AirBubble { channel, factor } => self.bellows.broken.compliance[channel.index()] = factor,
-            Fault::Gain { channel, factor } => self.bellows.broken.gain[channel.index()] = factor,
-            Fault::BaseTurn { axis, angle_deg, over_s } => {
+            InjectedFault::NoSample
+            | InjectedFault::FrozenSample
+            | InjectedFault::NanSample
+            | InjectedFault::Spike { .. }
+            | InjectedFault::Saturation
+            | InjectedFault::NoMag
+            | InjectedFault::GyroBias { .. }
+            | InjectedFault::AccBias { .. } => self.break_sensor(fault),
+            InjectedFault::StepLoss { .. } | InjectedFault::Inverted { .. } | InjectedFault::Disabled { .. } | InjectedFault::EndStop { .. } => self.break_drive(fault),
+            InjectedFault::Leak { channel, rate_per_s } => self.line.broken.leak(channel.index(), rate_per_s),
+            InjectedFault::Burst { channel } => self.line.broken.leak(channel.index(), BURST_PER_S),
+            InjectedFault::Blocked { channel } => self.line.broken.block(channel.index()),
+            InjectedFault::AirBubble { channel, factor } => self.bellows.broken.compliance[channel.index()] = factor,
+            InjectedFault::Gain { channel, factor } => self.bellows.broken.gain[channel.index()] = factor,
+            InjectedFault::BaseTurn { axis, angle_deg, over_s } => {
                 let axis = Vector3::from(axis).try_normalize(1e-9).unwrap_or_default();
                 self.stand.begin_turn(axis * angle_deg.to_radians(), self.t, over_s);
             }
-            Fault::Magnet { field_ut } => self.magnet_ut = Vector3::from(field_ut),
-            Fault::Push { bend_deg, dir_deg } => self.shape.push = crate::model::bend::Bend::from_deg(bend_deg, dir_deg).0,
-            Fault::Wall { at_deg, dir_deg } => {
+            InjectedFault::Magnet { field_ut } => self.magnet_ut = Vector3::from(field_ut),
+            InjectedFault::Push { bend_deg, dir_deg } => self.shape.push = crate::model::bend::Bend::from_deg(bend_deg, dir_deg).0,
+            InjectedFault::Wall { at_deg, dir_deg } => {
                 let wall = Contact { block: 1.0, direction_deg: dir_deg, at_deg, give_deg: WALL_GIVE_DEG, ..Contact::default() };
                 self.shape.stand_in_the_way(Some(Touching::new(wall)));
             }
@@ -202,30 +202,30 @@ impl Plant {
         self.shape.stand_in_the_way(None);
     }
 
-    fn break_sensor(&mut self, fault: Fault) {
+    fn break_sensor(&mut self, fault: InjectedFault) {
         let g = crate::simulation::plant::imu::GRAVITY_M_S2;
         let broken = &mut self.imu.broken;
         match fault {
-            Fault::NoSample => broken.silent = true,
-            Fault::FrozenSample => broken.frozen = true,
-            Fault::NanSample => broken.nan = true,
-            Fault::Spike { gyro_deg_s, acc_g } => {
+            InjectedFault::NoSample => broken.silent = true,
+            InjectedFault::FrozenSample => broken.frozen = true,
+            InjectedFault::NanSample => broken.nan = true,
+            InjectedFault::Spike { gyro_deg_s, acc_g } => {
                 broken.spike = Some((Vector3::repeat(gyro_deg_s.to_radians()), Vector3::repeat(acc_g * g)));
             }
-            Fault::Saturation => broken.saturated = true,
-            Fault::NoMag => broken.mag_silent = true,
-            Fault::GyroBias { deg_s } => broken.rate = Vector3::from(deg_s).map(f64::to_radians),
-            Fault::AccBias { mg } => broken.force = Vector3::from(mg) * (1e-3 * g),
+            InjectedFault::Saturation => broken.saturated = true,
+            InjectedFault::NoMag => broken.mag_silent = true,
+            InjectedFault::GyroBias { deg_s } => broken.rate = Vector3::from(deg_s).map(f64::to_radians),
+            InjectedFault::AccBias { mg } => broken.force = Vector3::from(mg) * (1e-3 * g),
             _ => {}
         }
     }
 
-    fn break_drive(&mut self, fault: Fault) {
+    fn break_drive(&mut self, fault: InjectedFault) {
         match fault {
-            Fault::StepLoss { channel, microsteps } => self.drive.slip(channel.index(), -f64::from(microsteps)),
-            Fault::Inverted { channel } => self.drive.broken.gain[channel.index()] = -1.0,
-            Fault::Disabled { channel } => self.drive.broken.gain[channel.index()] = 0.0,
-            Fault::EndStop { channel, at_mm } => self.drive.broken.stop_mm[channel.index()] = Some(at_mm),
+            InjectedFault::StepLoss { channel, microsteps } => self.drive.slip(channel.index(), -f64::from(microsteps)),
+            InjectedFault::Inverted { channel } => self.drive.broken.gain[channel.index()] = -1.0,
+            InjectedFault::Disabled { channel } => self.drive.broken.gain[channel.index()] = 0.0,
+            InjectedFault::EndStop { channel, at_mm } => self.drive.broken.stop_mm[channel.index()] = Some(at_mm),
             _ => {}
         }
     }

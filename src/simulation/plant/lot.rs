@@ -22,9 +22,9 @@ pub(crate) enum Stream {
 
 /// A seeded source of random numbers.
 #[derive(Debug, Clone)]
-pub(crate) struct Lot(Xoshiro256PlusPlus);
+pub(crate) struct PlantRng(Xoshiro256PlusPlus);
 
-impl Lot {
+impl PlantRng {
     pub(crate) fn new(seed: u64, stream: Stream) -> Self {
         // an odd multiplier maps streams to seeds one to one; seed_from_u64 mixes them apart
         Self(Xoshiro256PlusPlus::seed_from_u64(seed ^ (stream as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)))
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn streams_are_apart_and_repeat() {
-        let draw = |seed, stream| Lot::new(seed, stream).normal();
+        let draw = |seed, stream| PlantRng::new(seed, stream).normal();
         assert_eq!(draw(7, Stream::TipImu), draw(7, Stream::TipImu));
         assert_ne!(draw(7, Stream::TipImu), draw(7, Stream::BaseImu));
         assert_ne!(draw(7, Stream::TipImu), draw(8, Stream::TipImu));
@@ -100,7 +100,7 @@ mod tests {
 
     #[test]
     fn sizes_stay_near_their_range() {
-        let mut lot = Lot::new(1, Stream::Choice);
+        let mut lot = PlantRng::new(1, Stream::Choice);
         for k in 0..200 {
             let x = lot.sized(0.1, 10.0, f64::from(k) / 199.0);
             assert!((0.09..11.0).contains(&x));

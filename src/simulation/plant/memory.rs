@@ -1,6 +1,6 @@
 //! Small memories that several stages keep: an exact first-order decay, coloured noise, a delay line.
 
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use std::collections::VecDeque;
 
@@ -39,11 +39,11 @@ pub(crate) struct Wander {
 
 impl Wander {
     /// Starts at a typical value, not at zero.
-    pub(crate) fn new(sigma: f64, tau_s: f64, lot: &mut Lot) -> Self {
+    pub(crate) fn new(sigma: f64, tau_s: f64, lot: &mut PlantRng) -> Self {
         Self { sigma, decay: Decay::new(tau_s), x: lot.normals() * sigma }
     }
     /// The value after `dt_s` more seconds.
-    pub(crate) fn step(&mut self, dt_s: f64, lot: &mut Lot) -> Vector3<f64> {
+    pub(crate) fn step(&mut self, dt_s: f64, lot: &mut PlantRng) -> Vector3<f64> {
         if self.sigma > 0.0 {
             let kept = 1.0 - self.decay.share(dt_s);
             self.x = self.x * kept + lot.normals() * (self.sigma * (1.0 - kept * kept).sqrt());
@@ -119,7 +119,7 @@ mod tests {
 
     #[test]
     fn wander_has_the_spread_it_was_given() {
-        let mut lot = Lot::new(3, Stream::TipImu);
+        let mut lot = PlantRng::new(3, Stream::TipImu);
         let mut w = Wander::new(2.0, 0.1, &mut lot);
         let n = 20_000;
         let square: f64 = (0..n).map(|_| w.step(0.05, &mut lot).norm_squared() / 3.0).sum::<f64>() / f64::from(n);

@@ -30,7 +30,7 @@ mod unit;
 pub use check::PlantError;
 pub use config::PlantConfig;
 pub use effects::{EffectName, effect_names};
-pub use fault::{Channel, Fault};
+pub use fault::{Channel, InjectedFault};
 
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;

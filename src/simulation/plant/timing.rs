@@ -3,9 +3,9 @@
 //! Both dead times wander: `T (1 + j x(t))`, with `x` a unit Gauss-Markov process of 1 s correlation
 //! time, bounded at ±2.5. What lies between two known moments is taken as a straight line.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::{Lot, Stream};
+use crate::simulation::plant::lot::{PlantRng, Stream};
 use crate::simulation::plant::memory::{Delay, Mix, Wander};
 use serde::{Deserialize, Serialize};
 
@@ -51,7 +51,7 @@ const STEP_MIN_S: f64 = 2e-4;
 const WANDER_S: f64 = 1.0;
 const WANDER_MAX: f64 = 2.5;
 
-impl Cause for TransportDelay {
+impl PlantEffect for TransportDelay {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.transport_delay.delay_s", self.delay_s, 0.0..=LONGEST_S, "0.01 to 0.25 s is typical")?;
         range("effects.transport_delay.jitter", self.jitter, 0.0..=0.4, "a share of the delay")
@@ -62,12 +62,12 @@ impl Cause for TransportDelay {
     fn scale(&mut self, factor: f64) {
         self.delay_s = (self.delay_s * factor).min(LONGEST_S);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { delay_s: lot.sized(0.05, 0.25, severity), jitter: lot.between(0.02, 0.1) }
     }
 }
 
-impl Cause for SensorLatency {
+impl PlantEffect for SensorLatency {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.sensor_latency.latency_s", self.latency_s, 0.0..=LONGEST_S, "0.01 to 0.25 s is typical")?;
         range("effects.sensor_latency.jitter", self.jitter, 0.0..=0.4, "a share of the latency")
@@ -78,7 +78,7 @@ impl Cause for SensorLatency {
     fn scale(&mut self, factor: f64) {
         self.latency_s = (self.latency_s * factor).min(LONGEST_S);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { latency_s: lot.sized(0.05, 0.25, severity), jitter: lot.between(0.02, 0.1) }
     }
 }
@@ -90,19 +90,19 @@ pub(crate) struct DeadTime<T> {
     jitter: f64,
     line: Delay<T>,
     wander: Wander,
-    lot: Lot,
+    lot: PlantRng,
 }
 
 impl<T: Mix> DeadTime<T> {
     /// Of commands.
     pub(crate) fn transport(config: &TransportDelay, rest: T, seed: u64) -> Self {
-        Self::new(config.delay_s, config.jitter, rest, Lot::new(seed, Stream::TransportDelay))
+        Self::new(config.delay_s, config.jitter, rest, PlantRng::new(seed, Stream::TransportDelay))
     }
     /// Of samples.
     pub(crate) fn latency(config: &SensorLatency, rest: T, seed: u64) -> Self {
-        Self::new(config.latency_s, config.jitter, rest, Lot::new(seed, Stream::SensorLatency))
+        Self::new(config.latency_s, config.jitter, rest, PlantRng::new(seed, Stream::SensorLatency))
     }
-    fn new(delay_s: f64, jitter: f64, rest: T, mut lot: Lot) -> Self {
+    fn new(delay_s: f64, jitter: f64, rest: T, mut lot: PlantRng) -> Self {
         let reach_s = delay_s * (1.0 + jitter * WANDER_MAX);
         let wander = Wander::new(1.0, WANDER_S, &mut lot);
         Self { delay_s, jitter, line: Delay::new(reach_s, STEP_MIN_S, rest), wander, lot }
@@ -124,7 +124,7 @@ pub struct ClockDrift {
     pub per_mille: f64,
 }
 
-impl Cause for ClockDrift {
+impl PlantEffect for ClockDrift {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.clock_drift.per_mille", self.per_mille, -200.0..=200.0, "tens at most are plausible")
     }
@@ -134,7 +134,7 @@ impl Cause for ClockDrift {
     fn scale(&mut self, factor: f64) {
         self.per_mille *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { per_mille: lot.sign() * lot.sized(5.0, 40.0, severity) }
     }
 }
@@ -165,7 +165,7 @@ impl Default for SensorFreeze {
     }
 }
 
-impl Cause for SensorFreeze {
+impl PlantEffect for SensorFreeze {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.sensor_freeze.for_s", self.for_s, 0.0..=1e4, "some seconds are plausible")?;
         range("effects.outside.sensor_freeze.at_s", self.at_s, 0.0..=1e9, "seconds since the start")?;
@@ -177,7 +177,7 @@ impl Cause for SensorFreeze {
     fn scale(&mut self, factor: f64) {
         self.for_s *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { for_s: lot.sized(0.5, 3.0, severity), at_s: lot.between(8.0, 20.0), every_s: lot.between(10.0, 25.0) }
     }
 }

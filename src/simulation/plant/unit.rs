@@ -3,7 +3,7 @@
 //! A unit is drawn once, from its seed alone, and then is what it is.
 
 use crate::simulation::plant::config::PlantConfig;
-use crate::simulation::plant::lot::{Lot, Stream};
+use crate::simulation::plant::lot::{PlantRng, Stream};
 use crate::simulation::plant::spread::Spread;
 
 /// Draws beyond this many standard deviations are taken at it: such units are not sold.
@@ -14,7 +14,7 @@ impl PlantConfig {
     /// field and IMU biases drawn from `spread`, which is used up by it.
     #[must_use]
     pub fn drawn(&self, seed: u64) -> PlantConfig {
-        let (spread, mut lot) = (&self.spread, Lot::new(seed, Stream::Unit));
+        let (spread, mut lot) = (&self.spread, PlantRng::new(seed, Stream::Unit));
         let mut unit = PlantConfig { spread: Spread::default(), ..self.clone() };
         unit.effects = self.effects.varied(spread.effects, &mut lot);
         let mut about = |sigma: f64| sigma * lot.normal().clamp(-SOLD, SOLD);

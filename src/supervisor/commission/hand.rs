@@ -4,7 +4,7 @@
 //! machine's own. Whatever goes wrong ends the move, and the pistons stand where they are.
 
 use crate::primitives::units::{Seconds, Steps};
-use crate::supervisor::machine::WorldError;
+use crate::supervisor::machine::MachineError;
 use crate::supervisor::machine::{Alarm, Machine, Sensed};
 
 /// Longest that counts may lag behind at the end of a move, s.
@@ -17,7 +17,7 @@ const SWITCH_MAX_S: f64 = 1.0;
 pub enum HandError {
     /// The machine is gone.
     #[error(transparent)]
-    World(#[from] WorldError),
+    World(#[from] MachineError),
     /// The step generator complains.
     #[error("stopped: {alarm}{}", .words.as_ref().map_or(String::new(), |w| format!(" ({w})")))]
     Alarm {

@@ -4,7 +4,7 @@
 //! so it can tell a wrong mount from a wrong wire. A bend R(β, δ) is a rotation by β about
 //! (sin δ, cos δ, 0), so the bend vector is (w_y, w_x) of the rotation vector w.
 
-use crate::estimation::fusion::health::Outcome;
+use crate::estimation::fusion::health::ImuReading;
 use crate::model::bend::Bend;
 use crate::primitives::sample::ImuSample;
 use crate::supervisor::machine::Sensed;
@@ -24,7 +24,7 @@ pub struct Rest {
 impl Rest {
     /// Takes in one turn.
     pub fn see(&mut self, sensed: &Sensed) {
-        if let Outcome::Sample(s, _) = &sensed.imu {
+        if let ImuReading::Sample(s, _) = &sensed.imu {
             self.sum_rad_s += s.gyro_rad_s;
             self.most_rad_s = self.most_rad_s.max(s.gyro_rad_s.norm());
             self.samples += 1;
@@ -63,7 +63,7 @@ impl Turned {
 
     /// Takes in one turn.
     pub fn see(&mut self, sensed: &Sensed) {
-        let Outcome::Sample(sample, _) = &sensed.imu else { return };
+        let ImuReading::Sample(sample, _) = &sensed.imu else { return };
         if let Some(last) = &self.last {
             let dt_s = sample.t.0 - last.t.0;
             if dt_s > GAP_MAX_S {

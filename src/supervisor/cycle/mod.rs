@@ -14,31 +14,31 @@ pub mod proof;
 pub mod runner;
 
 use crate::control::follow::Pace;
-use crate::control::tick::{self, Command, Config, FeedbackConfig, Frame, Input, Kept, State, tick};
+use crate::control::tick::{self, Command, LoopConfig, FeedbackConfig, Frame, Input, RestartState, LoopState, tick};
 use crate::estimation::fusion::health::CauseSet;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::model::transmission::Line;
 use crate::primitives::units::{Mm, Seconds, Steps};
 use crate::supervisor::cycle::order::{Order, Refusal};
-use crate::supervisor::cycle::proof::ProofConfig;
-use crate::supervisor::explain::{self, Explain, ExplainConfig, Seen, Suspicion};
-use crate::supervisor::gate::{self, Following, Gate, Told};
+use crate::supervisor::cycle::proof::RestartCheckConfig;
+use crate::supervisor::explain::{self, ResidualMonitor, ResidualConfig, ResidualInput, Suspicion};
+use crate::supervisor::gate::{self, Following, Gate, GateInput};
 use crate::supervisor::machine::Sensed;
 use crate::supervisor::mode::{Event, Mode, Modes};
 use nalgebra::{Vector2, Vector3};
 
 /// Everything that does not change while the pilot flies, but by `reload`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PilotConfig {
+pub struct SupervisorConfig {
     /// The loop.
-    pub tick: Config,
+    pub tick: LoopConfig,
     /// The gate.
-    pub gate: gate::Limits,
+    pub gate: gate::GateLimits,
     /// The words.
-    pub explain: ExplainConfig,
+    pub explain: ResidualConfig,
     /// When a restart counts as proved.
-    pub proof: ProofConfig,
+    pub proof: RestartCheckConfig,
     /// A stream of set-points that is silent for longer has ended, s.
     pub dead_man_s: f64,
 }
@@ -52,7 +52,7 @@ const RESTING_RAD_S: f64 = 0.012;
 
 /// What one turn came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Turned {
+pub struct CycleOutput {
     /// Every intermediate of the tick.
     pub frame: Frame,
     /// What the tick was told.
@@ -74,9 +74,9 @@ pub struct Turned {
     /// The machine shall call where it stands by these counts.
     pub recount: Option<Steps>,
     /// The gate tripped in this turn.
-    pub tripped: Option<gate::Cause>,
+    pub tripped: Option<gate::TripCause>,
     /// Latched since.
-    pub latched: Option<gate::Cause>,
+    pub latched: Option<gate::TripCause>,
     /// Suspected since.
     pub suspicion: Option<Suspicion>,
     /// Suspected in this turn for the first time.
@@ -97,17 +97,17 @@ pub struct Turned {
 
 /// The supervised loop.
 #[derive(Debug, Clone)]
-pub struct Pilot {
-    config: PilotConfig,
-    state: State,
+pub struct Supervisor {
+    config: SupervisorConfig,
+    state: LoopState,
     modes: Modes,
     gate: Gate,
-    explain: Explain,
+    explain: ResidualMonitor,
     last: Option<Sensed>,
     sent: Steps,
     setpoint: Shape,
     /// What is to be proved before it is believed.
-    kept: Option<Kept>,
+    kept: Option<RestartState>,
     /// The drivers were released away from zero: the counts mean nothing any more.
     adrift: bool,
     /// The gate moved by itself; the controller takes over once it stands.
@@ -135,11 +135,11 @@ struct Pending {
     recount: Option<Steps>,
 }
 
-impl Pilot {
+impl Supervisor {
     /// A pilot for pistons at zero, or for what was kept over a restart. It boots disarmed.
     #[must_use]
-    pub fn new(config: PilotConfig, kept: Option<Kept>) -> Self {
-        let mut state = State::new(&config.tick);
+    pub fn new(config: SupervisorConfig, kept: Option<RestartState>) -> Self {
+        let mut state = LoopState::new(&config.tick);
         let mut pending = Pending::default();
         let mut sent = Steps::default();
         if let Some(kept) = &kept {
@@ -152,7 +152,7 @@ impl Pilot {
             state,
             modes: Modes::default(),
             gate: Gate::new(&config.gate, &sent),
-            explain: Explain::new(&config.explain, r_mm),
+            explain: ResidualMonitor::new(&config.explain, r_mm),
             last: None,
             sent,
             setpoint: Shape { bend: Bend::STRAIGHT, length: Mm(config.tick.geometry.rest_length_mm) },
@@ -174,18 +174,18 @@ impl Pilot {
 
     /// There was a memory and it cannot be believed: whatever the rest says, `zero` is asked for.
     pub fn doubt(&mut self) {
-        self.kept = Some(Kept { rest: None, ..self.state.keep(&self.sent) });
+        self.kept = Some(RestartState { rest: None, ..self.state.keep(&self.sent) });
     }
 
     /// What it runs on.
     #[must_use]
-    pub fn config(&self) -> &PilotConfig {
+    pub fn config(&self) -> &SupervisorConfig {
         &self.config
     }
 
     /// The loop's memory.
     #[must_use]
-    pub fn state(&self) -> &State {
+    pub fn state(&self) -> &LoopState {
         &self.state
     }
 
@@ -197,13 +197,13 @@ impl Pilot {
 
     /// What has tripped and was not reset.
     #[must_use]
-    pub fn latched(&self) -> Option<gate::Cause> {
+    pub fn latched(&self) -> Option<gate::TripCause> {
         self.gate.latched()
     }
 
     /// What a restart needs to know.
     #[must_use]
-    pub fn keep(&self) -> Kept {
+    pub fn keep(&self) -> RestartState {
         // before the proof, what was kept is still the best there is; then what was pulsed, which is less
         // than what was sent while steps are queued, and for good after they stopped short
         let pulsed = self.last.map_or(self.sent, |sensed| sensed.counted);
@@ -219,7 +219,7 @@ impl Pilot {
 
     /// Puts another configuration in place, bumpless, and gives back the old one: the pistons stay, the
     /// loop goes on with the new gains. The caller disposes of the old one outside the loop.
-    pub fn reload(&mut self, new: &mut PilotConfig) {
+    pub fn reload(&mut self, new: &mut SupervisorConfig) {
         std::mem::swap(&mut self.config, new);
         if self.aside.is_some() {
             self.aside = self.config.tick.feedback.take();
@@ -228,7 +228,7 @@ impl Pilot {
     }
 
     /// One turn.
-    pub fn turn(&mut self, sensed: &Sensed, order: Option<Order>) -> Turned {
+    pub fn turn(&mut self, sensed: &Sensed, order: Option<Order>) -> CycleOutput {
         let first = self.last.is_none();
         let dt_s = self.last.map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
         self.last = Some(*sensed);
@@ -257,7 +257,7 @@ impl Pilot {
         self.follow_motion(&frame, sensed);
         let fresh = self.watch_motion(&frame, sensed, paced_s);
         let mode = self.modes.now();
-        Turned {
+        CycleOutput {
             frame,
             input,
             sensed: *sensed,
@@ -309,7 +309,7 @@ impl Pilot {
     /// A tip whose set-point rests does not turn for long: a mean rate that stays is the sensor's, or the
     /// base's. (What feedback corrects of it in the felt bend is no turn either.)
     fn watch_bias(&mut self, frame: &Frame, dt_s: f64) {
-        let rests = frame.felt.is_some() && frame.mode == tick::Mode::Holding;
+        let rests = frame.felt.is_some() && frame.mode == tick::TickPhase::Holding;
         self.resting_s = if rests { self.resting_s + dt_s } else { 0.0 };
         if let Some(rate) = self.state.fusion.rate_rad_s() {
             let keep = (-dt_s / RESTING_S).exp();
@@ -341,7 +341,7 @@ impl Pilot {
     }
 
     /// The gate: what goes out, and what a trip makes of the mode.
-    fn pass(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> Option<gate::Cause> {
+    fn pass(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> Option<gate::TripCause> {
         let armed = self.modes.now().moves() && !self.handing_over;
         self.clearing_s = (self.clearing_s - dt_s).max(0.0);
         let geometry = &self.config.tick.geometry;
@@ -353,7 +353,7 @@ impl Pilot {
             self.state.stand(&self.config.tick, &self.sent, felt.map_or(Bend::STRAIGHT, |f| f.bend));
         }
         let wanted = if armed && sensed.energised { frame.steps } else { self.sent };
-        let told = Told {
+        let told = GateInput {
             dt_s,
             wanted,
             armed,
@@ -370,7 +370,7 @@ impl Pilot {
             self.end_calibration();
             self.stream_until = None;
             self.modes.take(Event::Trip);
-            if passed.tripped == Some(gate::Cause::StepGenerator) && self.gate.is_returning() {
+            if passed.tripped == Some(gate::TripCause::StepGenerator) && self.gate.is_returning() {
                 self.take_alarm_back(sensed);
             }
         }
@@ -406,7 +406,7 @@ impl Pilot {
             self.gate.reset(&self.sent);
             self.take_over(frame.felt.map_or(Bend::STRAIGHT, |f| f.bend));
         }
-        if self.modes.now() == Mode::Tracking && !self.handing_over && frame.mode == tick::Mode::Holding && self.stream_until.is_none() {
+        if self.modes.now() == Mode::Tracking && !self.handing_over && frame.mode == tick::TickPhase::Holding && self.stream_until.is_none() {
             self.modes.take(Event::Settled);
         }
     }
@@ -420,13 +420,13 @@ impl Pilot {
             self.explain.forget();
             return false;
         }
-        let seen = Seen {
+        let seen = ResidualInput {
             dt_s,
             given: frame.pistons_give.0,
             gapless: self.gapless(sensed),
             felt: felt.bend.0,
             answer_s: frame.dynamics.lag_s + frame.dynamics.delay_s,
-            moving: frame.mode == tick::Mode::Tracking,
+            moving: frame.mode == tick::TickPhase::Tracking,
             blocked: frame.blocked,
         };
         self.explain.step(&seen).is_some()
@@ -455,7 +455,7 @@ impl Pilot {
     /// proved: a bent tip is held until it is known, unless a loop that hangs is to lead elsewhere.
     fn finds_held(&self) -> bool {
         let held = self.last.is_some_and(|sensed| sensed.energised);
-        held && self.kept.is_some() && self.config.gate.on.late == gate::Safe::Hold
+        held && self.kept.is_some() && self.config.gate.on.late == gate::SafeState::Hold
     }
 
     fn brake(&mut self) {
@@ -477,7 +477,7 @@ impl Pilot {
     /// Forgets rest and pistons: what is now is the beginning. Gains stay.
     fn start_over(&mut self) {
         let lines = *self.state.lines();
-        self.state = State::new(&self.config.tick);
+        self.state = LoopState::new(&self.config.tick);
         self.state.set_lines(lines);
         self.kept = None;
         self.adrift = false;

@@ -4,7 +4,7 @@ use crate::control::follow::Pace;
 use crate::control::tick::Command;
 use crate::model::transmission::Line;
 use crate::primitives::units::Steps;
-use crate::supervisor::cycle::Pilot;
+use crate::supervisor::cycle::Supervisor;
 use crate::supervisor::machine::Sensed;
 use crate::supervisor::mode::{Event, Mode};
 
@@ -89,7 +89,7 @@ fn hint(mode: Mode) -> &'static str {
     }
 }
 
-impl Pilot {
+impl Supervisor {
     /// Carries out an order, or says why not.
     pub(super) fn obey(&mut self, order: Order, sensed: &Sensed) -> Result<(), Refusal> {
         match order {

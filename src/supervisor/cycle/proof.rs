@@ -5,7 +5,7 @@
 //! Agreement proves it as far as two directions can; a contradiction, or nothing to compare with, does
 //! not, and then nothing moves.
 
-use crate::control::tick::{Config, Kept, State};
+use crate::control::tick::{LoopConfig, RestartState, LoopState};
 use crate::model::bend::Bend;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// When a restart counts as proved.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct ProofConfig {
+pub struct RestartCheckConfig {
     /// Largest angle between gravity as felt and as remembered, degrees. Default 4. Larger continues
     /// after a larger change, and with a larger error.
     pub gravity_deg: f64,
@@ -22,7 +22,7 @@ pub struct ProofConfig {
     pub field_deg: f64,
 }
 
-impl Default for ProofConfig {
+impl Default for RestartCheckConfig {
     fn default() -> Self {
         Self { gravity_deg: 4.0, field_deg: 10.0 }
     }
@@ -30,7 +30,7 @@ impl Default for ProofConfig {
 
 /// Whether the still stretch just found agrees with what was kept.
 #[must_use]
-pub fn holds(config: &ProofConfig, kept: &Kept, state: &State) -> bool {
+pub fn holds(config: &RestartCheckConfig, kept: &RestartState, state: &LoopState) -> bool {
     let (Some(now), Some(then)) = (state.fusion.rest(), &kept.rest) else { return false };
     let bent = Bend(kept.bend_rad.into()).rotation().inverse();
     let apart = |felt: &Vector3<f64>, rest: [f64; 3]| felt.angle(&bent.apply(&Vector3::from(rest))).to_degrees();
@@ -44,7 +44,7 @@ pub fn holds(config: &ProofConfig, kept: &Kept, state: &State) -> bool {
 }
 
 /// Takes the remembered rest and bend for the truth, and the pistons for where they were.
-pub fn believe(config: &Config, state: &mut State, kept: &Kept) {
+pub fn believe(config: &LoopConfig, state: &mut LoopState, kept: &RestartState) {
     let Some(rest) = &kept.rest else { return };
     let bend = Bend(kept.bend_rad.into());
     state.fusion.assume(&config.fuse, bend, &Vector3::from(rest.acc_m_s2), rest.mag_ut.map(Vector3::from));

@@ -2,25 +2,25 @@
 
 use crate::primitives::units::{Seconds, Steps};
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::cycle::{Pilot, Turned};
-use crate::supervisor::machine::WorldError;
+use crate::supervisor::cycle::{Supervisor, CycleOutput};
+use crate::supervisor::machine::MachineError;
 use crate::supervisor::machine::{Machine, Sensed};
 
 /// A pilot at the controls of a machine.
 #[derive(Debug)]
-pub struct Flight<M> {
+pub struct Runner<M> {
     /// The machine.
     pub machine: M,
     /// The pilot.
-    pub pilot: Pilot,
+    pub pilot: Supervisor,
     wanted: Steps,
     /// What the machine was told; nothing before the first turn.
     energised: Option<bool>,
 }
 
-impl<M: Machine> Flight<M> {
+impl<M: Machine> Runner<M> {
     /// Nothing has been sensed yet.
-    pub fn new(machine: M, pilot: Pilot) -> Self {
+    pub fn new(machine: M, pilot: Supervisor) -> Self {
         let wanted = pilot.keep().steps;
         Self { machine, pilot, wanted, energised: None }
     }
@@ -29,7 +29,7 @@ impl<M: Machine> Flight<M> {
     ///
     /// # Errors
     /// The machine's.
-    pub fn turn(&mut self, now: Seconds, order: Option<Order>) -> Result<Turned, WorldError> {
+    pub fn turn(&mut self, now: Seconds, order: Option<Order>) -> Result<CycleOutput, MachineError> {
         let sensed: Sensed = self.machine.turn(now, &self.wanted)?;
         let turned = self.pilot.turn(&sensed, order);
         if self.energised != Some(turned.energise) {

@@ -44,13 +44,13 @@ impl Innovation {
 }
 
 /// The estimate's numbers.
-pub(super) type State = SMatrix<f64, N, 1>;
+pub(super) type StateVector = SMatrix<f64, N, 1>;
 
 /// Estimate and covariance. The first three entries are an error that is zero between corrections.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Belief {
     /// Estimate.
-    pub x: State,
+    pub x: StateVector,
     /// Covariance.
     pub p: SMatrix<f64, N, N>,
 }
@@ -128,7 +128,7 @@ impl Belief {
 
     /// Three scalar corrections of one vector, each with variance `r`. Innovation and rows belong to the
     /// estimate `before`: what other corrections have moved since is taken off.
-    pub fn correct_vector(&mut self, h: &[[f64; N]; 3], innovation: &Vector3<f64>, r: f64, before: &State) {
+    pub fn correct_vector(&mut self, h: &[[f64; N]; 3], innovation: &Vector3<f64>, r: f64, before: &StateVector) {
         for axis in 0..3 {
             let moved: f64 = (0..N).map(|i| h[axis][i] * (self.x[i] - before[i])).sum();
             self.scalar(&h[axis], innovation[axis] - moved, r);

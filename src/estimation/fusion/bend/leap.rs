@@ -30,7 +30,7 @@ const STEPS: usize = 6;
 
 /// What a refused rate may have hidden.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) struct Leap {
+pub(super) struct Reacquisition {
     /// For how long it is still asked, s.
     asked_s: f64,
     /// It leapt: the next readings say where to.
@@ -71,7 +71,7 @@ impl BendFilter {
         }
         self.leap.asked_s -= self.since_correction_s;
         if self.leap.lost && self.acc.n > 0 {
-            self.leap = Leap { asked_s: self.leap.asked_s, lost: false, found: true };
+            self.leap = Reacquisition { asked_s: self.leap.asked_s, lost: false, found: true };
             self.locate(turn);
             return true;
         }

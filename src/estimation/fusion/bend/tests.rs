@@ -8,7 +8,7 @@ use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
 
 const DT_S: f64 = 0.005;
-const USE: Heed = Heed { acc: true, mag: true, still: false };
+const USE: MeasurementMask = MeasurementMask { acc: true, mag: true, still: false };
 
 fn noise(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))

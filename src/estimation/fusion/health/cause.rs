@@ -1,14 +1,14 @@
 //! What can be wrong with a reading, as values: fifteen causes and a set of them in one word.
 //!
 //! A cause is named after what is seen, not after what broke: a loose plug, a short and a dead chip
-//! all show as [`Cause::Nack`].
+//! all show as [`HealthCause::Nack`].
 
 use serde::{Deserialize, Serialize};
 
 /// Why a reading, or a part of it, is not to be believed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Cause {
+pub enum HealthCause {
     /// The chip did not acknowledge, or the transfer failed in another way.
     Nack,
     /// Fewer bytes came than were asked for.
@@ -41,7 +41,7 @@ pub enum Cause {
     AccelDisturbed,
 }
 
-impl Cause {
+impl HealthCause {
     /// Every cause, in the order of its number.
     pub const ALL: [Self; 15] = [
         Self::Nack,
@@ -110,7 +110,7 @@ impl Cause {
     }
 }
 
-impl std::fmt::Display for Cause {
+impl std::fmt::Display for HealthCause {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.name())
     }
@@ -126,16 +126,16 @@ impl CauseSet {
 
     /// The set of one.
     #[must_use]
-    pub const fn of(cause: Cause) -> Self {
+    pub const fn of(cause: HealthCause) -> Self {
         Self(cause.bit())
     }
     /// Adds a cause.
-    pub const fn insert(&mut self, cause: Cause) {
+    pub const fn insert(&mut self, cause: HealthCause) {
         self.0 |= cause.bit();
     }
     /// True when the cause is in the set.
     #[must_use]
-    pub const fn contains(self, cause: Cause) -> bool {
+    pub const fn contains(self, cause: HealthCause) -> bool {
         self.0 & cause.bit() != 0
     }
     /// True when nothing is wrong.
@@ -148,9 +148,9 @@ impl CauseSet {
     pub const fn len(self) -> usize {
         self.0.count_ones() as usize
     }
-    /// The causes, in the order of [`Cause::ALL`].
-    pub fn iter(self) -> impl Iterator<Item = Cause> {
-        Cause::ALL.into_iter().filter(move |c| self.contains(*c))
+    /// The causes, in the order of [`HealthCause::ALL`].
+    pub fn iter(self) -> impl Iterator<Item = HealthCause> {
+        HealthCause::ALL.into_iter().filter(move |c| self.contains(*c))
     }
 }
 

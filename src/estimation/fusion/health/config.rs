@@ -1,6 +1,6 @@
 //! Limits of a believable reading and what to do beyond them: the `[fuse.health]` table of a gains file.
 
-use super::cause::Cause;
+use super::cause::HealthCause;
 use serde::{Deserialize, Serialize};
 
 /// What happens while a cause is in force.
@@ -85,23 +85,23 @@ impl Default for Policies {
 impl Policies {
     /// The policy for a cause.
     #[must_use]
-    pub fn of(&self, cause: Cause) -> Policy {
+    pub fn of(&self, cause: HealthCause) -> Policy {
         match cause {
-            Cause::Nack => self.nack,
-            Cause::ShortRead => self.short_read,
-            Cause::StuckBus => self.stuck_bus,
-            Cause::WrongId => self.wrong_id,
-            Cause::BrownOut => self.brown_out,
-            Cause::Frozen => self.frozen,
-            Cause::NotFinite => self.not_finite,
-            Cause::Spike => self.spike,
-            Cause::Saturated => self.saturated,
-            Cause::StaleTimestamp => self.stale_timestamp,
-            Cause::JumpingTimestamp => self.jumping_timestamp,
-            Cause::MagOverflow => self.mag_overflow,
-            Cause::MagSilent => self.mag_silent,
-            Cause::FieldDisturbed => self.field_disturbed,
-            Cause::AccelDisturbed => self.accel_disturbed,
+            HealthCause::Nack => self.nack,
+            HealthCause::ShortRead => self.short_read,
+            HealthCause::StuckBus => self.stuck_bus,
+            HealthCause::WrongId => self.wrong_id,
+            HealthCause::BrownOut => self.brown_out,
+            HealthCause::Frozen => self.frozen,
+            HealthCause::NotFinite => self.not_finite,
+            HealthCause::Spike => self.spike,
+            HealthCause::Saturated => self.saturated,
+            HealthCause::StaleTimestamp => self.stale_timestamp,
+            HealthCause::JumpingTimestamp => self.jumping_timestamp,
+            HealthCause::MagOverflow => self.mag_overflow,
+            HealthCause::MagSilent => self.mag_silent,
+            HealthCause::FieldDisturbed => self.field_disturbed,
+            HealthCause::AccelDisturbed => self.accel_disturbed,
         }
     }
 }
@@ -110,7 +110,7 @@ impl Policies {
 /// an uncorrected hard iron of up to 300 µT would drown every test of the field.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Config {
+pub struct HealthConfig {
     /// Failed transfers in a row that make a stuck bus. Default 20 (40 ms at 500 Hz). A bigger value
     /// waits longer before the bus is declared dead and a recovery is tried.
     pub stuck_after: u32,
@@ -194,7 +194,7 @@ pub struct Config {
     pub policy: Policies,
 }
 
-impl Default for Config {
+impl Default for HealthConfig {
     fn default() -> Self {
         Self {
             stuck_after: 20,
@@ -236,7 +236,7 @@ pub struct ConfigError {
 /// A silence of fewer periods than this is no silence.
 const PERIODS: f64 = 6.0;
 
-impl Config {
+impl HealthConfig {
     /// The limits for a source that samples every `imu_s`, its magnetometer every `mag_s` (s): times
     /// that are short against its periods are stretched.
     #[must_use]
@@ -284,7 +284,7 @@ impl Config {
             within(field, f64::from(value), value > 0, "1 or more")?;
         }
         within("saturated_at", self.saturated_at, self.saturated_at > 0.5 && self.saturated_at <= 1.0, "0.5 to 1")?;
-        for cause in Cause::ALL {
+        for cause in HealthCause::ALL {
             if let Policy::CoastOnGyro { for_s } = self.policy.of(cause) {
                 within("policy.….for_s", for_s, for_s > 0.0 && for_s <= 60.0, "above 0, at most 60 s")?;
             }

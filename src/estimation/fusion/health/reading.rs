@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 /// How a transfer failed, as the sensor edge reports it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Fault {
+pub enum ReadFault {
     /// Not acknowledged.
     Nack,
     /// Broke off early.
@@ -41,16 +41,16 @@ impl Default for Quality {
 
 /// What came from the sensor at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Outcome {
+pub enum ImuReading {
     /// A sample, in the sensor frame.
     Sample(ImuSample, Quality),
     /// The transfer failed.
-    Failed(Fault),
+    Failed(ReadFault),
     /// Nothing was due, or nothing came.
     Nothing,
 }
 
-impl Outcome {
+impl ImuReading {
     /// What a world or a log gave, of whose noise nothing is promised.
     #[must_use]
     pub fn from_world(sample: Option<ImuSample>) -> Self {
@@ -61,11 +61,11 @@ impl Outcome {
 
 /// One question to the judge.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reading {
+pub struct TimedReading {
     /// Time of asking, on the clock of the sample stamps, s.
     pub now: Seconds,
     /// What came.
-    pub outcome: Outcome,
+    pub outcome: ImuReading,
 }
 
 /// The earth's field and gravity as found at rest, for later comparison.

@@ -37,42 +37,42 @@ impl Source {
 }
 
 struct Bench {
-    config: Config,
-    state: State,
+    config: HealthConfig,
+    state: HealthState,
     source: Source,
 }
 
 impl Bench {
     fn new() -> Self {
-        let mut state = State::default();
+        let mut state = HealthState::default();
         let source = Source::new(7);
         state.set_reference(FieldReference::from_rest(&source.acc, &source.mag));
-        Self { config: Config::default(), state, source }
+        Self { config: HealthConfig::default(), state, source }
     }
-    fn put(&mut self, outcome: Outcome) -> Verdict {
+    fn put(&mut self, outcome: ImuReading) -> HealthVerdict {
         let now = Seconds(self.source.now());
-        Health::judge(&self.config, &mut self.state, Reading { now, outcome })
+        Health::judge(&self.config, &mut self.state, TimedReading { now, outcome })
     }
-    fn good(&mut self) -> Verdict {
+    fn good(&mut self) -> HealthVerdict {
         let sample = self.source.next();
-        self.put(Outcome::Sample(sample, Quality::default()))
+        self.put(ImuReading::Sample(sample, Quality::default()))
     }
     fn warm(&mut self) {
         for _ in 0..200 {
             assert_eq!(self.good().faults, CauseSet::EMPTY);
         }
     }
-    fn fail(&mut self, fault: Fault) -> Verdict {
+    fn fail(&mut self, fault: ReadFault) -> HealthVerdict {
         self.source.n += 1;
-        self.put(Outcome::Failed(fault))
+        self.put(ImuReading::Failed(fault))
     }
-    fn with(&mut self, change: impl FnOnce(&mut ImuSample, &mut Quality)) -> Verdict {
+    fn with(&mut self, change: impl FnOnce(&mut ImuSample, &mut Quality)) -> HealthVerdict {
         let (mut sample, mut quality) = (self.source.next(), Quality::default());
         change(&mut sample, &mut quality);
-        self.put(Outcome::Sample(sample, quality))
+        self.put(ImuReading::Sample(sample, quality))
     }
     /// Good readings until `cause` recovers; returns how many it took and the time in force.
-    fn until_recovered(&mut self, cause: Cause) -> (u32, f64) {
+    fn until_recovered(&mut self, cause: HealthCause) -> (u32, f64) {
         for n in 1..1000 {
             if let Some(r) = self.good().recovered
                 && r.causes.contains(cause)
@@ -90,7 +90,7 @@ fn clean_noise_raises_nothing_in_a_minute() {
     for _ in 0..30_000 {
         let v = b.good();
         assert!(v.in_force.is_empty(), "false alarm: {}", v.in_force);
-        assert_eq!(v.action(), Action::Use);
+        assert_eq!(v.action(), HealthAction::Use);
     }
 }
 
@@ -101,7 +101,7 @@ fn fast_true_motion_is_not_a_spike() {
     for k in 0..2000 {
         // 120 deg/s at 8 Hz: 105 rad/s² at the steepest
         b.source.rate.x = 2.1 * (f64::from(k) * DT * 50.0).sin();
-        assert!(!b.good().faults.contains(Cause::Spike));
+        assert!(!b.good().faults.contains(HealthCause::Spike));
     }
 }
 
@@ -109,34 +109,34 @@ fn fast_true_motion_is_not_a_spike() {
 fn nacks_are_skipped_then_blind_then_stuck_and_recover() {
     let mut b = Bench::new();
     b.warm();
-    let first = b.fail(Fault::Nack);
-    assert!(first.raised.contains(Cause::Nack) && first.action() == Action::Skip);
+    let first = b.fail(ReadFault::Nack);
+    assert!(first.raised.contains(HealthCause::Nack) && first.action() == HealthAction::Skip);
     let mut blind_after = None;
     for n in 2..=40_u32 {
-        let v = b.fail(Fault::Nack);
+        let v = b.fail(ReadFault::Nack);
         if v.blind && blind_after.is_none() {
             blind_after = Some(f64::from(n) * DT);
         }
-        assert_eq!(v.faults.contains(Cause::StuckBus), n >= b.config.stuck_after, "{n}");
+        assert_eq!(v.faults.contains(HealthCause::StuckBus), n >= b.config.stuck_after, "{n}");
         assert_eq!(v.hold, n >= b.config.stuck_after || v.blind);
     }
     let blind_after = blind_after.expect("40 periods without a sample are blind");
     assert!(blind_after > 0.05 && blind_after < 0.056, "{blind_after}");
-    let (n, after_s) = b.until_recovered(Cause::StuckBus);
+    let (n, after_s) = b.until_recovered(HealthCause::StuckBus);
     assert_eq!(n, b.config.recover_samples);
     assert!((after_s - (39.0 + f64::from(n)) * DT).abs() < 1e-9, "from the first nack: {after_s}");
     assert!(b.good().in_force.is_empty());
-    assert_eq!(b.state.times(Cause::StuckBus), 1);
+    assert_eq!(b.state.times(HealthCause::StuckBus), 1);
 }
 
 #[test]
 fn samples_feed_the_filter_while_a_hold_recovers() {
     let mut b = Bench::new();
     b.warm();
-    assert!(b.fail(Fault::BrownOut).hold);
+    assert!(b.fail(ReadFault::BrownOut).hold);
     let v = b.good();
-    assert!(v.hold && v.gyro && v.acc && v.faults.is_empty() && v.in_force.contains(Cause::BrownOut));
-    assert_eq!(b.until_recovered(Cause::BrownOut).0, b.config.recover_samples - 1);
+    assert!(v.hold && v.gyro && v.acc && v.faults.is_empty() && v.in_force.contains(HealthCause::BrownOut));
+    assert_eq!(b.until_recovered(HealthCause::BrownOut).0, b.config.recover_samples - 1);
     assert!(!b.good().hold);
 }
 
@@ -144,13 +144,13 @@ fn samples_feed_the_filter_while_a_hold_recovers() {
 fn a_relapse_restarts_the_count() {
     let mut b = Bench::new();
     b.warm();
-    b.fail(Fault::WrongId);
+    b.fail(ReadFault::WrongId);
     for _ in 0..b.config.recover_samples - 1 {
         assert!(b.good().recovered.is_none());
     }
-    b.fail(Fault::WrongId);
-    assert_eq!(b.until_recovered(Cause::WrongId).0, b.config.recover_samples);
-    assert_eq!(b.state.times(Cause::WrongId), 1, "it never left");
+    b.fail(ReadFault::WrongId);
+    assert_eq!(b.until_recovered(HealthCause::WrongId).0, b.config.recover_samples);
+    assert_eq!(b.state.times(HealthCause::WrongId), 1, "it never left");
 }
 
 #[test]
@@ -165,7 +165,7 @@ fn frozen_is_found_where_noise_is_expected_only() {
                 (s.gyro_rad_s, s.acc_m_s2) = (still.gyro_rad_s, still.acc_m_s2);
                 q.expect_noise = expect_noise;
             });
-            if v.faults.contains(Cause::Frozen) && found_at.is_none() {
+            if v.faults.contains(HealthCause::Frozen) && found_at.is_none() {
                 assert!(v.hold && !v.gyro);
                 found_at = Some(n);
             }
@@ -181,7 +181,7 @@ fn nan_never_reaches_the_filter_nor_the_memory() {
     b.warm();
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let v = b.with(|s, _| s.acc_m_s2.y = bad);
-        assert!(v.faults.contains(Cause::NotFinite) && !v.gyro && !v.acc && !v.mag);
+        assert!(v.faults.contains(HealthCause::NotFinite) && !v.gyro && !v.acc && !v.mag);
         let v = b.with(|s, _| s.mag_ut = Some(Vector3::repeat(bad)));
         assert!(!v.gyro);
     }
@@ -194,12 +194,12 @@ fn one_wild_sample_is_skipped_and_a_true_step_is_believed() {
     let mut b = Bench::new();
     b.warm();
     let v = b.with(|s, _| s.gyro_rad_s.z += 6.0);
-    assert!(v.faults.contains(Cause::Spike) && v.action() == Action::Skip);
+    assert!(v.faults.contains(HealthCause::Spike) && v.action() == HealthAction::Skip);
     assert!(b.good().gyro, "the next good one is used at once");
     let v = b.with(|s, _| s.acc_m_s2.x -= 30.0);
-    assert!(v.faults.contains(Cause::Spike));
+    assert!(v.faults.contains(HealthCause::Spike));
     b.warm_again();
-    let skipped = (0..20).filter(|_| b.with(|s, _| s.gyro_rad_s.z += 6.0).faults.contains(Cause::Spike)).count();
+    let skipped = (0..20).filter(|_| b.with(|s, _| s.gyro_rad_s.z += 6.0).faults.contains(HealthCause::Spike)).count();
     // the allowance grows with the time since the last believed sample: at most `spike_confirm`
     assert!((1..=b.config.spike_confirm as usize).contains(&skipped), "{skipped}");
 }
@@ -218,8 +218,8 @@ fn saturation_holds() {
     b.warm();
     assert!(b.with(|_, q| q.gyro_load = 0.979).faults.is_empty());
     let v = b.with(|_, q| q.gyro_load = 0.98);
-    assert!(v.faults.contains(Cause::Saturated) && v.hold && !v.gyro);
-    assert!(b.with(|_, q| q.acc_load = 1.0).faults.contains(Cause::AccelDisturbed));
+    assert!(v.faults.contains(HealthCause::Saturated) && v.hold && !v.gyro);
+    assert!(b.with(|_, q| q.acc_load = 1.0).faults.contains(HealthCause::AccelDisturbed));
 }
 
 #[test]
@@ -227,23 +227,23 @@ fn clocks_that_stand_run_back_or_leap() {
     let mut b = Bench::new();
     b.warm();
     let t = b.source.now();
-    assert!(b.with(|s, _| s.t = Seconds(t)).faults.contains(Cause::StaleTimestamp), "same stamp twice");
+    assert!(b.with(|s, _| s.t = Seconds(t)).faults.contains(HealthCause::StaleTimestamp), "same stamp twice");
     b.good();
-    assert!(b.with(|s, _| s.t.0 -= 0.03).faults.contains(Cause::StaleTimestamp), "old");
+    assert!(b.with(|s, _| s.t.0 -= 0.03).faults.contains(HealthCause::StaleTimestamp), "old");
     assert!(b.good().faults.is_empty());
     let back = b.with(|s, _| s.t.0 -= 0.01);
-    assert!(back.faults.contains(Cause::JumpingTimestamp) && !back.gyro);
+    assert!(back.faults.contains(HealthCause::JumpingTimestamp) && !back.gyro);
     b.good();
-    assert!(b.with(|s, _| s.t.0 += 0.5).faults.contains(Cause::JumpingTimestamp), "future");
+    assert!(b.with(|s, _| s.t.0 += 0.5).faults.contains(HealthCause::JumpingTimestamp), "future");
     b.warm_again();
     b.source.n += 100; // the loop stood still for 0.2 s
-    assert!(b.good().faults.contains(Cause::JumpingTimestamp), "leap");
+    assert!(b.good().faults.contains(HealthCause::JumpingTimestamp), "leap");
     b.warm_again();
     for _ in 0..30 {
-        b.fail(Fault::Nack);
+        b.fail(ReadFault::Nack);
     }
     b.source.n += 100;
-    assert!(!b.good().faults.contains(Cause::JumpingTimestamp), "a gap that is explained is no leap");
+    assert!(!b.good().faults.contains(HealthCause::JumpingTimestamp), "a gap that is explained is no leap");
 }
 
 #[test]
@@ -252,15 +252,15 @@ fn silence_is_stale_then_blind() {
     b.warm();
     for n in 1..=40 {
         b.source.n += 1;
-        let v = b.put(Outcome::Nothing);
+        let v = b.put(ImuReading::Nothing);
         let silent_s = f64::from(n) * DT;
         if (silent_s - 0.02).abs() > 1e-6 && (silent_s - 0.05).abs() > 1e-6 {
-            assert_eq!(v.faults.contains(Cause::StaleTimestamp), silent_s > 0.02);
+            assert_eq!(v.faults.contains(HealthCause::StaleTimestamp), silent_s > 0.02);
             assert_eq!(v.blind, silent_s > 0.05, "{silent_s}");
         }
     }
     assert!(b.good().gyro);
-    assert_eq!(b.until_recovered(Cause::StaleTimestamp).0, b.config.recover_samples - 1);
+    assert_eq!(b.until_recovered(HealthCause::StaleTimestamp).0, b.config.recover_samples - 1);
 }
 
 #[test]
@@ -268,26 +268,26 @@ fn magnetic_faults_leave_gravity_only() {
     let mut b = Bench::new();
     b.warm();
     let v = b.with(|s, q| (s.mag_ut, q.mag_overflow) = (None, true));
-    assert!(v.faults.contains(Cause::MagOverflow) && v.action() == Action::GravityOnly);
-    let (n, _) = b.until_recovered(Cause::MagOverflow);
+    assert!(v.faults.contains(HealthCause::MagOverflow) && v.action() == HealthAction::GravityOnly);
+    let (n, _) = b.until_recovered(HealthCause::MagOverflow);
     assert!((46..=50).contains(&n), "ten magnetometer values are fifty samples: {n}");
     b.source.mag += Vector3::new(12.0, 0.0, 0.0);
     let mut caught = false;
     for _ in 0..5 {
         let v = b.good();
-        caught |= v.faults.contains(Cause::FieldDisturbed);
+        caught |= v.faults.contains(HealthCause::FieldDisturbed);
         assert!(v.gyro && v.acc && (!caught || !v.mag));
     }
     assert!(caught, "norm off by 9 % turns the dip by 10°");
     b.source.mag -= Vector3::new(12.0, 0.0, 0.0);
-    b.until_recovered(Cause::FieldDisturbed);
+    b.until_recovered(HealthCause::FieldDisturbed);
 }
 
 #[test]
 fn field_norm_and_dip_are_judged_apart() {
     let reference = FieldReference::from_rest(&Vector3::z(), &Vector3::new(20.0, 0.0, -45.0)).expect("sound");
     assert!((reference.dip_rad.to_degrees() - 66.04).abs() < 0.01, "dip is positive below the horizon");
-    let (c, up) = (Config::default(), Vector3::new(0.0, 0.0, 9.81));
+    let (c, up) = (HealthConfig::default(), Vector3::new(0.0, 0.0, 9.81));
     let turned = |deg: f64| {
         let a = (reference.dip_rad.to_degrees() + deg).to_radians();
         Vector3::new(a.cos(), 0.0, -a.sin()) * reference.norm_ut
@@ -306,9 +306,9 @@ fn shaking_does_not_bend_the_field() {
     for k in 0..1500 {
         let shake = 5.0 * (f64::from(k) * DT * 40.0).sin();
         let v = b.with(|s, _| s.acc_m_s2.x += shake);
-        assert!(!v.faults.contains(Cause::FieldDisturbed), "{k}");
+        assert!(!v.faults.contains(HealthCause::FieldDisturbed), "{k}");
     }
-    assert!(b.state.times(Cause::AccelDisturbed) > 5);
+    assert!(b.state.times(HealthCause::AccelDisturbed) > 5);
 }
 
 #[test]
@@ -322,7 +322,7 @@ fn the_vertical_turns_with_the_tip() {
         let back = Rotation3::new(-rate * f64::from(k + 1) * DT);
         (b.source.acc, b.source.mag) = (back * acc, back * mag);
         let v = b.with(|s, _| s.acc_m_s2.y += if k < 300 { 0.0 } else { 7.0 }); // pushed all along
-        assert!(!v.faults.contains(Cause::FieldDisturbed), "{k}");
+        assert!(!v.faults.contains(HealthCause::FieldDisturbed), "{k}");
     }
 }
 
@@ -334,7 +334,7 @@ fn a_silent_magnetometer_is_noticed_and_may_be_absent() {
         let mut noticed = None;
         for n in 1..=200 {
             let v = b.with(|s, _| s.mag_ut = None);
-            if v.faults.contains(Cause::MagSilent) && noticed.is_none() {
+            if v.faults.contains(HealthCause::MagSilent) && noticed.is_none() {
                 noticed = Some(f64::from(n) * DT);
             }
         }
@@ -349,32 +349,32 @@ fn a_shaken_tip_coasts_then_holds() {
     b.warm();
     for n in 1..=2600 {
         let v = b.with(|s, _| s.acc_m_s2.x += 6.0); // |a| = 11.5
-        assert!(v.faults.contains(Cause::AccelDisturbed) && v.gyro && !v.acc && !v.mag);
+        assert!(v.faults.contains(HealthCause::AccelDisturbed) && v.gyro && !v.acc && !v.mag);
         let t = f64::from(n - 1) * DT;
         if (t - 5.0).abs() > 1e-6 {
-            assert_eq!(v.action(), if t > 5.0 { Action::Hold } else { Action::CoastOnGyro }, "{t}");
+            assert_eq!(v.action(), if t > 5.0 { HealthAction::Hold } else { HealthAction::CoastOnGyro }, "{t}");
         }
     }
-    b.until_recovered(Cause::AccelDisturbed);
-    assert_eq!(b.good().action(), Action::Use);
+    b.until_recovered(HealthCause::AccelDisturbed);
+    assert_eq!(b.good().action(), HealthAction::Use);
 }
 
 #[test]
 fn every_policy_can_be_written_and_bad_limits_are_named() {
     let text = "frozen_after = 0\n[policy]\nspike = { do = \"hold\" }\nnack = { do = \"coast_on_gyro\", for_s = 0.5 }\n";
-    let c: Config = toml::from_str(text).expect("valid");
+    let c: HealthConfig = toml::from_str(text).expect("valid");
     assert_eq!((c.policy.spike, c.policy.nack), (Policy::Hold, Policy::CoastOnGyro { for_s: 0.5 }));
     c.validate().expect("sound");
-    assert!(toml::from_str::<Config>("blind_maxs = 1").is_err(), "a typo is an error");
-    let bad = Config { saturated_at: 98.0, ..Config::default() };
+    assert!(toml::from_str::<HealthConfig>("blind_maxs = 1").is_err(), "a typo is an error");
+    let bad = HealthConfig { saturated_at: 98.0, ..HealthConfig::default() };
     assert!(bad.validate().unwrap_err().to_string().contains("`fuse.health.saturated_at` = 98"));
-    let back: Config = toml::from_str(&toml::to_string(&Config::default()).expect("serialises")).expect("reads back");
-    assert_eq!(back, Config::default());
+    let back: HealthConfig = toml::from_str(&toml::to_string(&HealthConfig::default()).expect("serialises")).expect("reads back");
+    assert_eq!(back, HealthConfig::default());
 }
 
 #[test]
 fn names_are_unique_and_match_serde() {
-    for (i, c) in Cause::ALL.into_iter().enumerate() {
+    for (i, c) in HealthCause::ALL.into_iter().enumerate() {
         assert_eq!(c as usize, i);
         assert_eq!(serde_json::to_string(&c).expect("plain"), format!("\"{}\"", c.name()));
         assert!(!c.advice().is_empty());
@@ -383,11 +383,11 @@ fn names_are_unique_and_match_serde() {
 
 #[test]
 fn a_field_that_is_disturbed_time_and_again_takes_longer_to_be_believed() {
-    let (config, mut state) = (Config::default(), State::default());
+    let (config, mut state) = (HealthConfig::default(), HealthState::default());
     let field = Vector3::new(20.0, 0.0, -45.0);
     state.set_reference(FieldReference::from_rest(&Vector3::new(0.0, 0.0, 9.81), &field));
     let mut t = 0.0;
-    let mut judge = |state: &mut State, times: f64| {
+    let mut judge = |state: &mut HealthState, times: f64| {
         t += 0.01;
         let sample = ImuSample {
             t: Seconds(t),
@@ -395,7 +395,7 @@ fn a_field_that_is_disturbed_time_and_again_takes_longer_to_be_believed() {
             acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
             mag_ut: Some(field * times),
         };
-        Health::judge(&config, state, Reading { now: Seconds(t), outcome: Outcome::Sample(sample, Quality::default()) })
+        Health::judge(&config, state, TimedReading { now: Seconds(t), outcome: ImuReading::Sample(sample, Quality::default()) })
     };
     let mut waits = Vec::new();
     for _ in 0..5 {

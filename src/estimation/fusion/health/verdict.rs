@@ -1,10 +1,10 @@
 //! What the judge answers.
 
-use super::cause::{Cause, CauseSet};
+use super::cause::{HealthCause, CauseSet};
 
 /// The harshest thing a verdict asks for, in rising order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Action {
+pub enum HealthAction {
     /// Use everything there is.
     Use,
     /// Gyroscope and accelerometer only.
@@ -28,7 +28,7 @@ pub struct Recovered {
 
 /// What may be done with one reading.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Verdict {
+pub struct HealthVerdict {
     /// The filter may integrate the gyroscope.
     pub gyro: bool,
     /// The filter may correct with the accelerometer.
@@ -37,7 +37,7 @@ pub struct Verdict {
     pub mag: bool,
     /// The pistons must be held.
     pub hold: bool,
-    /// No usable gyroscope sample for longer than [`super::Config::blind_max_s`].
+    /// No usable gyroscope sample for longer than [`super::HealthConfig::blind_max_s`].
     pub blind: bool,
     /// What is wrong with this very reading.
     pub faults: CauseSet,
@@ -51,21 +51,21 @@ pub struct Verdict {
     pub recovered: Option<Recovered>,
 }
 
-impl Verdict {
+impl HealthVerdict {
     /// The verdict in one word.
     #[must_use]
-    pub fn action(&self) -> Action {
-        let shut_out = |c: &Cause| matches!(c, Cause::MagOverflow | Cause::MagSilent | Cause::FieldDisturbed);
+    pub fn action(&self) -> HealthAction {
+        let shut_out = |c: &HealthCause| matches!(c, HealthCause::MagOverflow | HealthCause::MagSilent | HealthCause::FieldDisturbed);
         if self.hold {
-            Action::Hold
+            HealthAction::Hold
         } else if !self.gyro {
-            Action::Skip
+            HealthAction::Skip
         } else if !self.acc {
-            Action::CoastOnGyro
+            HealthAction::CoastOnGyro
         } else if !self.mag && self.in_force.iter().any(|c| shut_out(&c)) {
-            Action::GravityOnly
+            HealthAction::GravityOnly
         } else {
-            Action::Use
+            HealthAction::Use
         }
     }
 }

@@ -12,7 +12,7 @@ const ACC_BANDWIDTH_HZ: [f64; 8] = [246.0, 246.0, 111.4, 50.4, 23.9, 11.5, 5.7, 
 /// Settings of an ICM-20948.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Config {
+pub struct IcmConfig {
     /// 7-bit bus address: 104 (0x68) with the AD0 pin low, 105 (0x69) with it high. Default 104.
     /// A second sensor on the same bus takes the other one.
     pub address: u8,
@@ -48,7 +48,7 @@ pub struct Config {
     pub canary_every: u16,
 }
 
-impl Default for Config {
+impl Default for IcmConfig {
     fn default() -> Self {
         Self {
             address: 0x68,
@@ -63,7 +63,7 @@ impl Default for Config {
     }
 }
 
-/// A configuration in the chip's own terms, compiled once by [`Config::settings`].
+/// A configuration in the chip's own terms, compiled once by [`IcmConfig::settings`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     pub(super) address: u8,
@@ -83,7 +83,7 @@ fn filter(table: &[f64; 8], wanted: f64) -> Option<u8> {
         .min_by(|a, b| table[usize::from(*a)].total_cmp(&table[usize::from(*b)]).then(b.cmp(a)))
 }
 
-impl Config {
+impl IcmConfig {
     /// Checks the settings and translates them.
     ///
     /// # Errors
@@ -146,12 +146,12 @@ mod tests {
 
     #[test]
     fn settings_are_the_register_fields() {
-        let s = Config::default().settings().expect("default");
+        let s = IcmConfig::default().settings().expect("default");
         assert_eq!(s.divider, 1, "562.5 Hz is the next rate above 500");
         assert_eq!(s.gyro_config, 2 << 3 | 1 << 1 | 1, "119.5 Hz, 500 dps");
         assert_eq!(s.acc_config, 3 << 3 | 1 << 1 | 1, "50.4 Hz, 4 g");
         assert_eq!(s.mag_mode, 0x08, "continuous mode 4");
-        let fast = Config { rate_hz: 1125.0, gyro_bandwidth_hz: 300.0, ..Config::default() };
+        let fast = IcmConfig { rate_hz: 1125.0, gyro_bandwidth_hz: 300.0, ..IcmConfig::default() };
         let s = fast.settings().expect("fast");
         assert_eq!((s.divider, s.gyro_config >> 3), (0, 7));
     }
@@ -159,14 +159,14 @@ mod tests {
     #[test]
     fn settings_name_what_is_wrong() {
         let bad = [
-            (Config { address: 0x42, ..Config::default() }, "address"),
-            (Config { gyro_range_dps: 300, ..Config::default() }, "gyro_range_dps"),
-            (Config { acc_range_g: 3, ..Config::default() }, "acc_range_g"),
-            (Config { rate_hz: 2000.0, ..Config::default() }, "rate_hz"),
-            (Config { rate_hz: f64::NAN, ..Config::default() }, "rate_hz"),
-            (Config { gyro_bandwidth_hz: 400.0, ..Config::default() }, "gyro_bandwidth_hz"),
-            (Config { acc_bandwidth_hz: f64::NAN, ..Config::default() }, "acc_bandwidth_hz"),
-            (Config { mag_rate_hz: 75, ..Config::default() }, "mag_rate_hz"),
+            (IcmConfig { address: 0x42, ..IcmConfig::default() }, "address"),
+            (IcmConfig { gyro_range_dps: 300, ..IcmConfig::default() }, "gyro_range_dps"),
+            (IcmConfig { acc_range_g: 3, ..IcmConfig::default() }, "acc_range_g"),
+            (IcmConfig { rate_hz: 2000.0, ..IcmConfig::default() }, "rate_hz"),
+            (IcmConfig { rate_hz: f64::NAN, ..IcmConfig::default() }, "rate_hz"),
+            (IcmConfig { gyro_bandwidth_hz: 400.0, ..IcmConfig::default() }, "gyro_bandwidth_hz"),
+            (IcmConfig { acc_bandwidth_hz: f64::NAN, ..IcmConfig::default() }, "acc_bandwidth_hz"),
+            (IcmConfig { mag_rate_hz: 75, ..IcmConfig::default() }, "mag_rate_hz"),
         ];
         for (config, field) in bad {
             let error = config.settings().expect_err(field);
@@ -177,7 +177,7 @@ mod tests {
     #[test]
     fn every_rate_is_met_or_exceeded_by_the_slowest_that_does() {
         for rate_hz in [4.4, 10.0, 100.0, 225.0, 226.0, 499.0, 562.5, 563.0, 1125.0] {
-            let s = Config { rate_hz, ..Config::default() }.settings().expect("in range");
+            let s = IcmConfig { rate_hz, ..IcmConfig::default() }.settings().expect("in range");
             let odr = |n: u8| BASE_RATE_HZ / (1.0 + f64::from(n));
             assert!(odr(s.divider) >= rate_hz - 1e-9, "{rate_hz}");
             assert!(s.divider == 255 || odr(s.divider + 1) < rate_hz, "{rate_hz}");

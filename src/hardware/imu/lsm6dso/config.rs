@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Settings of an LSM6DSO and the LIS2MDL beside it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Config {
+pub struct LsmConfig {
     /// 7-bit bus address of the LSM6DSO: 106 (0x6A) with SA0 low, 107 (0x6B) with it high. Default
     /// 106. The LIS2MDL is always at 30 (0x1E).
     pub address: u8,
@@ -43,7 +43,7 @@ pub struct Config {
     pub canary_every: u16,
 }
 
-impl Default for Config {
+impl Default for LsmConfig {
     fn default() -> Self {
         Self {
             address: 0x6A,
@@ -94,7 +94,7 @@ pub fn scale(gyro_range_dps: u16, acc_range_g: u8, mag_axes: Axes) -> Scale {
     }
 }
 
-impl Config {
+impl LsmConfig {
     /// Checks the settings and translates them.
     ///
     /// # Errors
@@ -149,13 +149,13 @@ mod tests {
 
     #[test]
     fn settings_are_the_register_fields() {
-        let s = Config::default().settings().expect("default");
+        let s = LsmConfig::default().settings().expect("default");
         assert_eq!((s.ctrl1, s.ctrl2), (0x78, 0x74), "833 Hz; 4 g is code 2, 500 dps code 1");
         assert_eq!((s.ctrl4, s.ctrl6, s.ctrl8, s.mag_every), (0, 0, 0, 4));
-        let filtered = Config { acc_filter_divisor: 20, gyro_filter: Some(5), ..Config::default() };
+        let filtered = LsmConfig { acc_filter_divisor: 20, gyro_filter: Some(5), ..LsmConfig::default() };
         let s = filtered.settings().expect("filtered");
         assert_eq!((s.ctrl1, s.ctrl4, s.ctrl6, s.ctrl8), (0x7A, 0x02, 5, 0x40));
-        let wide = Config { acc_range_g: 16, gyro_range_dps: 125, ..Config::default() };
+        let wide = LsmConfig { acc_range_g: 16, gyro_range_dps: 125, ..LsmConfig::default() };
         let s = wide.settings().expect("wide");
         assert_eq!((s.ctrl1, s.ctrl2), (0x74, 0x72));
     }
@@ -175,13 +175,13 @@ mod tests {
     #[test]
     fn settings_name_what_is_wrong() {
         let bad = [
-            (Config { address: 0x68, ..Config::default() }, "address"),
-            (Config { gyro_range_dps: 245, ..Config::default() }, "gyro_range_dps"),
-            (Config { acc_range_g: 6, ..Config::default() }, "acc_range_g"),
-            (Config { rate_hz: 7000.0, ..Config::default() }, "rate_hz"),
-            (Config { rate_hz: 0.0, ..Config::default() }, "rate_hz"),
-            (Config { gyro_filter: Some(8), ..Config::default() }, "gyro_filter"),
-            (Config { acc_filter_divisor: 3, ..Config::default() }, "acc_filter_divisor"),
+            (LsmConfig { address: 0x68, ..LsmConfig::default() }, "address"),
+            (LsmConfig { gyro_range_dps: 245, ..LsmConfig::default() }, "gyro_range_dps"),
+            (LsmConfig { acc_range_g: 6, ..LsmConfig::default() }, "acc_range_g"),
+            (LsmConfig { rate_hz: 7000.0, ..LsmConfig::default() }, "rate_hz"),
+            (LsmConfig { rate_hz: 0.0, ..LsmConfig::default() }, "rate_hz"),
+            (LsmConfig { gyro_filter: Some(8), ..LsmConfig::default() }, "gyro_filter"),
+            (LsmConfig { acc_filter_divisor: 3, ..LsmConfig::default() }, "acc_filter_divisor"),
         ];
         for (config, field) in bad {
             assert_eq!(config.settings().expect_err(field).field, field);
@@ -190,7 +190,7 @@ mod tests {
         let config: crate::hardware::imu::ImuConfig = toml::from_str(text).expect("valid");
         let crate::hardware::imu::ImuConfig::Lsm6dsoLis2mdl(config) = config else { panic!("wrong part") };
         assert_eq!(config.acc_range_g, 8);
-        let twice = Config { mag_axes: Axes([crate::hardware::imu::Axis::PlusX; 3]), ..Config::default() };
+        let twice = LsmConfig { mag_axes: Axes([crate::hardware::imu::Axis::PlusX; 3]), ..LsmConfig::default() };
         assert_eq!(twice.settings().expect_err("twice x").field, "mag_axes");
         assert!(toml::from_str::<crate::hardware::imu::ImuConfig>("part = \"icm20948\"\nacc_rang_g = 8\n").is_err());
         assert!(toml::from_str::<crate::hardware::imu::ImuConfig>("part = \"mpu6050\"\n").is_err());

@@ -3,9 +3,9 @@
 //! Folds open one after another, so the stiffness turns over smoothly around rest:
 //! `dW/dq = 1 + a x/√(1 + x²)` with `x = q/s`, hence `W = q + a s (√(1 + x²) − 1)`.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.asymmetry]`
@@ -26,7 +26,7 @@ impl Default for Asymmetry {
     }
 }
 
-impl Cause for Asymmetry {
+impl PlantEffect for Asymmetry {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.asymmetry.share", self.share, -0.8..=0.8, "±0.25 is a lot")?;
         range("effects.asymmetry.knee_mm", self.knee_mm, 0.01..=10.0, "0.6 is typical")
@@ -37,7 +37,7 @@ impl Cause for Asymmetry {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).clamp(-0.8, 0.8);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { share: lot.sign() * lot.sized(0.08, 0.3, severity), knee_mm: lot.between(0.3, 1.2) }
     }
 }

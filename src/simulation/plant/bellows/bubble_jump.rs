@@ -2,9 +2,9 @@
 //!
 //! From `at_s` on (until `until_s`) the air of one line gives way `factor` times as much.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, channel, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.outside.bubble_jump]`
@@ -28,7 +28,7 @@ impl Default for BubbleJump {
     }
 }
 
-impl Cause for BubbleJump {
+impl PlantEffect for BubbleJump {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.bubble_jump.change", self.change, -0.95..=5.0, "a share of k_ε")?;
         channel("effects.outside.bubble_jump.channel", self.channel)?;
@@ -41,7 +41,7 @@ impl Cause for BubbleJump {
     fn scale(&mut self, factor: f64) {
         self.change = (self.change * factor).max(-0.95);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let at_s = lot.between(15.0, 50.0);
         let until_s = if lot.chance(0.5) { 1e9 } else { at_s + lot.between(10.0, 40.0) };
         let change = lot.sized(0.25, 0.8, severity);

@@ -4,9 +4,9 @@
 //! weights `∝ τ^α` (the spectrum of a power law over those decades), each relaxing towards its share
 //! of `q (1 + ν |q| / 5 mm)`. The motion grows in holds and recovers afterwards.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -31,7 +31,7 @@ impl Default for Creep {
     }
 }
 
-impl Cause for Creep {
+impl PlantEffect for Creep {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.creep.share", self.share, 0.0..=2.0, "0.02 to 0.4 is typical")?;
         range("effects.creep.exponent", self.exponent, -1.0..=1.0, "0.2 is typical")?;
@@ -43,7 +43,7 @@ impl Cause for Creep {
     fn scale(&mut self, factor: f64) {
         self.share *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { share: lot.sized(0.08, 0.4, severity), exponent: lot.between(0.0, 0.3), nonlinear: lot.between(0.0, 0.6) }
     }
 }

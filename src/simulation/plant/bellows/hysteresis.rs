@@ -6,9 +6,9 @@
 //! makes loops wider when the bellow is long, so that loops of one width at two places are not
 //! congruent, which no sum of plays can mimic.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -38,7 +38,7 @@ impl Default for Hysteresis {
     }
 }
 
-impl Cause for Hysteresis {
+impl PlantEffect for Hysteresis {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.hysteresis.share", self.share, 0.0..=0.75, "beyond 0.75 the bellow would move backwards")?;
         range("effects.hysteresis.yield_mm", self.yield_mm, 0.01..=10.0, "around 1 mm is typical")?;
@@ -52,7 +52,7 @@ impl Cause for Hysteresis {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).min(0.75);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self {
             share: lot.sized(0.15, 0.55, severity),
             yield_mm: lot.between(0.6, 1.6),

@@ -3,9 +3,9 @@
 //! A share of the motion passes through a lightly damped second-order system of unit gain,
 //! `ẍ + 2 ζ ω ẋ + ω² x = ω² u`, stepped by its exact solution for an input held over the step.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::{Matrix2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +27,7 @@ impl Default for Ringing {
     }
 }
 
-impl Cause for Ringing {
+impl PlantEffect for Ringing {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.ringing.share", self.share, 0.0..=1.0, "a share of the motion")?;
         range("effects.outside.ringing.frequency_hz", self.frequency_hz, 0.2..=50.0, "a few Hz are plausible")?;
@@ -39,7 +39,7 @@ impl Cause for Ringing {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).min(1.0);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { share: lot.sized(0.4, 0.9, severity), frequency_hz: lot.between(1.0, 4.0), damping: lot.between(0.03, 0.12) }
     }
 }

@@ -3,9 +3,9 @@
 //! A fold is bistable: past `at_mm` it pops and adds `jump_mm` within some 50 ms; it pops back only
 //! once the bellow has come back by `1.5 jump` (but at least 0.5 mm) below that.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, channel, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ impl Default for SnapThrough {
     }
 }
 
-impl Cause for SnapThrough {
+impl PlantEffect for SnapThrough {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.snap_through.jump_mm", self.jump_mm, 0.0..=5.0, "under 1 mm is plausible")?;
         range("effects.outside.snap_through.at_mm", self.at_mm, 0.1..=10.0, "a bellow elongates by 5 mm or so")?;
@@ -41,7 +41,7 @@ impl Cause for SnapThrough {
     fn scale(&mut self, factor: f64) {
         self.jump_mm *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { jump_mm: lot.sized(0.4, 1.5, severity), at_mm: lot.between(1.0, 2.5), channel: lot.channel() }
     }
 }

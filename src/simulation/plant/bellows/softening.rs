@@ -4,9 +4,9 @@
 //! `0.7 |q|`, breaks bonds: `D = 1 − d (1 − e^(−(m/s)²))`. Below the worst stretch so far nothing
 //! changes any more (Simo 1987, with energy taken as quadratic).
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -30,7 +30,7 @@ impl Default for Softening {
     }
 }
 
-impl Cause for Softening {
+impl PlantEffect for Softening {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.softening.share", self.share, 0.0..=0.9, "a wall that loses all its stiffness is a burst")?;
         range("effects.softening.stretch_mm", self.stretch_mm, 0.1..=50.0, "a bellow stretches by 5 mm or so")
@@ -41,7 +41,7 @@ impl Cause for Softening {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).min(0.9);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { share: lot.sized(0.1, 0.5, severity), stretch_mm: lot.between(2.0, 4.0) }
     }
 }

@@ -3,9 +3,9 @@
 //! Beside the linear wall, `h q (e^(|q|/s) − 1)`, with `h` such that the extra is `share` of the
 //! linear force at 5 mm. Odd, and with every odd and even power of |q| behind it.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.stiffening]`
@@ -29,7 +29,7 @@ impl Default for Stiffening {
     }
 }
 
-impl Cause for Stiffening {
+impl PlantEffect for Stiffening {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.stiffening.share", self.share, 0.0..=3.0, "0.05 to 0.5 is typical")?;
         range("effects.stiffening.onset_mm", self.onset_mm, 0.8..=50.0, "2.5 is typical; shorter is a wall, not rubber")
@@ -40,7 +40,7 @@ impl Cause for Stiffening {
     fn scale(&mut self, factor: f64) {
         self.share *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { share: lot.sized(0.12, 0.7, severity), onset_mm: lot.between(1.8, 4.0) }
     }
 }

@@ -3,9 +3,9 @@
 //! `e(u) = A (1 + v sin 0.37θ) sin(θ + s sin θ)`, `θ = 2πu/p + φ`: flanks wear on one side (skew `s`)
 //! and no tooth is like the next (`v`). Counted from rest, so that `e(0) = 0`.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
@@ -33,7 +33,7 @@ impl Default for GearPeriodic {
     }
 }
 
-impl Cause for GearPeriodic {
+impl PlantEffect for GearPeriodic {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.gear_periodic.amplitude_mm", self.amplitude_mm, 0.0..=2.0, "tenths of a mm at most are typical")?;
         range("effects.gear_periodic.pitch_mm", self.pitch_mm, 0.1..=100.0, "π times the module")?;
@@ -47,7 +47,7 @@ impl Cause for GearPeriodic {
     fn scale(&mut self, factor: f64) {
         self.amplitude_mm *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self {
             amplitude_mm: lot.sized(0.04, 0.4, severity),
             phase_deg: [lot.angle_deg(), lot.angle_deg(), lot.angle_deg()],

@@ -5,9 +5,9 @@
 //! slope between 10 and 40 ms of smoothing. A rotor out of step stands still and loses what it is sent
 //! until it catches a pole again, `full_steps` later. The offset stays.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, channel, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -37,7 +37,7 @@ impl Default for MissedSteps {
     }
 }
 
-impl Cause for MissedSteps {
+impl PlantEffect for MissedSteps {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.missed_steps.full_steps", self.full_steps, 0.0..=400.0, "1 to 50 is typical")?;
         channel("effects.missed_steps.channel", self.channel)?;
@@ -51,7 +51,7 @@ impl Cause for MissedSteps {
     fn scale(&mut self, factor: f64) {
         self.full_steps *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self {
             full_steps: lot.sized(1.5, 30.0, severity).round(),
             channel: lot.channel(),

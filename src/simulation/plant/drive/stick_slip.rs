@@ -4,9 +4,9 @@
 //! the breakaway distance, then jumps to where sliding friction holds it. Rubber that rests grows
 //! fast: breakaway rises by a tenth for every e-fold of seconds at rest.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -30,7 +30,7 @@ impl Default for StickSlip {
     }
 }
 
-impl Cause for StickSlip {
+impl PlantEffect for StickSlip {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.stick_slip.breakaway_mm", self.breakaway_mm, 0.0..=5.0, "tenths of a mm are plausible")?;
         range("effects.outside.stick_slip.sliding", self.sliding, 0.0..=1.0, "a share of the breakaway")?;
@@ -42,7 +42,7 @@ impl Cause for StickSlip {
     fn scale(&mut self, factor: f64) {
         self.breakaway_mm *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { breakaway_mm: lot.sized(0.3, 1.5, severity), sliding: lot.between(0.0, 0.4), ..Self::default() }
     }
 }

@@ -2,10 +2,10 @@
 //!
 //! `f + b (1 + 0.15 (f/g)²)`, axis by axis.
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, ranges};
 use crate::simulation::plant::imu::feeling::GRAVITY_M_S2;
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -20,7 +20,7 @@ pub struct AccelBias {
 /// How much more of it at 1 g.
 const LOADED: f64 = 0.15;
 
-impl Cause for AccelBias {
+impl PlantEffect for AccelBias {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.accel_bias.bias_mg", &self.bias_mg, -500.0..=500.0, "10 to 100 mg is typical")
     }
@@ -30,7 +30,7 @@ impl Cause for AccelBias {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.bias_mg, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sized(25.0, 120.0, severity);
         Self { bias_mg: (lot.direction() * size).into() }
     }

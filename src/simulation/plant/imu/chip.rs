@@ -8,7 +8,7 @@ use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
 use crate::simulation::plant::check::{PlantError, range, ranges};
 use crate::simulation::plant::imu::feeling::{Feeling, GRAVITY_M_S2};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Wander;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -142,11 +142,11 @@ struct Axes {
 }
 
 impl Axes {
-    fn new(bias: &[f64; 3], sigma: f64, wander: (f64, f64), digit: f64, range: f64, unit: f64, lot: &mut Lot) -> Self {
+    fn new(bias: &[f64; 3], sigma: f64, wander: (f64, f64), digit: f64, range: f64, unit: f64, lot: &mut PlantRng) -> Self {
         let wander = Wander::new(wander.0 * unit, wander.1, lot);
         Self { bias: Vector3::from(*bias) * unit, sigma: sigma * unit, wander, digit: digit * unit, range: range * unit }
     }
-    fn read(&mut self, truth: &Vector3<f64>, dt_s: f64, lot: &mut Lot) -> Vector3<f64> {
+    fn read(&mut self, truth: &Vector3<f64>, dt_s: f64, lot: &mut PlantRng) -> Vector3<f64> {
         let mut x = truth + self.bias + self.wander.step(dt_s, lot);
         if self.sigma > 0.0 {
             x += lot.normals() * self.sigma;
@@ -166,12 +166,12 @@ pub(crate) struct Chip {
     gyro: Axes,
     acc: Axes,
     mag: Axes,
-    lot: Lot,
+    lot: PlantRng,
     mag_dt_s: f64,
 }
 
 impl Chip {
-    pub(crate) fn new(config: &ImuConfig, mut lot: Lot) -> Self {
+    pub(crate) fn new(config: &ImuConfig, mut lot: PlantRng) -> Self {
         let white = (0.5 / config.period_s).sqrt();
         let (deg, mg) = (1f64.to_radians(), 1e-3 * GRAVITY_M_S2);
         let c = config;
@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn noise_is_as_dense_as_it_says() {
         let config = ImuConfig { gyro_wander_deg_s: 0.0, gyro_digit_deg_s: 0.0, ..ImuConfig::default() };
-        let mut chip = Chip::new(&config, Lot::new(5, Stream::TipImu));
+        let mut chip = Chip::new(&config, PlantRng::new(5, Stream::TipImu));
         let n = 20_000;
         let square: f64 = (0..n).map(|_| chip.read(&still(), 0.002, false).gyro_rad_s.norm_squared() / 3.0).sum();
         let density = (square / f64::from(n)).sqrt().to_degrees() / 250f64.sqrt();
@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn has_digits_range_and_bias() {
         let config = ImuConfig { acc_bias_mg: [10.0, 0.0, 0.0], ..ImuConfig::default() };
-        let mut chip = Chip::new(&config, Lot::new(5, Stream::TipImu));
+        let mut chip = Chip::new(&config, PlantRng::new(5, Stream::TipImu));
         let n = 5000;
         let mean: Vector3<f64> = (0..n).map(|_| chip.read(&still(), 0.002, false).acc_m_s2).sum::<Vector3<f64>>() / f64::from(n);
         assert!((mean - Vector3::new(0.0981, 0.0, GRAVITY_M_S2)).norm() < 0.01, "{mean}");

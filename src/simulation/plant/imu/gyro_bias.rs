@@ -3,9 +3,9 @@
 //! Warm-up as a stretched exponential, `b (1 − e^(−(t/τ)^0.7))`: fast at first and never quite done;
 //! beside it a Gauss-Markov wander of 40 s correlation time.
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::{Lot, Stream};
+use crate::simulation::plant::lot::{PlantRng, Stream};
 use crate::simulation::plant::memory::Wander;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ impl Default for GyroBias {
     }
 }
 
-impl Cause for GyroBias {
+impl PlantEffect for GyroBias {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.gyro_bias.warm_up_deg_s", &self.warm_up_deg_s, -50.0..=50.0, "0.1 to 5 °/s is typical")?;
         range("effects.gyro_bias.over_s", self.over_s, 0.1..=1e6, "a minute or so is typical")?;
@@ -42,7 +42,7 @@ impl Cause for GyroBias {
         scale_all(&mut self.warm_up_deg_s, factor);
         self.wander_deg_s *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sized(0.5, 4.0, severity);
         Self { warm_up_deg_s: (lot.direction() * size).into(), over_s: lot.between(15.0, 70.0), wander_deg_s: 0.1 * size }
     }
@@ -53,13 +53,13 @@ impl Cause for GyroBias {
 pub(crate) struct Drifting {
     config: GyroBias,
     wander: Wander,
-    lot: Lot,
+    lot: PlantRng,
     start: Vector3<f64>,
 }
 
 impl Drifting {
     pub(crate) fn new(config: GyroBias, seed: u64) -> Self {
-        let mut lot = Lot::new(seed, Stream::GyroBias);
+        let mut lot = PlantRng::new(seed, Stream::GyroBias);
         let mut wander = Wander::new(config.wander_deg_s.to_radians(), 40.0, &mut lot);
         // what it starts with is the constant bias, which is nobody's fault
         let start = wander.step(0.0, &mut lot);

@@ -3,9 +3,9 @@
 //! A constant body-fixed field `b`, plus `v |b|` along the field that the parts have been in over the
 //! last 15 s (magnetic viscosity).
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -30,7 +30,7 @@ impl Default for HardIron {
 /// Time over which parts are magnetised, s.
 const VISCOUS_S: f64 = 15.0;
 
-impl Cause for HardIron {
+impl PlantEffect for HardIron {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.hard_iron.offset_ut", &self.offset_ut, -500.0..=500.0, "1 to 50 µT is typical")?;
         range("effects.hard_iron.viscous", self.viscous, 0.0..=1.0, "0.1 is typical")
@@ -41,7 +41,7 @@ impl Cause for HardIron {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.offset_ut, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sized(4.0, 40.0, severity);
         Self { offset_ut: (lot.direction() * size).into(), viscous: lot.between(0.02, 0.15) }
     }

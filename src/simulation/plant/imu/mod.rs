@@ -20,7 +20,7 @@ use crate::primitives::units::Seconds;
 use crate::simulation::plant::cause::active;
 use crate::simulation::plant::config::PlantConfig;
 use crate::simulation::plant::effects::Effects;
-use crate::simulation::plant::lot::{Lot, Stream};
+use crate::simulation::plant::lot::{PlantRng, Stream};
 use crate::simulation::plant::timing::{ClockDrift, DeadTime, SensorFreeze};
 use accel_bias::AccelBias;
 use chip::{Chip, ImuConfig};
@@ -100,16 +100,16 @@ impl Imu {
     /// The tip's, with all that is wrong with it, starting at rest at `here`.
     pub(crate) fn tip(config: &PlantConfig, seed: u64, here: Surroundings) -> Self {
         let flaws = Flaws::of(&config.effects, seed);
-        let mut imu = Self::new(&config.imu, flaws, Lot::new(seed, Stream::TipImu), here);
+        let mut imu = Self::new(&config.imu, flaws, PlantRng::new(seed, Stream::TipImu), here);
         let rest = imu.feel(&here, config.imu.period_s);
         imu.age = active(config.effects.sensor_latency.as_ref()).map(|c| DeadTime::latency(&c, rest, seed));
         imu
     }
     /// The base's, of the same make but without bias or flaw.
     pub(crate) fn base(config: &PlantConfig, seed: u64, here: Surroundings) -> Self {
-        Self::new(&config.imu.unbiased(), Flaws::default(), Lot::new(seed, Stream::BaseImu), here)
+        Self::new(&config.imu.unbiased(), Flaws::default(), PlantRng::new(seed, Stream::BaseImu), here)
     }
-    fn new(config: &ImuConfig, flaws: Flaws, lot: Lot, here: Surroundings) -> Self {
+    fn new(config: &ImuConfig, flaws: Flaws, lot: PlantRng, here: Surroundings) -> Self {
         let turn = Vector3::from(config.mount_deg).map(f64::to_radians);
         Self {
             chip: Chip::new(config, lot),

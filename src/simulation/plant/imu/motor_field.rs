@@ -5,9 +5,9 @@
 //! `A I (u (cos φ + h cos 3φ) + w (sin φ − h sin 3φ))`, `u` and `w` across the motor's axis. The
 //! driver lets the current `I` down to its idle share once a channel has stood still.
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -36,7 +36,7 @@ impl Default for MotorField {
     }
 }
 
-impl Cause for MotorField {
+impl PlantEffect for MotorField {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.motor_field.amplitude_ut", &self.amplitude_ut, -500.0..=500.0, "0.1 to 20 µT is typical")?;
         ranges("effects.motor_field.azimuth_deg", &self.azimuth_deg, -360.0..=360.0, "one turn is enough")?;
@@ -49,7 +49,7 @@ impl Cause for MotorField {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.amplitude_ut, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sized(1.5, 20.0, severity);
         Self {
             amplitude_ut: std::array::from_fn(|_| size * lot.between(0.6, 1.2)),

@@ -2,10 +2,10 @@
 //!
 //! Rotation vector `m + w (f/g) × ẑ`: a constant tilt, and `w` of bending per g across.
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
 use crate::simulation::plant::imu::feeling::GRAVITY_M_S2;
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +27,7 @@ impl Default for MountMisalignment {
     }
 }
 
-impl Cause for MountMisalignment {
+impl PlantEffect for MountMisalignment {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.mount_misalignment.tilt_deg", &self.tilt_deg, -180.0..=180.0, "1 to 15 is typical")?;
         range("effects.mount_misalignment.give", self.give, 0.0..=0.5, "0.03 is typical")
@@ -38,7 +38,7 @@ impl Cause for MountMisalignment {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.tilt_deg, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sized(3.0, 15.0, severity);
         Self { tilt_deg: (lot.direction() * size).into(), give: lot.between(0.0, 0.05) }
     }

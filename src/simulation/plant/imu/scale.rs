@@ -3,10 +3,10 @@
 //! Gyroscope and accelerometer axis by axis, the gyroscope's answer to plain force, and soft iron,
 //! which stretches the field along one body-fixed direction.
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
 use crate::simulation::plant::imu::feeling::GRAVITY_M_S2;
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -54,7 +54,7 @@ impl Default for SoftIron {
     }
 }
 
-impl Cause for GyroScale {
+impl PlantEffect for GyroScale {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.outside.gyro_scale.share", &self.share, -0.5..=0.5, "up to ±0.15 is plausible")
     }
@@ -64,7 +64,7 @@ impl Cause for GyroScale {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.share, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sized(0.03, 0.15, severity);
         Self { share: std::array::from_fn(|_| size * lot.sign() * lot.between(0.6, 1.2)) }
     }
@@ -76,7 +76,7 @@ impl GyroScale {
     }
 }
 
-impl Cause for AccScale {
+impl PlantEffect for AccScale {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.outside.acc_scale.share", &self.share, -0.5..=0.5, "up to ±0.15 is plausible")
     }
@@ -86,7 +86,7 @@ impl Cause for AccScale {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.share, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sized(0.03, 0.15, severity);
         Self { share: std::array::from_fn(|_| size * lot.sign() * lot.between(0.6, 1.2)) }
     }
@@ -98,7 +98,7 @@ impl AccScale {
     }
 }
 
-impl Cause for SoftIron {
+impl PlantEffect for SoftIron {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.soft_iron.stretch", self.stretch, -0.9..=5.0, "±0.05 to 0.3 is plausible")?;
         ranges("effects.outside.soft_iron.direction", &self.direction, -1e3..=1e3, "a direction")?;
@@ -110,7 +110,7 @@ impl Cause for SoftIron {
     fn scale(&mut self, factor: f64) {
         self.stretch = (self.stretch * factor).max(-0.9);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { stretch: lot.sized(0.06, 0.35, severity), direction: lot.direction().into() }
     }
 }
@@ -122,7 +122,7 @@ impl SoftIron {
     }
 }
 
-impl Cause for GSensitivity {
+impl PlantEffect for GSensitivity {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.outside.g_sensitivity.deg_s_per_g", &self.deg_s_per_g, -50.0..=50.0, "a few °/s are plausible")
     }
@@ -132,7 +132,7 @@ impl Cause for GSensitivity {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.deg_s_per_g, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sized(0.6, 4.0, severity);
         Self { deg_s_per_g: (lot.direction() * size).into() }
     }

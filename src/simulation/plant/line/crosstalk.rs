@@ -3,9 +3,9 @@
 //! A line whose bellow is elongated by `q` displaces `c q²/(q + 0.8 mm)` worth of elongation in its
 //! neighbours (soft at first, then proportional), more in the one that it lies nearer to.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -30,7 +30,7 @@ impl Default for Crosstalk {
 /// Elongation at which squeezing has half its slope, mm.
 const KNEE_MM: f64 = 0.8;
 
-impl Cause for Crosstalk {
+impl PlantEffect for Crosstalk {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.crosstalk.share", self.share, -0.4..=0.4, "more than that and the lines feed each other")?;
         range("effects.crosstalk.lopsided", self.lopsided, -1.0..=1.0, "1 reaches one neighbour only")
@@ -41,7 +41,7 @@ impl Cause for Crosstalk {
     fn scale(&mut self, factor: f64) {
         self.share *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { share: lot.sized(0.05, 0.3, severity), lopsided: lot.between(-0.6, 0.6) }
     }
 }

@@ -6,9 +6,9 @@
 //! much stiffer than nominal the bellow is at the same k_ε, so how much pressure the air really sees),
 //! `ε = (V_d / s) (1 − (1 + s p/P)^(−1/n))`, and `s → 0` is the linear spring.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.gas_compression]`
@@ -31,7 +31,7 @@ impl Default for GasCompression {
     }
 }
 
-impl Cause for GasCompression {
+impl PlantEffect for GasCompression {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.gas_compression.strength", self.strength, 0.0..=3.0, "beyond 3 a full bend needs absolute vacuum")?;
         range("effects.gas_compression.polytropic", self.polytropic, 1.0..=1.67, "1 is isothermal, 1.4 adiabatic air")?;
@@ -43,7 +43,7 @@ impl Cause for GasCompression {
     fn scale(&mut self, factor: f64) {
         self.strength = (self.strength * factor).min(3.0);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { strength: lot.sized(0.5, 2.2, severity), polytropic: lot.between(1.05, 1.35), ..Self::default() }
     }
 }

@@ -5,9 +5,9 @@
 //! `s = 2 / (1 + √(1 + |p|/p_t))`; a lip that is sucked shut leaks less under vacuum. Stepped exactly
 //! for a flow coefficient held over the step.
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -38,7 +38,7 @@ impl Leak {
     }
 }
 
-impl Cause for Leak {
+impl PlantEffect for Leak {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.leak.rate_per_s", &self.rate_per_s, 0.0..=1000.0, "0.1 empties a line within half a minute")?;
         range("effects.leak.turbulent_kpa", self.turbulent_kpa, 0.1..=1e9, "8 is a pinhole")?;
@@ -50,7 +50,7 @@ impl Cause for Leak {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.rate_per_s, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let rate = lot.sized(2e-3, 6e-2, severity);
         Self { rate_per_s: lot.on_channels(rate), vacuum: lot.between(0.4, 1.0), ..Self::default() }
     }

@@ -5,9 +5,9 @@
 //! quadratic; the step relaxes over the time constant `Δ/f` that the flow has at its start, which is
 //! exact when `o = 0` and stable for every step.
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -29,7 +29,7 @@ impl Default for LineLag {
     }
 }
 
-impl Cause for LineLag {
+impl PlantEffect for LineLag {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.line_lag.lag_s", &self.lag_s, 0.0..=20.0, "0.05 to 1 s is typical")?;
         range("effects.line_lag.port", self.port, 0.0..=20.0, "a share of the loss in the bore")
@@ -40,7 +40,7 @@ impl Cause for LineLag {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.lag_s, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let tau = lot.sized(0.12, 0.9, severity);
         Self { lag_s: std::array::from_fn(|_| tau * lot.between(0.85, 1.15)), port: lot.between(0.2, 1.0) }
     }

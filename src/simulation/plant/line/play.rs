@@ -3,9 +3,9 @@
 //! The far end `w` is dragged when the near end has crossed the gap: `w ← clamp(w, u − λ, u + λ)`.
 //! Teeth that wear widen it with the distance gone: `λ = λ₀ (1 + g (1 − e^(−s/S)))`.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -26,7 +26,7 @@ impl Default for PlayWear {
     }
 }
 
-impl Cause for PlayWear {
+impl PlantEffect for PlayWear {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.play_wear.growth", self.growth, -1.0..=10.0, "a share of the half-width")?;
         range("effects.outside.play_wear.over_mm", self.over_mm, 1.0..=1e6, "mm of piston travel")
@@ -37,7 +37,7 @@ impl Cause for PlayWear {
     fn scale(&mut self, factor: f64) {
         self.growth *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { growth: lot.sized(0.5, 2.5, severity), over_mm: lot.between(100.0, 400.0) }
     }
 }

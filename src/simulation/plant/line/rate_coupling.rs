@@ -3,9 +3,9 @@
 //! The three racks share a frame that gives: pushing one at speed `v` shifts the next by `c v`, seen
 //! through 0.15 s of the frame's own spring and friction. Nothing is left once all stand still.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -22,7 +22,7 @@ pub struct RateCoupling {
 /// Relaxation of the frame, s.
 const FRAME_S: f64 = 0.15;
 
-impl Cause for RateCoupling {
+impl PlantEffect for RateCoupling {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.rate_coupling.shift_s", self.shift_s, -1.0..=1.0, "tenths of a second are plausible")
     }
@@ -32,7 +32,7 @@ impl Cause for RateCoupling {
     fn scale(&mut self, factor: f64) {
         self.shift_s *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { shift_s: lot.sign() * lot.sized(0.06, 0.3, severity) }
     }
 }

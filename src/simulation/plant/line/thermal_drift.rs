@@ -3,9 +3,9 @@
 //! Motors warm the case and the case warms the air, two thermal masses in series:
 //! `a (1 − (τ₂ e^(−t/τ₂) − τ₁ e^(−t/τ₁)) / (τ₂ − τ₁))`, which starts without a slope.
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ impl Default for ThermalDrift {
     }
 }
 
-impl Cause for ThermalDrift {
+impl PlantEffect for ThermalDrift {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.thermal_drift.offset_mm", &self.offset_mm, -20.0..=20.0, "a few mm at most are typical")?;
         range("effects.thermal_drift.air_s", self.air_s, 0.1..=1e5, "tens of seconds are typical")?;
@@ -41,7 +41,7 @@ impl Cause for ThermalDrift {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.offset_mm, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sized(0.4, 3.0, severity);
         let main = lot.channel() - 1;
         let sign = lot.sign();

@@ -4,9 +4,9 @@
 //! With `x = b·u` the bend along the cable's side `u`, it takes back `c x (1 + o y/√(1 + y²)) u`,
 //! `y = x / 0.3`.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -32,7 +32,7 @@ impl Default for CableStiffness {
 /// Bend over which it turns from buckled to taut, rad.
 const KNEE: f64 = 0.3;
 
-impl Cause for CableStiffness {
+impl PlantEffect for CableStiffness {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.cable_stiffness.share", self.share, 0.0..=0.48, "0.05 to 0.4 is typical")?;
         range("effects.cable_stiffness.direction_deg", self.direction_deg, -360.0..=360.0, "one turn is enough")?;
@@ -44,7 +44,7 @@ impl Cause for CableStiffness {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).min(0.48);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { share: lot.sized(0.1, 0.4, severity), direction_deg: lot.angle_deg(), one_sided: lot.between(0.1, 0.6) }
     }
 }

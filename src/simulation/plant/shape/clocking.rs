@@ -2,9 +2,9 @@
 //!
 //! A bellow glued askew runs along a helix: stretched by `q` it sits at `ζ (1 + w q / 5 mm)`.
 
-use crate::simulation::plant::cause::{Cause, largest, scale_all};
+use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +25,7 @@ impl Default for Clocking {
     }
 }
 
-impl Cause for Clocking {
+impl PlantEffect for Clocking {
     fn check(&self) -> Result<(), PlantError> {
         ranges("effects.clocking.offset_deg", &self.offset_deg, -40.0..=40.0, "a bellow cannot pass its neighbour")?;
         range("effects.clocking.wander", self.wander, -1.0..=1.0, "a share of the offset")
@@ -36,7 +36,7 @@ impl Cause for Clocking {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.offset_deg, factor);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         let size = lot.sign() * lot.sized(3.0, 18.0, severity);
         let mut offset_deg = [size; 3];
         if lot.chance(0.6) {

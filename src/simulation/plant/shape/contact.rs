@@ -4,9 +4,9 @@
 //! that stiffens as it yields), of which `block` tells how much of it there is. While pressed, the
 //! tip sticks sideways: it follows along the wall only once it is `μ` times the pressing behind.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -33,7 +33,7 @@ impl Default for Contact {
     }
 }
 
-impl Cause for Contact {
+impl PlantEffect for Contact {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.contact.block", self.block, 0.0..=1.0, "1 is the whole wall")?;
         range("effects.contact.direction_deg", self.direction_deg, -360.0..=360.0, "one turn is enough")?;
@@ -47,7 +47,7 @@ impl Cause for Contact {
     fn scale(&mut self, factor: f64) {
         self.block = (self.block * factor).min(1.0);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self {
             block: lot.sized(0.6, 1.0, severity).min(1.0),
             direction_deg: lot.angle_deg(),

@@ -3,9 +3,9 @@
 //! End caps stay straight and the middle bends first: `β' = β + A (β/β₀) tanh((β/β₀)²) / tanh 1`,
 //! which is `A` at `β₀ = 60°`, flat at rest and proportional far out.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -21,7 +21,7 @@ pub struct Curvature {
 /// Angle at which the excess is counted, rad.
 const FULL: f64 = std::f64::consts::FRAC_PI_3;
 
-impl Cause for Curvature {
+impl PlantEffect for Curvature {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.curvature.excess_deg", self.excess_deg, -25.0..=25.0, "±1 to 10 is typical")
     }
@@ -31,7 +31,7 @@ impl Cause for Curvature {
     fn scale(&mut self, factor: f64) {
         self.excess_deg *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { excess_deg: lot.sign() * lot.sized(3.0, 10.0, severity) }
     }
 }

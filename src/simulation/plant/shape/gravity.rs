@@ -5,9 +5,9 @@
 //! by fixed point from the last solution; each round shrinks the error about tenfold.
 
 use crate::primitives::frames::{Rotation, World};
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::shape::arc::{Plate, Terms};
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -30,7 +30,7 @@ impl Default for Gravity {
     }
 }
 
-impl Cause for Gravity {
+impl PlantEffect for Gravity {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.gravity.sag_deg", self.sag_deg, 0.0..=25.0, "1 to 10 is typical")?;
         range("effects.gravity.com_mm", self.com_mm, 0.0..=50.0, "half the length of the rigid tip")
@@ -41,7 +41,7 @@ impl Cause for Gravity {
     fn scale(&mut self, factor: f64) {
         self.sag_deg = (self.sag_deg * factor).min(25.0);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { sag_deg: lot.sized(2.5, 10.0, severity), com_mm: lot.between(3.0, 9.0) }
     }
 }

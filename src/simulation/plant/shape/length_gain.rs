@@ -2,9 +2,9 @@
 //!
 //! The bend is `1 + g (l − l₀)/5 mm` times what the bellows ask for.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.outside.length_gain]`
@@ -19,7 +19,7 @@ pub struct LengthGain {
 /// Length change at which the share counts, mm.
 const FULL_MM: f64 = 5.0;
 
-impl Cause for LengthGain {
+impl PlantEffect for LengthGain {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.length_gain.share", self.share, -1.0..=1.0, "tenths are plausible")
     }
@@ -29,7 +29,7 @@ impl Cause for LengthGain {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).clamp(-1.0, 1.0);
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { share: lot.sign() * lot.sized(0.2, 0.7, severity) }
     }
 }

@@ -3,9 +3,9 @@
 //! `T tanh(1.2 β/β₀) / tanh 1.2 · (1 + 0.2 cos 3(δ − δ₀))`: it levels off, and three bellows make it
 //! three-lobed. `β₀ = 60°`.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +25,7 @@ const FULL: f64 = std::f64::consts::FRAC_PI_3;
 /// Depth of the three lobes.
 const LOBES: f64 = 0.2;
 
-impl Cause for Torsion {
+impl PlantEffect for Torsion {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.torsion.twist_deg", self.twist_deg, -60.0..=60.0, "up to 20 is typical")?;
         range("effects.torsion.direction_deg", self.direction_deg, -360.0..=360.0, "one turn is enough")
@@ -36,7 +36,7 @@ impl Cause for Torsion {
     fn scale(&mut self, factor: f64) {
         self.twist_deg *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { twist_deg: lot.sign() * lot.sized(3.0, 20.0, severity), direction_deg: lot.angle_deg() }
     }
 }

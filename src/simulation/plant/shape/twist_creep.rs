@@ -2,9 +2,9 @@
 //!
 //! The twist about the tip's axis creeps towards `T β / 60°` with one time constant and back.
 
-use crate::simulation::plant::cause::Cause;
+use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::Lot;
+use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ impl Default for TwistCreep {
     }
 }
 
-impl Cause for TwistCreep {
+impl PlantEffect for TwistCreep {
     fn check(&self) -> Result<(), PlantError> {
         range("effects.outside.twist_creep.twist_deg", self.twist_deg, -60.0..=60.0, "up to 20 is plausible")?;
         range("effects.outside.twist_creep.over_s", self.over_s, 0.01..=1e5, "some seconds are plausible")
@@ -37,7 +37,7 @@ impl Cause for TwistCreep {
     fn scale(&mut self, factor: f64) {
         self.twist_deg *= factor;
     }
-    fn draw(severity: f64, lot: &mut Lot) -> Self {
+    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
         Self { twist_deg: lot.sign() * lot.sized(5.0, 20.0, severity), over_s: lot.between(3.0, 15.0) }
     }
 }
