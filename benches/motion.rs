@@ -13,7 +13,7 @@ use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::TimedSegment;
 use retroflex::motion::solver::{Ruckig, Solver};
 use retroflex::motion::steps::ChannelSteps;
-use retroflex::motion::{MotionLimits, Motion, MotionConfig, Segment, MotionState, StepperConfig};
+use retroflex::motion::{Motion, MotionConfig, MotionLimits, MotionState, Segment, StepperConfig};
 use std::collections::VecDeque;
 
 const STEP_MM: f64 = 0.029_452;
@@ -70,14 +70,14 @@ fn tick_replanning_wild(bencher: Bencher) {
 #[divan::bench]
 fn solver_alone(bencher: Bencher) {
     let (l, mut solver, mut plan) = (limits(), Ruckig::default(), Plan::default());
-    let from = [3.0, -7.0, 1.0].map(|v| MotionState { velocity_mm_s: v, acceleration_mm_s2: 40.0, ..State::rest(0.5) });
+    let from = [3.0, -7.0, 1.0].map(|v| MotionState { velocity_mm_s: v, acceleration_mm_s2: 40.0, ..MotionState::rest(0.5) });
     bencher.bench_local(|| solver.solve(&l, black_box(&from), &[4.0, -2.0, 7.0], &mut plan).is_ok());
 }
 
 #[divan::bench]
 fn verify_a_plan(bencher: Bencher) {
     let (l, mut plan) = (limits(), Plan::default());
-    let from = [3.0, -7.0, 1.0].map(|v| MotionState { velocity_mm_s: v, ..State::rest(0.5) });
+    let from = [3.0, -7.0, 1.0].map(|v| MotionState { velocity_mm_s: v, ..MotionState::rest(0.5) });
     if Ruckig::default().solve(&l, &from, &[4.0, -2.0, 7.0], &mut plan).is_ok() {
         bencher.bench_local(|| black_box(&plan).verify(&from, &l).is_ok());
     }
@@ -86,7 +86,7 @@ fn verify_a_plan(bencher: Bencher) {
 #[divan::bench]
 fn one_channel_by_cruise(bencher: Bencher) {
     let l = limits();
-    let from = MotionState { velocity_mm_s: 3.0, acceleration_mm_s2: 40.0, ..State::rest(0.5) };
+    let from = MotionState { velocity_mm_s: 3.0, acceleration_mm_s2: 40.0, ..MotionState::rest(0.5) };
     bencher.bench_local(|| arrive_in(&l, black_box(&from), 4.0, 0.6, 20.0));
 }
 

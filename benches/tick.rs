@@ -8,7 +8,7 @@ use retroflex::config::board::{Board, PlantSection};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
-use retroflex::control::tick::{Command, LoopConfig, Frame, Input, LoopState, tick};
+use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
@@ -41,7 +41,7 @@ fn config() -> LoopConfig {
 /// What a loop is told during a minute of the experiment, recorded once.
 fn inputs(config: &LoopConfig) -> Vec<Input> {
     let (mut world, mut state) = (sim(), LoopState::new(config));
-    let mut input = Input { dt_s: world.nature().period_s, ..Input::default() };
+    let mut input = Input { dt_s: world.info().period_s, ..Input::default() };
     let mut poses = paper().into_iter().cycle();
     let mut all = Vec::new();
     for k in 0..60_000 {

@@ -10,11 +10,11 @@ use retroflex::primitives::units::{Seconds, Steps};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::plant::PlantConfig;
 use retroflex::simulation::sim::Sim;
-use retroflex::supervisor::commission::hand::{Hand, HandError};
 use retroflex::supervisor::commission::homing::{self, Homed, HomingConfig, HomingError};
+use retroflex::supervisor::commission::manual_motion::{Hand, HandError};
 use retroflex::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
 use retroflex::supervisor::machine::{Inputs, Machine, Sensed};
-use retroflex::supervisor::machine::{MachineInfo, MachineError};
+use retroflex::supervisor::machine::{MachineError, MachineInfo};
 
 /// A simulated machine whose lines reach other bellows, whose motors turn the wrong way, whose sensor is
 /// turned, or whose line is cut.
@@ -36,8 +36,8 @@ fn machine(change: impl FnOnce(&mut PlantConfig)) -> Miswired {
 }
 
 impl Machine for Miswired {
-    fn nature(&self) -> &MachineInfo {
-        self.inner.nature()
+    fn info(&self) -> &MachineInfo {
+        self.inner.info()
     }
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let mut there = [0; 3];
@@ -132,7 +132,7 @@ fn the_red_button_and_a_caller_who_wants_no_more_end_a_move() {
 
 /// Three racks with home switches; where they stand at the start is not known to the counts.
 struct Racks {
-    nature: MachineInfo,
+    info: MachineInfo,
     start_mm: [f64; 3],
     zero: [i32; 3],
     counted: [i32; 3],
@@ -147,9 +147,9 @@ struct Racks {
 
 impl Racks {
     fn new(start_mm: [f64; 3]) -> Self {
-        let nature = MachineInfo { name: "racks".into(), period_s: 0.002, step_mm: 0.029_452, rest_length_mm: 20.0 };
+        let info = MachineInfo { name: "racks".into(), period_s: 0.002, step_mm: 0.029_452, rest_length_mm: 20.0 };
         Self {
-            nature,
+            info,
             start_mm,
             zero: [0; 3],
             counted: [0; 3],
@@ -162,13 +162,13 @@ impl Racks {
         }
     }
     fn stands_mm(&self) -> [f64; 3] {
-        [0, 1, 2].map(|i| self.start_mm[i] + f64::from(self.counted[i] - self.zero[i]) * self.nature.step_mm)
+        [0, 1, 2].map(|i| self.start_mm[i] + f64::from(self.counted[i] - self.zero[i]) * self.info.step_mm)
     }
 }
 
 impl Machine for Racks {
-    fn nature(&self) -> &MachineInfo {
-        &self.nature
+    fn info(&self) -> &MachineInfo {
+        &self.info
     }
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         if self.on {

@@ -9,10 +9,10 @@
 #[path = "emulated_pi3/chips.rs"]
 mod chips;
 mod common;
-#[path = "emulated_pi3/flight.rs"]
-mod flight;
 #[path = "emulated_pi3/guest.rs"]
 mod guest;
+#[path = "emulated_pi3/flight.rs"]
+mod runner;
 #[path = "emulated_pi3/service.rs"]
 mod service;
 #[path = "emulated_pi3/stages.rs"]
@@ -51,10 +51,10 @@ fn a_whole_pi_3_runs_the_service() {
     stages::machine(&mut scene);
     stages::controller(&mut scene);
     stages::pins(&mut scene);
-    flight::service(&mut scene);
-    flight::watchdog(&mut scene);
-    flight::caught(&mut scene);
-    flight::stop(&mut scene);
+    runner::service(&mut scene);
+    runner::watchdog(&mut scene);
+    runner::caught(&mut scene);
+    runner::stop(&mut scene);
     let Scene { guest, mut verdicts, .. } = scene;
     verdicts.hold("the guest shuts down", guest.end(), "QEMU has ended");
     assert!(verdicts.end());

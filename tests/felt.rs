@@ -11,7 +11,7 @@ use retroflex::config::assemble;
 use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
-use retroflex::control::tick::{Command, LoopConfig, Frame, Input, LoopState, tick};
+use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::estimator::Choice;
 use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::model::bend::Bend;
@@ -62,7 +62,7 @@ impl Life {
         }
     }
     fn align(&mut self) {
-        while self.tick().felt.is_none() {
+        while self.tick().estimate.is_none() {
             assert!(self.plant.t_s < 10.0, "{}", self.state.fusion.waiting_for());
         }
         // a rest after it, as every session has one

@@ -11,7 +11,7 @@ use retroflex::config::assemble;
 use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
-use retroflex::control::tick::{Command, LoopConfig, Frame, Input, LoopState, tick};
+use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::health::{HealthAction, HealthCause, ImuReading};
 use retroflex::hardware::imu::fake::{FakeBus, FakeIcm20948};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
@@ -147,7 +147,7 @@ struct Seen {
 
 fn endure(case: &Case) -> Seen {
     let mut chip = Chip::new();
-    while chip.tick().felt.is_none() {
+    while chip.tick().estimate.is_none() {
         assert!(chip.plant.t_s < 6.0, "{}", chip.state.fusion.waiting_for());
     }
     for (bend, dir, ticks) in [(30.0, 0.0, 750), (50.0, 90.0, 750), (20.0, 200.0, 750), (60.0, 20.0, 200)] {
@@ -189,7 +189,7 @@ fn look(seen: &mut Seen, chip: &Chip, case: &Case, before: &Frame, frame: &Frame
     if since_s < case.lasts_s + 0.3 {
         seen.during_deg = seen.during_deg.max(chip.error_deg(frame));
     }
-    let (now, then) = (frame.felt.unwrap().bend.0, before.felt.unwrap().bend.0);
+    let (now, then) = (frame.estimate.unwrap().bend.0, before.estimate.unwrap().bend.0);
     // what the tip truly turned in a tick is no jump
     let jump = (now - then).norm() - 120f64.to_radians() * DT_S;
     seen.felt_jump_deg = seen.felt_jump_deg.max(jump.to_degrees());
@@ -200,7 +200,7 @@ fn look(seen: &mut Seen, chip: &Chip, case: &Case, before: &Frame, frame: &Frame
 
 #[test]
 fn every_fault_is_seen_answered_and_survived() {
-    use Action::{CoastOnGyro, GravityOnly, Hold, Skip};
+    use HealthAction::{CoastOnGyro, GravityOnly, Hold, Skip};
     let case = |name, lasts_s, cause, action, error_max_deg| Case { name, lasts_s, cause, action, error_max_deg };
     let cases = [
         case("nack", 0.02, HealthCause::Nack, Skip, 12.0),
@@ -257,7 +257,7 @@ fn leap(chip: &mut Chip, leap_deg: f64, over_s: f64, after_s: f64) -> f64 {
         chip.plant.aside = from + way * (x * x * (3.0 - 2.0 * x));
         let frame = chip.tick();
         if chip.plant.t_s - start > after_s {
-            worst = worst.max((frame.felt.unwrap().bend.0 - chip.plant.bend().0).norm().to_degrees());
+            worst = worst.max((frame.estimate.unwrap().bend.0 - chip.plant.bend().0).norm().to_degrees());
         }
     }
     worst
@@ -271,7 +271,7 @@ fn a_tip_that_leaps_is_felt_where_it_went() {
             chip.plant = TipPlant::new(7, tilt, DT_S);
             chip.config.lines = chip.plant.lines;
             chip.state = LoopState::new(&chip.config);
-            while chip.tick().felt.is_none() {}
+            while chip.tick().estimate.is_none() {}
             for (bend, dir) in [(30.0, 0.0), (50.0, 90.0), (20.0, 200.0), (45.0, 130.0)] {
                 chip.command(bend, dir);
                 for _ in 0..750 {

@@ -170,7 +170,7 @@ fn remembered() -> memory::Memory {
     let kept = retroflex::control::tick::RestartState {
         steps: Steps([5, -7, 100]),
         bend_rad: [0.1, -0.2],
-        slack_mm: [0.1, 0.2, 0.3],
+        play_output_mm: [0.1, 0.2, 0.3],
         k_epsilon: [2.2; 3],
         k_lambda_mm: [0.9; 3],
         lag_s: 0.03,

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use retroflex::primitives::units::Steps;
-use retroflex::supervisor::gate::{TripCause, Following, Gate, GateLimits, SafeStates, GateOutput, SafeState, GateInput};
+use retroflex::supervisor::gate::{Following, Gate, GateInput, GateLimits, GateOutput, SafeState, SafeStates, TripCause};
 
 const DT: f64 = 1e-3;
 
@@ -31,7 +31,7 @@ fn told(wanted: [i32; 3]) -> GateInput {
         dt_s: DT,
         wanted: Steps(wanted),
         armed: true,
-        felt_bellow_mm: None,
+        estimated_bellow_mm: None,
         following: None,
         stale_s: 0.0,
         disagree: false,
@@ -159,17 +159,17 @@ fn acceleration_trips_on_a_push_and_on_a_reversal() {
 
 #[test]
 fn pressure_trips_on_moves_and_not_on_standing() {
-    let felt = |mm: f64| Some([0.0, mm, 0.0]);
+    let estimate = |mm: f64| Some([0.0, mm, 0.0]);
     for (side, channel) in [(1, 1usize), (-1, 1)] {
         let mut gate = Gate::new(&limits(), &Steps([0, side * 900, 0]));
         let mut counts = [0, side * 900, 0];
-        let t = GateInput { felt_bellow_mm: felt(-2.6 * f64::from(side)), ..told(counts) };
+        let t = GateInput { estimated_bellow_mm: estimate(-2.6 * f64::from(side)), ..told(counts) };
         assert_eq!(trips(&mut gate, &t), None, "29.6 mm that are there already do not trip");
         counts[channel] += side;
-        let t = GateInput { felt_bellow_mm: felt(-2.4 * f64::from(side)), ..told(counts) };
+        let t = GateInput { estimated_bellow_mm: estimate(-2.4 * f64::from(side)), ..told(counts) };
         assert_eq!(trips(&mut gate, &t), None, "29.43 mm are allowed");
         counts[channel] += side;
-        let t = GateInput { felt_bellow_mm: felt(-2.5 * f64::from(side)), ..told(counts) };
+        let t = GateInput { estimated_bellow_mm: estimate(-2.5 * f64::from(side)), ..told(counts) };
         assert_eq!(trips(&mut gate, &t), Some(TripCause::Pressure));
     }
 }
@@ -177,7 +177,7 @@ fn pressure_trips_on_moves_and_not_on_standing() {
 #[test]
 fn pressure_relaxes_and_releases_at_zero() {
     let mut gate = at(100);
-    let t = GateInput { felt_bellow_mm: Some([-40.0, 3.0, 3.0]), ..told([101, 100, 100]) };
+    let t = GateInput { estimated_bellow_mm: Some([-40.0, 3.0, 3.0]), ..told([101, 100, 100]) };
     let passed = gate.pass(&t);
     assert_eq!((passed.tripped, passed.energise), (Some(TripCause::Pressure), true));
     assert!(gate.is_busy());
@@ -215,8 +215,12 @@ fn nothing_moves_that_is_not_armed() {
 
 #[test]
 fn staleness_and_disagreement_count_while_armed() {
-    let cases: [(f64, bool, Option<TripCause>); 4] =
-        [(0.5, false, None), (0.501, false, Some(TripCause::Stale)), (0.0, true, Some(TripCause::Disagreement)), (0.6, true, Some(TripCause::Stale))];
+    let cases: [(f64, bool, Option<TripCause>); 4] = [
+        (0.5, false, None),
+        (0.501, false, Some(TripCause::Stale)),
+        (0.0, true, Some(TripCause::Disagreement)),
+        (0.6, true, Some(TripCause::Stale)),
+    ];
     for (stale_s, disagree, cause) in cases {
         assert_eq!(trips(&mut at(0), &GateInput { stale_s, disagree, ..told([0; 3]) }), cause);
         assert_eq!(trips(&mut at(0), &GateInput { stale_s, disagree, armed: false, ..told([0; 3]) }), None);
@@ -225,7 +229,7 @@ fn staleness_and_disagreement_count_while_armed() {
 
 /// Ticks until the gate trips on a felt bend that is off by so much (rad), at most two seconds.
 fn astray(gate: &mut Gate, off: [f64; 2], armed: bool) -> Option<(usize, TripCause)> {
-    let following = Some(Following { setpoint: [0.5, -0.2], felt: [0.5 + off[0], -0.2 + off[1]] });
+    let following = Some(Following { setpoint: [0.5, -0.2], estimate: [0.5 + off[0], -0.2 + off[1]] });
     (1..=2000).find_map(|k| trips(gate, &GateInput { following, armed, ..told([0; 3]) }).map(|c| (k, c)))
 }
 
@@ -245,8 +249,8 @@ fn following_trips_after_its_time_and_not_within_its_distance() {
 
 #[test]
 fn following_forgets_when_it_is_back_or_there_is_nothing_to_follow() {
-    let off = Some(Following { setpoint: [0.0; 2], felt: [0.4, 0.0] });
-    let near = Some(Following { setpoint: [0.0; 2], felt: [0.1, 0.0] });
+    let off = Some(Following { setpoint: [0.0; 2], estimate: [0.4, 0.0] });
+    let near = Some(Following { setpoint: [0.0; 2], estimate: [0.1, 0.0] });
     for relief in [near, None] {
         let mut gate = at(0);
         for k in 0..1500 {
@@ -263,7 +267,7 @@ fn following_allows_for_the_speed_of_the_set_point() {
         let mut gate = at(0);
         (0..ticks).find_map(|k| {
             let setpoint = [1.5 * DT * k as f64, 0.0];
-            trips(&mut gate, &GateInput { following: Some(Following { setpoint, felt: [setpoint[0] - off, 0.0] }), ..told([0; 3]) })
+            trips(&mut gate, &GateInput { following: Some(Following { setpoint, estimate: [setpoint[0] - off, 0.0] }), ..told([0; 3]) })
         })
     };
     assert_eq!(moving(0.94, 2000), None);
@@ -272,7 +276,7 @@ fn following_allows_for_the_speed_of_the_set_point() {
     let mut tripped_at = None;
     for k in 0..4000usize {
         let x = 1.5 * DT * k.min(1000) as f64;
-        let following = Some(Following { setpoint: [x, 0.0], felt: [x - 0.65, 0.0] });
+        let following = Some(Following { setpoint: [x, 0.0], estimate: [x - 0.65, 0.0] });
         if trips(&mut gate, &GateInput { following, ..told([0; 3]) }).is_some() {
             tripped_at = Some(k);
             break;
@@ -288,7 +292,10 @@ fn an_emergency_stop_releases_at_once_whatever_goes_on() {
     let (mut gate, counts) = moving();
     let pressed = GateInput { emergency_stop: true, ..told([counts + 1, 0, 0]) };
     let passed = gate.pass(&pressed);
-    assert_eq!(passed, GateOutput { steps: Steps([counts, 0, 0]), energise: false, tripped: Some(TripCause::EmergencyStop), rested: false });
+    assert_eq!(
+        passed,
+        GateOutput { steps: Steps([counts, 0, 0]), energise: false, tripped: Some(TripCause::EmergencyStop), rested: false }
+    );
     let passed = gate.pass(&pressed);
     assert_eq!((passed.tripped, passed.steps.0[0]), (None, counts), "it is said once, and nothing moves");
     assert!(!gate.is_busy());
@@ -495,7 +502,7 @@ fn braking_does_not_leave_the_travel() {
 
 #[test]
 fn every_cause_leads_where_the_board_says() {
-    let pressure = GateInput { felt_bellow_mm: Some([-40.0, 0.0, 0.0]), ..told([31, 30, 30]) };
+    let pressure = GateInput { estimated_bellow_mm: Some([-40.0, 0.0, 0.0]), ..told([31, 30, 30]) };
     type Case = (TripCause, GateInput, fn(&mut SafeStates, SafeState));
     let cases: [Case; 10] = [
         (TripCause::EmergencyStop, GateInput { emergency_stop: true, ..told([30; 3]) }, |on, s| on.emergency_stop = s),
@@ -507,9 +514,11 @@ fn every_cause_leads_where_the_board_says() {
         (TripCause::Pressure, pressure, |on, s| on.pressure = s),
         (TripCause::Stale, GateInput { stale_s: 9.0, ..told([30; 3]) }, |on, s| on.stale = s),
         (TripCause::Disagreement, GateInput { disagree: true, ..told([30; 3]) }, |on, s| on.disagreement = s),
-        (TripCause::Following, GateInput { following: Some(Following { setpoint: [0.0; 2], felt: [2.0, 0.0] }), ..told([30; 3]) }, |on, s| {
-            on.following = s
-        }),
+        (
+            TripCause::Following,
+            GateInput { following: Some(Following { setpoint: [0.0; 2], estimate: [2.0, 0.0] }), ..told([30; 3]) },
+            |on, s| on.following = s,
+        ),
     ];
     for (cause, t, set) in cases {
         for safe in [SafeState::Hold, SafeState::Relax, SafeState::Release] {
@@ -586,13 +595,13 @@ fn at_the_limit_is_within_it() {
     // the air that 944 steps of a piston compress is 29.5 mm
     let press = |steps: i32| {
         let mut gate = Gate::new(&exact(), &Steps([steps - 1, 0, 0]));
-        trips(&mut gate, &GateInput { wanted: Steps([steps, 0, 0]), felt_bellow_mm: Some([0.0; 3]), ..tick })
+        trips(&mut gate, &GateInput { wanted: Steps([steps, 0, 0]), estimated_bellow_mm: Some([0.0; 3]), ..tick })
     };
     assert_eq!((press(944), press(945)), (None, Some(TripCause::Pressure)));
     // an error of the allowed size is none, and one that lasts as long as it may is allowed
     let follow = |off: f64, ticks: usize| {
         let mut gate = Gate::new(&exact(), &Steps([0; 3]));
-        let following = Some(Following { setpoint: [1.0, 0.0], felt: [1.0 - off, 0.0] });
+        let following = Some(Following { setpoint: [1.0, 0.0], estimate: [1.0 - off, 0.0] });
         (0..ticks).find_map(|_| trips(&mut gate, &GateInput { dt_s: 0.25, following, ..tick }))
     };
     assert_eq!((follow(0.25, 50), follow(0.5, 2), follow(0.5, 3)), (None, None, Some(TripCause::Following)));

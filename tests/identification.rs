@@ -66,7 +66,7 @@ fn effective(config: &LoopConfig, mut world: Sim, warm: usize) -> [Line; 3] {
 /// operator from the pulses, and the true bellow lengths. The loop makes the tip go further against its
 /// stiff side than the same gains do open loop, so these are not the gains of Algorithm 1.
 fn effective_closed(config: &LoopConfig, mut world: Sim) -> [f64; 3] {
-    let (mut slack, mut square, mut product) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
+    let (mut play_output, mut square, mut product) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
     let mut rig = Rig::new(config.clone(), &mut world);
     rig.align().unwrap();
     for pose in paper() {
@@ -76,11 +76,11 @@ fn effective_closed(config: &LoopConfig, mut world: Sim) -> [f64; 3] {
             let (frame, reply) = rig.advance(command.take()).unwrap();
             bend = Bend::from_rotation(&reply.truth.unwrap());
             let piston = config.drive.piston_mm(&frame.steps);
-            slack = Vector3::from_fn(|i, _| config.lines[i].play(slack[i], piston[i]));
+            play_output = Vector3::from_fn(|i, _| config.lines[i].play(play_output[i], piston[i]));
         }
         let q = config.geometry.lengths(&Shape { bend, length: Mm(config.geometry.rest_length_mm) });
         square += q.component_mul(&q);
-        product += q.component_mul(&(slack - q));
+        product += q.component_mul(&(play_output - q));
     }
     [0, 1, 2].map(|i| product[i] / square[i])
 }
@@ -225,6 +225,6 @@ fn a_world_is_told_from_its_loop() {
     // the loop takes the plant's own step and length, whatever its board says
     let world = unit(1, 0);
     let config = for_world(&uncalibrated(), &world);
-    assert_eq!(config.drive.step_mm, world.nature().step_mm);
-    assert_eq!(config.geometry.rest_length_mm, world.nature().rest_length_mm);
+    assert_eq!(config.drive.step_mm, world.info().step_mm);
+    assert_eq!(config.geometry.rest_length_mm, world.info().rest_length_mm);
 }

@@ -7,8 +7,8 @@ use embedded_hal::i2c::{ErrorKind, NoAcknowledgeSource};
 use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use retroflex::estimation::fusion::health::{HealthCause, ReadFault, FieldReference, Health, TimedReading, HealthState};
-use retroflex::estimation::imu_calibration::{self, Correction, ImuCalibration, CalibrationLimits, Pedigree};
+use retroflex::estimation::fusion::health::{FieldReference, Health, HealthCause, HealthState, ReadFault, TimedReading};
+use retroflex::estimation::imu_calibration::{self, CalibrationLimits, Correction, ImuCalibration, Pedigree};
 use retroflex::hardware::imu::fake::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, Motion, Noise};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
@@ -547,7 +547,7 @@ fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<HealthCause> {
 
 #[test]
 fn every_spoilt_chip_is_named_by_the_judge() {
-    use Cause::*;
+    use HealthCause::*;
     assert_eq!(seen_after(|_| ()), []);
     assert_eq!(seen_after(|b| b.machine().nack(ICM, 5)), [Nack]);
     assert_eq!(seen_after(|b| b.machine().nack(ICM, u32::MAX)), [Nack, StuckBus]);
@@ -599,9 +599,9 @@ fn a_flawed_sensor_is_calibrated_through_the_driver() {
 
     let (limits, from) = (CalibrationLimits::default(), Pedigree { date: "2025-01-31", source: "fake" });
     let mut calibration = ImuCalibration::default();
-    calibration.set_gyro(&calib_imu::gyro::at_rest(&rest, &limits).unwrap(), from);
+    calibration.set_gyro(&imu_calibration::gyro::at_rest(&rest, &limits).unwrap(), from);
     let field: Vec<_> = tumble.iter().filter_map(|s| s.mag_ut).collect();
-    calibration.set_mag(&calib_imu::mag::ellipsoid(&field, &limits).unwrap(), from);
+    calibration.set_mag(&imu_calibration::mag::ellipsoid(&field, &limits).unwrap(), from);
     let text = toml::to_string(&calibration).unwrap();
     let correction = toml::from_str::<ImuCalibration>(&text).unwrap().correction();
 

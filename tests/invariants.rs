@@ -5,7 +5,7 @@ mod common;
 
 use common::{uncalibrated, unit};
 use nalgebra::{UnitQuaternion, Vector3};
-use retroflex::control::tick::{Command, LoopConfig, Frame};
+use retroflex::control::tick::{Command, Frame, LoopConfig};
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::paper;
@@ -13,7 +13,7 @@ use retroflex::model::transmission::Line;
 use retroflex::primitives::frames::Rotation;
 use retroflex::primitives::units::{Mm, Steps};
 use retroflex::simulation::world::{Reply, World};
-use retroflex::supervisor::machine::{MachineInfo, MachineError};
+use retroflex::supervisor::machine::{MachineError, MachineInfo};
 
 /// Thirty seconds of closed loop on a world.
 fn frames(world: &mut dyn World) -> Vec<Frame> {
@@ -36,10 +36,10 @@ fn frames(world: &mut dyn World) -> Vec<Frame> {
 fn bits(frame: &Frame) -> Vec<u64> {
     let numbers =
         [frame.t.0, frame.error.x, frame.error.y, frame.feedback.x, frame.feedback.y, frame.dynamics.lag_s, frame.dynamics.delay_s];
-    let felt = frame.felt.map_or([0.0; 3], |f| [f.bend.0.x, f.bend.0.y, f.sigma_rad.unwrap_or(-1.0)]);
+    let estimate = frame.estimate.map_or([0.0; 3], |f| [f.bend.0.x, f.bend.0.y, f.sigma_rad.unwrap_or(-1.0)]);
     let steps = frame.steps.0.map(f64::from);
     let vectors = [frame.bellow_mm, frame.piston_target_mm].into_iter().flat_map(|v| [v.x, v.y, v.z]);
-    numbers.into_iter().chain(felt).chain(steps).chain(frame.k_epsilon).chain(vectors).map(f64::to_bits).collect()
+    numbers.into_iter().chain(estimate).chain(steps).chain(frame.k_epsilon).chain(vectors).map(f64::to_bits).collect()
 }
 
 #[test]
@@ -56,8 +56,8 @@ fn equal_seeds_give_equal_frames_to_the_last_bit() {
 struct Liar<W>(W);
 
 impl<W: World> World for Liar<W> {
-    fn nature(&self) -> &MachineInfo {
-        self.0.nature()
+    fn info(&self) -> &MachineInfo {
+        self.0.info()
     }
     fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError> {
         let reply = self.0.step(steps)?;

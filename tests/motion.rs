@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::motion::steps::{ChannelSteps, count};
-use retroflex::motion::{ChannelSegment, MotionLimits, Motion, MotionConfig, MoveStatus, Segment, MotionState};
+use retroflex::motion::{ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, MoveStatus, Segment};
 
 /// What is promised outside: relative excess over a limit.
 const PROMISE: f64 = 1e-6;

@@ -5,7 +5,7 @@
 mod common;
 
 use common::{uncalibrated, unit};
-use retroflex::control::tick::{Command, LoopConfig, Input, LoopState, tick};
+use retroflex::control::tick::{Command, Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::schedule::paper;
@@ -56,7 +56,7 @@ static ALLOCATOR: Counting = Counting;
 /// Allocations during ticks alone, over alignment, moves and rests, in closed loop with everything on.
 fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
     let mut state = LoopState::new(config);
-    let mut input = Input { dt_s: world.nature().period_s, ..Input::default() };
+    let mut input = Input { dt_s: world.info().period_s, ..Input::default() };
     let mut poses = paper().into_iter().step_by(7).cycle();
     let mut during = 0;
     for k in 0..40_000 {
@@ -69,7 +69,7 @@ fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
         let reply = world.step(&frame.steps).unwrap();
         input = Input { t: reply.t, imu: ImuReading::from_world(reply.imu), steps: frame.steps, command: None, ..input };
     }
-    assert!(state.fusion.felt().is_some_and(|f| f.bend.beta() > 0.1), "it was to move");
+    assert!(state.fusion.estimate().is_some_and(|f| f.bend.beta() > 0.1), "it was to move");
     during
 }
 

@@ -15,7 +15,7 @@ use retroflex::motion::lines::{Levels, PulseTiming};
 use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::TimedSegment;
 use retroflex::motion::report::{StepperFault, StepperInputs, StepperMode, StepperOrder};
-use retroflex::motion::{ChannelSegment, MotionLimits, Motion, MotionConfig, Segment, MotionState, StepperConfig};
+use retroflex::motion::{ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, Segment, StepperConfig};
 use std::collections::VecDeque;
 
 const STEP_MM: f64 = 0.029_452;
@@ -388,7 +388,7 @@ fn a_fault_holds_until_cleared_and_then_motion_goes_on_from_the_count() {
 
 #[test]
 fn the_emergency_stop_releases_at_once_or_brakes_and_holds() {
-    let pressed = StepperInputs { emergency_stop: true, ..Inputs::default() };
+    let pressed = StepperInputs { emergency_stop: true, ..StepperInputs::default() };
     let (mut m, _) = on_the_way(&StepperConfig::default());
     m.core.observe(pressed);
     assert_eq!(m.core.mode(), StepperMode::Following, "one reading may be a disturbance");

@@ -8,9 +8,9 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
-use retroflex::config::pilot::assemble;
 use retroflex::config::source;
-use retroflex::control::spent::Saturation;
+use retroflex::config::supervisor::assemble;
+use retroflex::control::saturation::Saturation;
 use retroflex::control::tick::{Command, RestartState};
 use retroflex::drill::bench::{Bench, Make};
 use retroflex::model::bend::Bend;
@@ -22,8 +22,8 @@ use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
 use retroflex::supervisor::cycle::order::{Order, Refusal};
 use retroflex::supervisor::cycle::runner::Runner;
-use retroflex::supervisor::cycle::{Supervisor, SupervisorConfig, CycleOutput};
-use retroflex::supervisor::gate::{TripCause, SafeState};
+use retroflex::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
+use retroflex::supervisor::gate::{SafeState, TripCause};
 use retroflex::supervisor::machine::Alarm;
 use retroflex::supervisor::mode::Mode;
 
@@ -33,7 +33,7 @@ fn bend_to(b: f64, d: f64) -> Order {
 }
 
 struct Fly {
-    flight: Runner<Lockstep<Sim>>,
+    runner: Runner<Lockstep<Sim>>,
     k: u64,
 }
 
@@ -41,13 +41,13 @@ impl Fly {
     fn new(kept: Option<RestartState>, machine: Option<Lockstep<Sim>>) -> Self {
         let machine = machine.unwrap_or_else(|| Lockstep::new(unit(0, 1)));
         let calib: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
-        let config = assemble(&twin(), &calib, &Gains::default(), machine.world.nature());
-        Self { flight: Runner::new(machine, Supervisor::new(config, kept)), k: 0 }
+        let config = assemble(&twin(), &calib, &Gains::default(), machine.world.info());
+        Self { runner: Runner::new(machine, Supervisor::new(config, kept)), k: 0 }
     }
     fn turn(&mut self, order: Option<Order>) -> CycleOutput {
         self.k += 1;
         let t = Seconds(self.k as f64 * 1e-3);
-        self.flight.turn(t, order).unwrap()
+        self.runner.turn(t, order).unwrap()
     }
     fn run(&mut self, s: f64) -> CycleOutput {
         let mut last = self.turn(None);
@@ -99,7 +99,7 @@ fn named(fault: InjectedFault, at: (f64, f64)) -> (String, Option<u8>) {
     f.run(0.1);
     f.bend(at.0, at.1);
     f.run(2.5);
-    f.flight.machine.world.plant_mut().inject(fault);
+    f.runner.machine.world.plant_mut().inject(fault);
     let t = f.run(5.0);
     let s = t.suspicion.unwrap_or_else(|| panic!("{fault:?} was not noticed"));
     println!("{fault:?}: {s}");
@@ -138,9 +138,9 @@ fn a_weak_line_is_made_good_and_not_taken_for_a_wall() {
     f.run(0.1);
     f.bend(50.0, 70.0);
     f.run(2.5);
-    f.flight.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.6 });
+    f.runner.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.6 });
     let t = f.run(5.0);
-    let off = (t.frame.felt.unwrap().bend.0 - t.frame.target.bend.0).norm().to_degrees();
+    let off = (t.frame.estimate.unwrap().bend.0 - t.frame.target.bend.0).norm().to_degrees();
     assert!(!t.frame.blocked && t.frame.spent == Saturation::No && off < 1.0, "{off}° off, {:?}", t.frame.spent);
 }
 
@@ -150,12 +150,12 @@ fn a_controller_that_has_done_what_it_may_says_so() {
     f.run(2.5);
     f.order(Order::Arm);
     f.run(0.1);
-    let mut next = f.flight.pilot.config().clone();
+    let mut next = f.runner.supervisor.config().clone();
     next.tick.feedback.as_mut().unwrap().integral_max_rad = 0.05;
-    f.flight.pilot.reload(&mut next);
+    f.runner.supervisor.reload(&mut next);
     f.bend(65.0, 70.0);
     f.run(2.5);
-    f.flight.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.7 });
+    f.runner.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.7 });
     let t = f.run(5.0);
     assert_eq!((t.frame.spent, t.mode), (Saturation::Feedback, Mode::Holding), "{:?}", t.tripped);
     let words = status::short(&t.frame).unwrap();
@@ -211,7 +211,7 @@ fn a_stream_that_falls_silent_stops_the_tip() {
     }
     assert!((248..=252).contains(&ended.unwrap()), "{ended:?} ms");
     let t = f.run(1.0);
-    assert!(t.mode == Mode::Holding && t.frame.felt.unwrap().bend.beta().to_degrees() < 60.0);
+    assert!(t.mode == Mode::Holding && t.frame.estimate.unwrap().bend.beta().to_degrees() < 60.0);
 }
 
 #[test]
@@ -222,10 +222,10 @@ fn a_reload_moves_nothing() {
     f.run(0.1);
     f.bend(50.0, 120.0);
     let before = f.run(2.5).steps;
-    let mut next = f.flight.pilot.config().clone();
+    let mut next = f.runner.supervisor.config().clone();
     next.tick.feedback.as_mut().unwrap().tau_c_s = 0.25;
-    f.flight.pilot.reload(&mut next);
-    assert!((f.flight.pilot.config().tick.feedback.unwrap().tau_c_s - 0.25).abs() < 1e-12);
+    f.runner.supervisor.reload(&mut next);
+    assert!((f.runner.supervisor.config().tick.feedback.unwrap().tau_c_s - 0.25).abs() < 1e-12);
     for _ in 0..500 {
         let t = f.turn(None);
         assert!((0..3).all(|i| (t.steps.0[i] - before.0[i]).abs() <= 8), "{:?} {before:?}", t.steps);
@@ -245,12 +245,12 @@ fn what_is_kept_for_a_restart_is_what_was_pulsed() {
     for _ in 0..500 {
         sensed.t.0 += 1e-3;
         (sensed.counted, sensed.alarm) = (stopped, Some(Alarm::Late { late_s: 0.1 }));
-        sent = fly.flight.pilot.turn(&sensed, None).steps;
+        sent = fly.runner.supervisor.turn(&sensed, None).steps;
     }
-    let pilot = &fly.flight.pilot;
-    assert_eq!((pilot.mode(), pilot.latched()), (Mode::Faulted, Some(TripCause::StepGenerator)));
+    let supervisor = &fly.runner.supervisor;
+    assert_eq!((supervisor.mode(), supervisor.latched()), (Mode::Faulted, Some(TripCause::StepGenerator)));
     assert!(stopped != Steps::default() && sent != stopped, "{stopped:?} {sent:?}");
-    assert_eq!(pilot.keep().steps, stopped);
+    assert_eq!(supervisor.keep().steps, stopped);
 }
 
 /// The program was killed with the tip bent and its drivers on; another takes over.
@@ -261,11 +261,11 @@ fn taken_over(change: impl Fn(&mut RestartState, &mut SupervisorConfig)) -> (Fly
     before.run(0.1);
     before.bend(50.0, 30.0);
     before.run(3.0);
-    let mut kept = before.flight.pilot.keep();
-    let (mut config, t0) = (before.flight.pilot.config().clone(), before.k);
+    let mut kept = before.runner.supervisor.keep();
+    let (mut config, t0) = (before.runner.supervisor.config().clone(), before.k);
     change(&mut kept, &mut config);
-    let flight = Runner::new(before.flight.machine, Supervisor::new(config, Some(kept)));
-    let mut after = Fly { flight, k: t0 };
+    let runner = Runner::new(before.runner.machine, Supervisor::new(config, Some(kept)));
+    let mut after = Fly { runner, k: t0 };
     let energise = (0..4000).map(|_| after.turn(None).energise).collect();
     (after, energise)
 }
@@ -273,12 +273,12 @@ fn taken_over(change: impl Fn(&mut RestartState, &mut SupervisorConfig)) -> (Fly
 #[test]
 fn a_tip_found_held_is_held_until_it_is_known() {
     let (fly, energise) = taken_over(|_, _| {});
-    assert_eq!(fly.flight.pilot.mode(), Mode::Disarmed);
+    assert_eq!(fly.runner.supervisor.mode(), Mode::Disarmed);
     assert!(energise.iter().all(|e| *e), "let go after {:?} turns", energise.iter().position(|e| !e));
     // what is remembered is not what is felt: held until that is known, then let go
     let turned_away = |kept: &mut RestartState, _: &mut SupervisorConfig| kept.bend_rad = [-0.9, 0.3];
     let (fly, energise) = taken_over(turned_away);
-    assert_eq!(fly.flight.pilot.mode(), Mode::Lost);
+    assert_eq!(fly.runner.supervisor.mode(), Mode::Lost);
     assert!(energise[..1000].iter().all(|e| *e) && !energise[3999]);
     // a board that lets go when its loop hangs lets go here too
     let (_, energise) = taken_over(|_, config| config.gate.on.late = SafeState::Release);
@@ -298,7 +298,7 @@ fn stopped_by(alarm: Alarm) -> Bench {
     bench.run(0.1).unwrap();
     bench.turn(Some(bend_to(50.0, 30.0))).unwrap();
     bench.run(0.3).unwrap();
-    bench.flight.machine.alarm = Some(alarm);
+    bench.runner.machine.alarm = Some(alarm);
     let turned = bench.run(0.5).unwrap();
     assert_eq!((turned.mode, turned.latched), (Mode::Faulted, Some(TripCause::StepGenerator)));
     assert!(turned.counted != Steps::default());
@@ -320,7 +320,7 @@ fn a_tip_whose_step_thread_stopped_is_led_back_to_rest() {
 fn an_alarm_that_comes_again_ends_the_way_back() {
     let mut bench = stopped_by(Alarm::Pins);
     bench.turn(Some(Order::Relax)).unwrap();
-    bench.flight.machine.alarm = Some(Alarm::Pins);
+    bench.runner.machine.alarm = Some(Alarm::Pins);
     let turned = bench.run(0.3).unwrap();
     assert_eq!((turned.mode, turned.latched), (Mode::Faulted, Some(TripCause::StepGenerator)));
 }
@@ -328,7 +328,7 @@ fn an_alarm_that_comes_again_ends_the_way_back() {
 #[test]
 fn nothing_is_led_back_while_the_emergency_stop_is_pressed() {
     let mut bench = stopped_by(Alarm::Starved);
-    bench.flight.machine.pressed = true;
+    bench.runner.machine.pressed = true;
     bench.run(0.1).unwrap();
     assert_eq!(bench.turn(Some(Order::Relax)).unwrap().answer, Some(Err(Refusal::StillThere)));
 }

@@ -7,7 +7,7 @@ use crate::cli::CommandOutcome;
 use crate::cli::output;
 use crate::estimation::fusion::health;
 use crate::estimation::fusion::tip::{FuseConfig, Fusion, FusionInput};
-use crate::estimation::imu_calibration::{ImuCalibration, CalibrationLimits, Pedigree, accel, gyro, mag, motor, mount, still};
+use crate::estimation::imu_calibration::{CalibrationLimits, ImuCalibration, Pedigree, accel, gyro, mag, motor, mount, still};
 use crate::hardware::imu::Imu;
 use crate::log::bend_log::{self, BendLog};
 use crate::log::recording;
@@ -232,11 +232,17 @@ fn motor_samples(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
         }
         last = steps;
         let still = moved_s.iter().all(|m| sample.t.0 - m > 0.5);
-        let told = FusionInput { now: sample.t, tip: health::ImuReading::from_world(Some(*sample)), base: None, coils_ut: Vector3::zeros(), still };
+        let told = FusionInput {
+            now: sample.t,
+            tip: health::ImuReading::from_world(Some(*sample)),
+            base: None,
+            coils_ut: Vector3::zeros(),
+            still,
+        };
         fusion.update(&config, &told);
-        if let (Some(felt), Some(mag)) = (fusion.felt(), sample.mag_ut) {
+        if let (Some(estimate), Some(mag)) = (fusion.estimate(), sample.mag_ut) {
             let energised = moved_s.map(|m| sample.t.0 - m < idle_after_s);
-            out.push(motor::MotorSample { mag_ut: felt.r_base_tip.apply(&mag), counts: steps.0, energised });
+            out.push(motor::MotorSample { mag_ut: estimate.r_base_tip.apply(&mag), counts: steps.0, energised });
         }
     }
     out
@@ -245,7 +251,8 @@ fn motor_samples(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
 /// Pure bends: motions between two held poses of one plane.
 fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
     let samples = log_samples(log);
-    let Some(bias) = samples.get(..).map(|s| still::rests(s, &CalibrationLimits::default())).and_then(|r| r.first().map(|r| r.gyro_rad_s)) else {
+    let Some(bias) = samples.get(..).map(|s| still::rests(s, &CalibrationLimits::default())).and_then(|r| r.first().map(|r| r.gyro_rad_s))
+    else {
         return Vec::new();
     };
     let changes: Vec<usize> = (1..samples.len()).filter(|&k| log.command.get(k) != log.command.get(k - 1)).collect();

@@ -1,6 +1,6 @@
 //! `retroflex commission`: is the machine wired as its board file says, and is it tight?
 
-use crate::cli::{CommandOutcome, hands, output};
+use crate::cli::{CommandOutcome, manual_motion, output};
 use crate::config::board::Board;
 use crate::config::source;
 use crate::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
@@ -34,11 +34,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if !((1.0..=6.0).contains(&args.stroke) && (0.0..=120.0).contains(&args.hold)) {
         return Err(miette!("--stroke {} --hold {}: give 1 to 6 mm and 0 to 120 s", args.stroke, args.hold));
     }
-    let (board, mut machine) = hands::open(&args.board, |_| ())?;
+    let (board, mut machine) = manual_motion::open(&args.board, |_| ())?;
     let config = TrialConfig { stroke_mm: args.stroke, hold_s: args.hold, ..TrialConfig::new(board.geometry.law()) };
-    let findings = hands::at_hand(machine.as_mut(), |hand| {
+    let findings = manual_motion::at_hand(machine.as_mut(), |hand| {
         trial::run(hand, &config, &mut |step| eprintln!("{step}")).map_err(|e| match e {
-            TrialError::Hand(e) => hands::ended(e),
+            TrialError::Hand(e) => manual_motion::ended(e),
             e => miette!("{e}"),
         })
     })?;

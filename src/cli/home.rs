@@ -1,6 +1,6 @@
 //! `retroflex home`: zero by home switches, or by a person who brings the pistons to rest.
 
-use crate::cli::{CommandOutcome, hands};
+use crate::cli::{CommandOutcome, manual_motion};
 use crate::config::board::Board;
 use crate::config::hardware::HomingMethod;
 use crate::config::source;
@@ -52,18 +52,18 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
         at_mm: h.at_mm,
         search_max_mm,
     };
-    let (_, mut machine) = hands::open(&args.board, |c| {
+    let (_, mut machine) = manual_motion::open(&args.board, |c| {
         (c.imu, c.base_imu) = (None, None);
         // where the pistons are is not known yet, so the rack's length is no limit on the count
         c.motion.travel_max_mm = search_max_mm + 2.0 * travel_mm;
     })?;
-    let homed = hands::at_hand(machine.as_mut(), |hand| {
-        hand.energise(true).map_err(hands::ended)?;
+    let homed = manual_motion::at_hand(machine.as_mut(), |hand| {
+        hand.energise(true).map_err(manual_motion::ended)?;
         let homed = homing::with_switches(hand, &config).map_err(|e| match e {
-            homing::HomingError::Hand(e) => hands::ended(e),
+            homing::HomingError::Hand(e) => manual_motion::ended(e),
             e => miette!("{e}"),
         })?;
-        hand.energise(false).map_err(hands::ended)?;
+        hand.energise(false).map_err(manual_motion::ended)?;
         Ok(homed)
     })?;
     let row = |v: [f64; 3]| v.map(|x| format!("{x:.3}")).join(", ");
@@ -84,14 +84,14 @@ fn by_operator(args: &Args) -> Result<String> {
             return Err(miette!("not confirmed; zero is where it was"));
         }
     }
-    let (_, mut machine) = hands::open(&args.board, |c| (c.imu, c.base_imu) = (None, None))?;
-    hands::at_hand(machine.as_mut(), |hand| {
+    let (_, mut machine) = manual_motion::open(&args.board, |c| (c.imu, c.base_imu) = (None, None))?;
+    manual_motion::at_hand(machine.as_mut(), |hand| {
         let mut all = || {
             hand.energise(true)?;
             hand.stand(0.2, &mut |_| ())?;
             hand.energise(false)
         };
-        all().map_err(hands::ended)
+        all().map_err(manual_motion::ended)
     })?;
     Ok("zero is here: pistons at rest as confirmed, drivers answer and are released\n".to_owned())
 }

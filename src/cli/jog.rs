@@ -1,7 +1,7 @@
 //! `retroflex jog`: one piston, slowly, a little; and back, for pressure must not be left on a motor
 //! without current.
 
-use crate::cli::{CommandOutcome, hands};
+use crate::cli::{CommandOutcome, manual_motion};
 use miette::{Result, miette};
 use std::io::Write;
 use std::path::PathBuf;
@@ -53,12 +53,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if args.stay && args.times != 1 {
         return Err(miette!("--stay and --times {} contradict each other; leave one out", args.times));
     }
-    let (_, mut machine) = hands::open(&args.board, |config| {
+    let (_, mut machine) = manual_motion::open(&args.board, |config| {
         // no sensor is needed to turn a motor
         (config.imu, config.base_imu) = (None, None);
     })?;
     let channel = usize::from(args.channel) - 1;
-    let (out, back) = hands::at_hand(machine.as_mut(), |hand| {
+    let (out, back) = manual_motion::at_hand(machine.as_mut(), |hand| {
         let mut all = || {
             hand.energise(true)?;
             let mut target = [0.0; 3];
@@ -75,9 +75,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             hand.energise(false)?;
             Ok((out, hand.stands_mm()[channel]))
         };
-        all().map_err(hands::ended)
+        all().map_err(manual_motion::ended)
     })?;
-    let step_mm = machine.nature().step_mm;
+    let step_mm = machine.info().step_mm;
     let text = format!(
         "channel {}: out to {out:.3} mm ({:.0} steps), now at {back:.3} mm ({:.0} steps), drivers released\n",
         args.channel,

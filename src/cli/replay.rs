@@ -5,8 +5,8 @@ use crate::cli::CommandOutcome;
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
-use crate::config::pilot::assemble;
 use crate::config::source;
+use crate::config::supervisor::assemble;
 use crate::control::pi::Dynamics;
 use crate::model::transmission::Line;
 use crate::service::record::tape_of;
@@ -40,11 +40,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if header.tape != 1 {
         return Err(miette!("{}, line 1: tape version {}, this program reads 1", path.display(), header.tape));
     }
-    let mut pilot = pilot_of(&header)?;
+    let mut supervisor = supervisor_of(&header)?;
     let mut reader = Reader::new(&bytes[end + 1..]);
     let (mut turns, mut first_off, mut off) = (0u64, None, 0u64);
     while let Some(record) = reader.turn() {
-        let turned = pilot.turn(&record.sensed, record.order);
+        let turned = supervisor.turn(&record.sensed, record.order);
         turns += 1;
         if digest(&turned) != record.digest {
             off += 1;
@@ -65,18 +65,22 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
 }
 
-fn pilot_of(header: &Header) -> Result<Supervisor> {
+fn supervisor_of(header: &Header) -> Result<Supervisor> {
     let board: Board = source::parse("board of the tape", &header.texts[0])?;
     let gains: Gains = source::parse("gains of the tape", &header.texts[1])?;
     let calibration: Calibration = source::parse("calibration of the tape", &header.texts[2])?;
-    let nature =
-        MachineInfo { name: header.machine.clone(), period_s: header.period_s, step_mm: header.step_mm, rest_length_mm: header.rest_length_mm };
-    let mut config = assemble(&board, &calibration, &gains, &nature);
+    let info = MachineInfo {
+        name: header.machine.clone(),
+        period_s: header.period_s,
+        step_mm: header.step_mm,
+        rest_length_mm: header.rest_length_mm,
+    };
+    let mut config = assemble(&board, &calibration, &gains, &info);
     config.tick.lines = header.lines.map(|[k_epsilon, k_lambda_mm]| Line { k_epsilon, k_lambda_mm });
     config.tick.dynamics = Dynamics { lag_s: header.dynamics[0], delay_s: header.dynamics[1] };
-    let mut pilot = Supervisor::new(config, header.kept);
+    let mut supervisor = Supervisor::new(config, header.kept);
     if header.doubted {
-        pilot.doubt();
+        supervisor.doubt();
     }
-    Ok(pilot)
+    Ok(supervisor)
 }

@@ -1,11 +1,11 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
-use crate::cli::{CommandOutcome, Unreachable, hands, logging};
+use crate::cli::{CommandOutcome, Unreachable, logging, manual_motion};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
-use crate::config::pilot::assemble;
 use crate::config::source;
+use crate::config::supervisor::assemble;
 use crate::hardware::machine::Hardware;
 use crate::service::{ServiceError, Setup, serve};
 use crate::simulation::link::{self, Link};
@@ -85,11 +85,11 @@ fn prepare(args: &Args) -> Result<Setup> {
         return Err(miette!("--fast: only a plant can run faster than the clock; give --plant, or a board with a [plant] table"));
     }
     let machine = open(args, &board, &calibration)?;
-    let pilot = assemble(&board, &calibration, &gains, machine.nature());
+    let supervisor = assemble(&board, &calibration, &gains, machine.info());
     let texts = [board_text, gains_text, calib_text];
     Ok(Setup {
         machine,
-        pilot,
+        supervisor,
         service: board.service.clone(),
         config_hash: hash(&texts),
         texts,
@@ -148,7 +148,7 @@ pub fn open(args: &Args, board: &Board, _calibration: &Calibration) -> Result<Bo
     }
     if let Some(config) = board.hardware() {
         let path = args.board.as_deref().unwrap_or(Path::new("the built-in board"));
-        return Ok(Box::new(Hardware::open(&config).map_err(|e| hands::told(path, e))?));
+        return Ok(Box::new(Hardware::open(&config).map_err(|e| manual_motion::told(path, e))?));
     }
     let section = board.plant.clone().ok_or_else(|| {
         miette!("this board has neither [pins] nor [plant], so there is nothing to run on; give --plant, or a board that describes one")

@@ -4,7 +4,7 @@ use crate::config::hardware::{HomingSection, ImuSection, MachineSection, check_h
 use crate::config::power::PowerSection;
 use crate::config::service::{SafetySection, ServiceSection};
 use crate::control::follow::Pace;
-use crate::control::limit::ActuatorLimits;
+use crate::control::limits::ActuatorLimits;
 use crate::hardware::pins::PinsConfig;
 use crate::model::arc::Geometry;
 use crate::model::drive::Drive;

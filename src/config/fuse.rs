@@ -2,11 +2,11 @@
 
 use crate::estimation::fusion::align::AlignConfig;
 use crate::estimation::fusion::base::BaseConfig;
+use crate::estimation::fusion::base_watch::WatchConfig;
 use crate::estimation::fusion::bend::BendFilterConfig;
 use crate::estimation::fusion::health;
 use crate::estimation::fusion::second::SecondConfig;
 use crate::estimation::fusion::tip::FuseConfig;
-use crate::estimation::fusion::watch::WatchConfig;
 use crate::primitives::check::Checker;
 
 /// Reports the first setting of fusion that is out of its range.

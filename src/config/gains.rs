@@ -3,9 +3,9 @@
 use crate::config::fuse;
 use crate::control::follow::Pace;
 use crate::control::learning::online::RefineConfig;
-use crate::control::rest::StandstillConfig;
+use crate::control::obstruction::ObstructionConfig;
+use crate::control::standstill::StandstillConfig;
 use crate::control::tick::FeedbackConfig;
-use crate::control::wall::ObstructionConfig;
 use crate::estimation::fusion::tip::FuseConfig;
 use crate::model::transmission::Side;
 use crate::primitives::check::{Check, Checker};

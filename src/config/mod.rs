@@ -9,11 +9,11 @@ pub mod calib;
 mod fuse;
 pub mod gains;
 pub mod hardware;
-pub mod pilot;
 pub mod pins;
 pub mod power;
 pub mod service;
 pub mod source;
+pub mod supervisor;
 
 use crate::config::board::Board;
 use crate::config::calib::Calibration;

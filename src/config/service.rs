@@ -1,11 +1,11 @@
 //! `[service]` and `[safety]` of a board file: who may command, and what is safe.
 
-use crate::control::limit;
+use crate::control::limits;
 use crate::control::tick::LoopConfig;
 use crate::primitives::check::Checker;
 use crate::supervisor::cycle::proof::RestartCheckConfig;
-use crate::supervisor::explain::ResidualConfig;
 use crate::supervisor::gate::{GateLimits, SafeStates};
+use crate::supervisor::residual_monitor::ResidualConfig;
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -112,7 +112,7 @@ impl Default for SafetySection {
 impl SafetySection {
     /// The gate's limits for a loop of this period.
     #[must_use]
-    pub fn gate(&self, config: &LoopConfig, limits: &limit::ActuatorLimits, period_s: f64) -> GateLimits {
+    pub fn gate(&self, config: &LoopConfig, limits: &limits::ActuatorLimits, period_s: f64) -> GateLimits {
         let pace = &config.piston_pace;
         GateLimits {
             step_mm: config.drive.step_mm,

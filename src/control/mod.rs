@@ -1,11 +1,11 @@
 //! From a wanted bend to piston targets: set-point profile, feedback, limits, mode.
 
+pub mod backlash_adaptation;
 pub mod follow;
 pub mod learning;
-pub mod limit;
+pub mod limits;
+pub mod obstruction;
 pub mod pi;
-pub mod reach;
-pub mod rest;
-pub mod spent;
+pub mod saturation;
+pub mod standstill;
 pub mod tick;
-pub mod wall;

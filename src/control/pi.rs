@@ -127,14 +127,14 @@ mod tests {
         let (mut model, mut pi) = (ReferenceModel::default(), PiState::default());
         let mut plant = ReferenceModel::default();
         let target = Vector2::new(0.6, -0.3);
-        let mut felt = Vector2::zeros();
+        let mut estimate = Vector2::zeros();
         for _ in 0..(seconds / dt_s) as usize {
             let command = target + pi.feedback;
-            let should = model.step(command - pi.feedback, &believed, dt_s);
-            pi.step(should - felt, &gains, 2.0, dt_s);
-            felt = plant.step(command, &truth, dt_s) * gain + Vector2::new(0.05, 0.02);
+            let predicted = model.step(command - pi.feedback, &believed, dt_s);
+            pi.step(predicted - estimate, &gains, 2.0, dt_s);
+            estimate = plant.step(command, &truth, dt_s) * gain + Vector2::new(0.05, 0.02);
         }
-        (felt - target).norm()
+        (estimate - target).norm()
     }
 
     proptest! {

@@ -28,34 +28,34 @@ pub struct Beginning {
     /// Parameters of the larger model.
     pub theta: Vec<f64>,
     /// Sum of squares after a step along the tangent.
-    pub promise: f64,
+    pub predicted_gain: f64,
 }
 
 /// The most promising beginning of `to`, which has the effect `added` more than the ground.
 #[must_use]
-pub fn begin(log: &Observed, ground: &BaseFit<'_>, to: &Model<'_>, added: &dyn Effect) -> Option<Beginning> {
+pub fn begin(log: &Observed, base_fit: &BaseFit<'_>, to: &Model<'_>, added: &dyn Effect) -> Option<Beginning> {
     let mut starts = added.starts();
-    if let Some(found) = scan(log, ground, to, added) {
+    if let Some(found) = scan(log, base_fit, to, added) {
         // what a scan finds stands for all starts that differ in time only
         starts.truncate(usize::from(added.stage() == crate::model::effects::Stage::Base));
         starts.push(found);
     }
-    starts.iter().filter_map(|s| promise(log, ground, to, s)).min_by(|a, b| a.promise.total_cmp(&b.promise))
+    starts.iter().filter_map(|s| predicted_gain(log, base_fit, to, s)).min_by(|a, b| a.predicted_gain.total_cmp(&b.predicted_gain))
 }
 
 /// One Gauss-Newton step from a starting point, and the sum of squares that the tangent foretells.
-fn promise(log: &Observed, ground: &BaseFit<'_>, to: &Model<'_>, fresh: &[f64]) -> Option<Beginning> {
+fn predicted_gain(log: &Observed, base_fit: &BaseFit<'_>, to: &Model<'_>, fresh: &[f64]) -> Option<Beginning> {
     let (bounds, all) = (bounds(to), vec![1.0; log.bins.len()]);
-    let theta = extend(&ground.model, &ground.point.theta, to, fresh);
+    let theta = extend(&base_fit.model, &base_fit.point.theta, to, fresh);
     let theta = theta.iter().zip(&bounds).map(|(t, b)| t.clamp(b.low, b.high)).collect();
     let point = Point::new(log, to, &bounds, theta, &all);
-    let tangent = Tangent::grown(log, to, &point, &bounds, &all, ground);
+    let tangent = Tangent::grown(log, to, &point, &bounds, &all, base_fit);
     let sums = tangent.sums(&point, &bounds, log.bins.len());
     let theta = step(&point.theta, &bounds, &sums, 1e-3)?;
     let way = nalgebra::DVector::from_iterator(theta.len(), (0..theta.len()).map(|i| (theta[i] - point.theta[i]) / bounds[i].scale));
     let foretold = point.total() + 2.0 * sums.slope.dot(&way) + (&sums.normal * &way).dot(&way);
     // a step too long for its tangent may promise the impossible
-    Some(Beginning { theta, promise: foretold.max(0.02 * ground.point.total()) })
+    Some(Beginning { theta, predicted_gain: foretold.max(0.02 * base_fit.point.total()) })
 }
 
 /// Indices of an event's time and its three offsets.
@@ -67,7 +67,7 @@ fn event(params: &[Param], which: usize) -> Option<(usize, [usize; 3])> {
 }
 
 /// Times and offsets of the events that explain most of what is left, the largest first.
-fn scan(log: &Observed, ground: &BaseFit<'_>, to: &Model<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
+fn scan(log: &Observed, base_fit: &BaseFit<'_>, to: &Model<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
     let params = added.params();
     event(&params, 1)?;
     let (bounds, all) = (bounds(to), vec![1.0; log.bins.len()]);
@@ -80,7 +80,8 @@ fn scan(log: &Observed, ground: &BaseFit<'_>, to: &Model<'_>, added: &dyn Effect
     }
     for which in 1..=2 {
         let (time, offsets) = event(&params, which)?;
-        let residuals = |fresh: &[f64]| Point::new(log, to, &bounds, extend(&ground.model, &ground.point.theta, to, fresh), &all).residual;
+        let residuals =
+            |fresh: &[f64]| Point::new(log, to, &bounds, extend(&base_fit.model, &base_fit.point.theta, to, fresh), &all).residual;
         let mut early = fresh.clone();
         early[time] = 0.5;
         let r0 = residuals(&early);
@@ -92,7 +93,7 @@ fn scan(log: &Observed, ground: &BaseFit<'_>, to: &Model<'_>, added: &dyn Effect
             c
         });
         let (gain, bin, x) = best_time(log.bins.len(), &columns, &r0);
-        if which == 2 && gain < 0.02 * ground.point.total() {
+        if which == 2 && gain < 0.02 * base_fit.point.total() {
             break;
         }
         fresh[time] = log.bins[bin].t_s - log.start_s();

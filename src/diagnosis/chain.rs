@@ -139,11 +139,11 @@ fn bellows(
     for c in 0..3 {
         w_mm[c] = lines[c].play(w_mm[c], u[c]);
     }
-    let mut slack = *w_mm;
+    let mut play_output = *w_mm;
     for (i, e) in model.effects.iter().enumerate() {
-        e.slack(model.of(theta, i), &mut memory[i], at, &mut slack);
+        e.play_output(model.of(theta, i), &mut memory[i], at, &mut play_output);
     }
-    let mut q = Vector3::from_fn(|c, _| lines[c].bellow_mm(slack[c]));
+    let mut q = Vector3::from_fn(|c, _| lines[c].bellow_mm(play_output[c]));
     for (i, e) in model.effects.iter().enumerate() {
         e.bellows(model.of(theta, i), &mut memory[i], at, &mut q);
     }

@@ -111,14 +111,14 @@ fn second_counts(found: &Found, single: &Candidate, pair: &Candidate, floor: f64
     let rivals = found.pairs.iter().filter(|p| p.names.contains(&first) && p.names != pair.names);
     let next = rivals.map(|p| excess(p.energy(), floor)).fold(one, f64::min);
     let gap = excess(found.nominal.energy(), floor);
-    if kin(&pair.names) && one - two < KIN_SHARE * gap {
+    if confusable(&pair.names) && one - two < KIN_SHARE * gap {
         return false;
     }
     one - two >= SECOND_SHARE * one && gain(&single.held_out, &pair.held_out) >= CLAIM_DEG && two <= SECOND_AHEAD * next
 }
 
 /// Whether two effects are easily taken for each other.
-fn kin(names: &[&str]) -> bool {
+fn confusable(names: &[&str]) -> bool {
     let taken = |a: &str, b: &str| by_name(a).is_some_and(|e| e.confused_with().contains(&b));
     matches!(names, [a, b] if taken(a, b) || taken(b, a))
 }

@@ -6,7 +6,7 @@ use crate::diagnosis::credit::{credits, stages};
 use crate::diagnosis::decide::{Verdict, decide, floor};
 use crate::diagnosis::fit::nominal_start;
 use crate::diagnosis::interval::{Compared, closed_ci95};
-use crate::diagnosis::observe::{Quantity, Observed};
+use crate::diagnosis::observe::{Observed, Quantity};
 use crate::diagnosis::search::{Candidate, Found, HeldOut, model_of, score, search};
 use crate::diagnosis::sense::sense;
 use crate::model::effects::Effect;

@@ -227,7 +227,7 @@ pub(crate) fn step(theta: &[f64], bounds: &[Bound], sums: &Sums, lambda: f64) ->
 }
 
 /// Finite-difference step of a parameter, away from its upper limit.
-pub(crate) fn nudge(value: f64, b: &Bound) -> f64 {
+pub(crate) fn feedback_reversal(value: f64, b: &Bound) -> f64 {
     let h = STEP * b.scale;
     if value + h > b.high { -h } else { h }
 }

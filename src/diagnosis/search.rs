@@ -58,8 +58,8 @@ pub struct Found {
 /// Runs the search.
 #[must_use]
 pub fn search(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) -> Found {
-    let (nominal, ground) = settled(log, Model::new(&[]), &nominal_start(lines));
-    let mut singles: Vec<Candidate> = catalogue.par_iter().map(|e| grown(log, &ground, e.as_ref(), None)).collect();
+    let (nominal, base_fit) = settled(log, Model::new(&[]), &nominal_start(lines));
+    let mut singles: Vec<Candidate> = catalogue.par_iter().map(|e| grown(log, &base_fit, e.as_ref(), None)).collect();
     by_energy(&mut singles);
     let mut pairs = Vec::new();
     if singles.first().is_some_and(|s| room(log, &s.held_out)) {
@@ -108,15 +108,15 @@ fn settled<'a>(log: &Observed, model: Model<'a>, start: &[f64]) -> (Candidate, B
 }
 
 /// The ground with one effect more, in catalogue order as `order` gives it.
-fn grown(log: &Observed, ground: &BaseFit<'_>, added: &dyn Effect, to: Option<Model<'_>>) -> Candidate {
+fn grown(log: &Observed, base_fit: &BaseFit<'_>, added: &dyn Effect, to: Option<Model<'_>>) -> Candidate {
     let to = to.unwrap_or_else(|| Model::new(&[added]));
-    let start = begin(log, ground, &to, added).map_or_else(|| ground.point.theta.clone(), |b| b.theta);
+    let start = begin(log, base_fit, &to, added).map_or_else(|| base_fit.point.theta.clone(), |b| b.theta);
     settled(log, to, &start).0
 }
 
 /// Pairs of a single with what promises most.
 fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, known: &[Vec<&str>]) -> Vec<Candidate> {
-    let (_, ground) = settled(log, model_of(catalogue, &seed.names), &seed.fitted.theta);
+    let (_, base_fit) = settled(log, model_of(catalogue, &seed.names), &seed.fitted.theta);
     let pair = |e: &dyn Effect| model_of(catalogue, &[seed.names[0], e.name()]);
     let fresh = |e: &dyn Effect| {
         let names: Vec<&str> = pair(e).effects.iter().map(|e| e.name()).collect();
@@ -125,9 +125,9 @@ fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, known: 
     let mut promising: Vec<_> = catalogue
         .par_iter()
         .filter(|e| fresh(e.as_ref()))
-        .filter_map(|e| begin(log, &ground, &pair(e.as_ref()), e.as_ref()).map(|b| (e, b)))
+        .filter_map(|e| begin(log, &base_fit, &pair(e.as_ref()), e.as_ref()).map(|b| (e, b)))
         .collect();
-    promising.sort_by(|a, b| a.1.promise.total_cmp(&b.1.promise));
+    promising.sort_by(|a, b| a.1.predicted_gain.total_cmp(&b.1.predicted_gain));
     promising.truncate(GROWN);
     promising.par_iter().map(|(e, b)| settled(log, pair(e.as_ref()), &b.theta).0).collect()
 }

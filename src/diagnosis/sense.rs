@@ -5,7 +5,7 @@
 
 use crate::diagnosis::chain::{Model, Motion};
 use crate::diagnosis::observe::{Bin, G_M_S2, Observed, back, between};
-use crate::model::effects::{Memory, Moment, ImuPrediction, Stage};
+use crate::model::effects::{ImuPrediction, Memory, Moment, Stage};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// What the log says of itself once a model has been run.

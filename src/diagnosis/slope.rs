@@ -6,7 +6,7 @@
 
 use crate::diagnosis::begin::BaseFit;
 use crate::diagnosis::chain::{Model, NOMINAL, run};
-use crate::diagnosis::fit::{Bound, PRIOR_SLOPE, Point, nudge, weighted};
+use crate::diagnosis::fit::{Bound, PRIOR_SLOPE, Point, feedback_reversal, weighted};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::sense::sense;
 use nalgebra::{DMatrix, DVector};
@@ -24,7 +24,7 @@ pub struct Tangent {
 /// One column: forward difference.
 fn column(log: &Observed, model: &Model<'_>, point: &Point, bounds: &[Bound], all: &[f64], c: usize) -> Vec<f32> {
     let (mut moved, b) = (point.theta.clone(), &bounds[c]);
-    let h = nudge(moved[c], b);
+    let h = feedback_reversal(moved[c], b);
     moved[c] += h;
     let scored = if model.sensing_only(c) {
         sense(log, model, &moved, &point.motion, all)
@@ -54,12 +54,12 @@ impl Tangent {
     /// At a point that differs from `ground` by an effect which does little there: only that effect's
     /// columns are new.
     #[must_use]
-    pub fn grown(log: &Observed, model: &Model<'_>, point: &Point, bounds: &[Bound], all: &[f64], ground: &BaseFit<'_>) -> Self {
-        let mut columns = ground.tangent.columns[..NOMINAL].to_vec();
+    pub fn grown(log: &Observed, model: &Model<'_>, point: &Point, bounds: &[Bound], all: &[f64], base_fit: &BaseFit<'_>) -> Self {
+        let mut columns = base_fit.tangent.columns[..NOMINAL].to_vec();
         for (i, e) in model.effects.iter().enumerate() {
             let here = model.at[i]..model.at[i + 1];
-            match ground.model.effects.iter().position(|x| x.name() == e.name()) {
-                Some(k) => columns.extend_from_slice(&ground.tangent.columns[ground.model.at[k]..ground.model.at[k + 1]]),
+            match base_fit.model.effects.iter().position(|x| x.name() == e.name()) {
+                Some(k) => columns.extend_from_slice(&base_fit.tangent.columns[base_fit.model.at[k]..base_fit.model.at[k + 1]]),
                 None => columns.extend(here.map(|c| column(log, model, point, bounds, all, c))),
             }
         }

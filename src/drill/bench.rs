@@ -3,9 +3,9 @@
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
-use crate::config::pilot::assemble;
+use crate::config::supervisor::assemble;
 use crate::control::tick::{Command, RestartState};
-use crate::estimation::fusion::health::{ReadFault as BusFault, ImuReading};
+use crate::estimation::fusion::health::{ImuReading, ReadFault as BusFault};
 use crate::model::bend::Bend;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::units::{Mm, Seconds, Steps};
@@ -14,9 +14,9 @@ use crate::simulation::plant::{Channel, InjectedFault, PlantError};
 use crate::simulation::sim::Sim;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::cycle::runner::Runner;
-use crate::supervisor::cycle::{Supervisor, SupervisorConfig, CycleOutput};
+use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
 use crate::supervisor::machine::{Alarm, Inputs, Machine, Sensed};
-use crate::supervisor::machine::{MachineInfo, MachineError};
+use crate::supervisor::machine::{MachineError, MachineInfo};
 
 /// A machine that can be broken from outside its plant.
 #[derive(Debug, Clone)]
@@ -49,10 +49,10 @@ impl Breakable {
     /// were lost are made up for.
     pub fn put_back(&mut self) {
         self.inner.world.plant_mut().vent();
-        let step_mm = self.nature().step_mm;
-        let Some(slack_mm) = self.inner.world.last().map(|out| out.truth.slack_mm) else { return };
+        let step_mm = self.info().step_mm;
+        let Some(play_output_mm) = self.inner.world.last().map(|out| out.truth.play_output_mm) else { return };
         for channel in Channel::ALL {
-            let microsteps = (slack_mm[channel.index()] / step_mm).round() as i32;
+            let microsteps = (play_output_mm[channel.index()] / step_mm).round() as i32;
             self.inject(InjectedFault::StepLoss { channel, microsteps });
         }
     }
@@ -65,8 +65,8 @@ impl Breakable {
 }
 
 impl Machine for Breakable {
-    fn nature(&self) -> &MachineInfo {
-        self.inner.nature()
+    fn info(&self) -> &MachineInfo {
+        self.inner.info()
     }
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let wanted = if self.alarm.is_some() { self.stands_at } else { *wanted };
@@ -117,7 +117,7 @@ pub struct Make {
 /// A pilot, a machine and the time.
 pub struct Bench {
     /// Both at work.
-    pub flight: Runner<Breakable>,
+    pub runner: Runner<Breakable>,
     /// Time, s.
     pub now_s: f64,
     period_s: f64,
@@ -138,8 +138,8 @@ impl Make {
 
     /// What a pilot of it runs on.
     #[must_use]
-    pub fn pilot(&self, nature: &MachineInfo) -> SupervisorConfig {
-        assemble(&self.board, &self.calibration, &self.gains, nature)
+    pub fn supervisor(&self, info: &MachineInfo) -> SupervisorConfig {
+        assemble(&self.board, &self.calibration, &self.gains, info)
     }
 
     /// A bench at rest, nothing aligned.
@@ -154,9 +154,9 @@ impl Make {
     /// A bench on a machine that is there already, as after a restart.
     #[must_use]
     pub fn bench_on(&self, machine: Breakable, kept: Option<RestartState>, now_s: f64) -> Bench {
-        let config = self.pilot(machine.nature());
-        let period_s = machine.nature().period_s;
-        Bench { flight: Runner::new(machine, Supervisor::new(config, kept)), now_s, period_s, rest: None, truth: None }
+        let config = self.supervisor(machine.info());
+        let period_s = machine.info().period_s;
+        Bench { runner: Runner::new(machine, Supervisor::new(config, kept)), now_s, period_s, rest: None, truth: None }
     }
 }
 
@@ -167,7 +167,7 @@ impl Bench {
     /// The plant's.
     pub fn turn(&mut self, order: Option<Order>) -> Result<CycleOutput, MachineError> {
         self.now_s += self.period_s;
-        let turned = self.flight.turn(Seconds(self.now_s), order)?;
+        let turned = self.runner.turn(Seconds(self.now_s), order)?;
         self.truth = turned.sensed.truth.or(self.truth);
         Ok(turned)
     }

@@ -8,9 +8,9 @@ use crate::primitives::units::Mm;
 use crate::simulation::plant::{Channel, InjectedFault};
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::{Order, Refusal};
-use crate::supervisor::explain::SuspicionKind;
 use crate::supervisor::gate;
 use crate::supervisor::machine::Alarm;
+use crate::supervisor::residual_monitor::SuspicionKind;
 
 /// What strikes.
 #[derive(Debug, Clone, Copy)]
@@ -74,7 +74,7 @@ pub struct Spec {
     /// What notices.
     pub notice: Notice,
     /// What is promised.
-    pub promise: Promise,
+    pub predicted_gain: Promise,
     /// States that are right at the end.
     pub states: &'static [&'static str],
     /// The rest has to be found again before the next pose.
@@ -96,18 +96,18 @@ const FAULT: &[&str] = &["faulted"];
 /// Every row that strikes in flight, in the order of the list of claims.
 #[must_use]
 pub fn specs() -> Vec<Spec> {
-    let row = |name, strike, notice, promise, states, zero| Spec {
+    let row = |name, strike, notice, predicted_gain, states, zero| Spec {
         name,
         strike,
         notice,
-        promise,
+        predicted_gain,
         states,
         zero,
         by_hand: false,
         to: (68.0, 80.0),
         held: false,
     };
-    let senses = |name, strike, causes, promise, states| row(name, strike, Notice::Senses(causes), promise, states, false);
+    let senses = |name, strike, causes, predicted_gain, states| row(name, strike, Notice::Senses(causes), predicted_gain, states, false);
     let words = |name, fault, kinds, zero| {
         row(name, Strike::Plant(fault, LASTS), Notice::Words(kinds), Promise::Copes, &["holding", "tracking", "faulted"], zero)
     };
@@ -125,7 +125,13 @@ pub fn specs() -> Vec<Spec> {
         senses("sample_frozen", Strike::Plant(InjectedFault::FrozenSample, LASTS), &[HealthCause::Frozen], Promise::Holds, HOLD),
         senses("sample_nan", Strike::Plant(InjectedFault::NanSample, LASTS), &[HealthCause::NotFinite], Promise::Holds, HOLD),
         senses("sample_spike", Strike::Plant(spike, 0.05), &[HealthCause::Spike, HealthCause::Saturated], Promise::GoesOn, GOES),
-        senses("sample_saturated", Strike::Plant(InjectedFault::Saturation, LASTS), &[HealthCause::Saturated, HealthCause::Spike], Promise::Holds, HOLD),
+        senses(
+            "sample_saturated",
+            Strike::Plant(InjectedFault::Saturation, LASTS),
+            &[HealthCause::Saturated, HealthCause::Spike],
+            Promise::Holds,
+            HOLD,
+        ),
         row(
             "sample_biased",
             Strike::Plant(InjectedFault::GyroBias { deg_s: [2.0, -2.0, 1.0] }, LASTS),
@@ -147,12 +153,23 @@ pub fn specs() -> Vec<Spec> {
         words("burst", InjectedFault::Burst { channel: TWO }, &[SuspicionKind::Burst, SuspicionKind::Deaf], true),
         words("air_bubble", InjectedFault::AirBubble { channel: TWO, factor: 1.8 }, &[SuspicionKind::Weak, SuspicionKind::Leak], true),
         words("blocked_line", InjectedFault::Blocked { channel: TWO }, &[SuspicionKind::Deaf, SuspicionKind::Weak], true),
-        words("gain_half", InjectedFault::Gain { channel: TWO, factor: 0.5 }, &[SuspicionKind::Weak, SuspicionKind::Burst, SuspicionKind::Deaf], true),
+        words(
+            "gain_half",
+            InjectedFault::Gain { channel: TWO, factor: 0.5 },
+            &[SuspicionKind::Weak, SuspicionKind::Burst, SuspicionKind::Deaf],
+            true,
+        ),
         words("gain_double", InjectedFault::Gain { channel: TWO, factor: 2.0 }, &[SuspicionKind::Strong], true),
         row("stall_1ms", Strike::Stall(0.001), Notice::LateTurn, Promise::GoesOn, GOES, false),
         row("stall_10ms", Strike::Stall(0.01), Notice::LateTurn, Promise::GoesOn, GOES, false),
         row("stall_100ms", Strike::Stall(0.1), Notice::Trip(&[gate::TripCause::Late]), Promise::Holds, FAULT, false),
-        senses("clock_jump", Strike::Clock(10.0, LASTS), &[HealthCause::JumpingTimestamp, HealthCause::StaleTimestamp], Promise::Holds, HOLD),
+        senses(
+            "clock_jump",
+            Strike::Clock(10.0, LASTS),
+            &[HealthCause::JumpingTimestamp, HealthCause::StaleTimestamp],
+            Promise::Holds,
+            HOLD,
+        ),
         row(
             "command_nan",
             Strike::Order(Order::Bend(nan, None)),
@@ -219,7 +236,7 @@ fn base_turned(name: &'static str, angle_deg: f64, over_s: f64) -> Spec {
         name,
         strike: Strike::Plant(InjectedFault::BaseTurn { axis: [0.3, 0.2, 1.0], angle_deg, over_s }, LASTS),
         notice: Notice::Base,
-        promise: Promise::Copes,
+        predicted_gain: Promise::Copes,
         states: &["holding", "tracking", "faulted"],
         zero: true,
         by_hand: false,
@@ -231,7 +248,7 @@ fn base_turned(name: &'static str, angle_deg: f64, over_s: f64) -> Spec {
 impl Strike {
     /// Breaks it. The order for this turn, and for the next.
     pub fn strike(&self, bench: &mut Bench) -> (Option<Order>, Option<Order>) {
-        let machine = &mut bench.flight.machine;
+        let machine = &mut bench.runner.machine;
         match *self {
             Self::Bus(fault, _) => machine.bus = Some(fault),
             Self::Plant(fault, _) => machine.inject(fault),
@@ -269,9 +286,9 @@ impl Notice {
             }
             Self::Words(_) => match turned.suspicion.filter(|_| turned.suspects) {
                 Some(s) => Some(s.to_string()),
-                None => {
-                    trip(&[]).or_else(|| turned.raised.contains(HealthCause::AccelDisturbed).then(|| HealthCause::AccelDisturbed.advice().to_owned()))
-                }
+                None => trip(&[]).or_else(|| {
+                    turned.raised.contains(HealthCause::AccelDisturbed).then(|| HealthCause::AccelDisturbed.advice().to_owned())
+                }),
             },
             Self::Trip(causes) => trip(causes),
             Self::LateTurn => (turned.dt_s > 0.0015).then(|| format!("a turn came {:.0} ms late", (turned.dt_s - 1e-3) * 1e3)),

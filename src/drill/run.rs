@@ -41,11 +41,11 @@ impl Allowance {
     /// The plant's.
     pub fn new(make: &Make) -> Result<Self, MachineError> {
         let mut bench = make.bench(0, 1)?;
-        let gate = bench.flight.pilot.config().gate;
-        let pace = bench.flight.pilot.config().tick.piston_pace;
+        let gate = bench.runner.supervisor.config().gate;
+        let pace = bench.runner.supervisor.config().tick.piston_pace;
         let stopping_mm = pace.speed * pace.speed / (2.0 * pace.acceleration);
         // it may go on blindly for a while at full speed before it is held, and then it brakes
-        let blind_mm = pace.speed * bench.flight.pilot.config().tick.fuse.health.blind_max_s;
+        let blind_mm = pace.speed * bench.runner.supervisor.config().tick.fuse.health.blind_max_s;
         let braking = (3.0 * (stopping_mm + blind_mm) / gate.step_mm).ceil() as i64 + 6;
         let Some(mut last) = take_off(&mut bench)? else { return Ok(Self { braking, moving: 0 }) };
         let mut moving = 0;
@@ -59,8 +59,8 @@ impl Allowance {
         Ok(Self { braking, moving: 2 * moving + (3.0 * gate.travel_mm / gate.step_mm) as i64 })
     }
 
-    fn of(&self, promise: Promise) -> i64 {
-        match promise {
+    fn of(&self, predicted_gain: Promise) -> i64 {
+        match predicted_gain {
             Promise::Freezes => 0,
             Promise::Holds => self.braking,
             Promise::GoesOn | Promise::Copes => self.moving,
@@ -89,7 +89,7 @@ fn take_off(bench: &mut Bench) -> Result<Option<CycleOutput>, MachineError> {
 /// The plant's.
 pub fn fly(make: &Make, spec: &Spec, allowance: &Allowance) -> Result<Row, MachineError> {
     let mut row = Row::process(spec.name, None, "boot", String::new());
-    row.steps_allowed = allowance.of(spec.promise);
+    row.steps_allowed = allowance.of(spec.predicted_gain);
     let mut bench = make.bench(0, 1)?;
     if take_off(&mut bench)?.is_none() {
         row.fail("never aligned");
@@ -105,10 +105,10 @@ pub fn fly(make: &Make, spec: &Spec, allowance: &Allowance) -> Result<Row, Machi
     row.demand(spec.states.contains(&row.state.as_str()), |row| format!("came to {}", row.state));
     row.demand(spec.notice.names_it(&last), |_| format!("called `{}`", last.suspicion.map_or_else(String::new, |s| s.to_string())));
     row.error_deg_after = recover(&mut bench, spec, &mut row)?;
-    let felt = bench.flight.pilot.state().fusion.felt().map_or(0.0, |f| f.bend.beta().to_degrees());
+    let estimate = bench.runner.supervisor.state().fusion.estimate().map_or(0.0, |f| f.bend.beta().to_degrees());
     let truly = bench.true_bend().beta().to_degrees();
     row.demand(row.error_deg_after <= AFTER_MAX_DEG, |row| {
-        format!("{:.1}° off after it was mended (felt {felt:.1}°, truly {truly:.1}°)", row.error_deg_after)
+        format!("{:.1}° off after it was mended (felt {estimate:.1}°, truly {truly:.1}°)", row.error_deg_after)
     });
     Ok(row)
 }
@@ -121,7 +121,7 @@ fn watch(bench: &mut Bench, spec: &Spec, before: CycleOutput, row: &mut Row) -> 
     let mut went_on = false;
     while bench.now_s - begun_s < WATCHED_S {
         if bench.now_s - begun_s >= spec.strike.lasts_s() {
-            bench.flight.machine.mend();
+            bench.runner.machine.mend();
         }
         let turned = bench.turn(order.take())?;
         order = next.take();
@@ -150,20 +150,20 @@ fn watch(bench: &mut Bench, spec: &Spec, before: CycleOutput, row: &mut Row) -> 
 /// The operator's way back: out of the fault, to rest, mended there, the rest found again where it was
 /// lost, and the next pose. The error of that pose, degrees.
 fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, MachineError> {
-    let mut stays = !spec.zero && bench.flight.pilot.mode().moves();
+    let mut stays = !spec.zero && bench.runner.supervisor.mode().moves();
     let mut zero = spec.zero;
     let mend_first = matches!(spec.strike, Strike::Press | Strike::Bus(..) | Strike::Clock(..)) || stays;
     if mend_first {
-        bench.flight.machine.mend();
+        bench.runner.machine.mend();
         // what is let go of leaps, and then the base may seem to have moved: the rest is to be found again
         bench.until(20.0, |t| t.frame.senses.in_force.is_empty())?;
         let moved = bench.run(2.0)?.frame.base_moved;
         (stays, zero) = (stays && !moved, zero || moved);
     }
-    if bench.flight.pilot.mode() == Mode::Faulted {
+    if bench.runner.supervisor.mode() == Mode::Faulted {
         refuse_is_failure(bench, Order::Reset, row)?;
     }
-    if !stays && bench.flight.pilot.mode() != Mode::Relaxing && bench.flight.pilot.keep().steps.0 != [0; 3] {
+    if !stays && bench.runner.supervisor.mode() != Mode::Relaxing && bench.runner.supervisor.keep().steps.0 != [0; 3] {
         refuse_is_failure(bench, Order::Relax, row)?;
     }
     if !stays {
@@ -171,21 +171,21 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, Machine
         row.demand(rested, |_| "did not come back to rest".to_owned());
         // at rest a line that leaks comes to the pressure of the room, which is where it is to be closed
         bench.run(if zero { VENTS_S } else { 1.0 })?;
-        bench.flight.machine.mend();
+        bench.runner.machine.mend();
         if spec.by_hand {
-            bench.flight.machine.put_back();
+            bench.runner.machine.put_back();
         }
         bench.run(1.0)?;
     }
     if zero {
-        if bench.flight.pilot.mode() == Mode::Disarmed {
+        if bench.runner.supervisor.mode() == Mode::Disarmed {
             refuse_is_failure(bench, Order::Zero, row)?;
         }
         bench.call_straight();
     }
     let ready = bench.until(8.0, |t| t.mode != Mode::Aligning)?;
     row.demand(ready, |_| "did not align again".to_owned());
-    if bench.flight.pilot.mode() == Mode::Disarmed {
+    if bench.runner.supervisor.mode() == Mode::Disarmed {
         refuse_is_failure(bench, Order::Arm, row)?;
         bench.run(0.05)?;
     }

@@ -66,7 +66,7 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
         let begun = |b: &crate::drill::bench::Bench| b.now_s;
         while begun(&bench) < session_s {
             if !to_armed(&mut bench)? {
-                soak.why.push(format!("session {session}: stuck in {}", bench.flight.pilot.mode()));
+                soak.why.push(format!("session {session}: stuck in {}", bench.runner.supervisor.mode()));
                 break;
             }
             let (angle, dir) = (75.0 * dice.random::<f64>().sqrt(), 360.0 * dice.random::<f64>());
@@ -83,10 +83,10 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
                 bench.turn(second)?;
                 let turned = bench.run(1.0 + 3.0 * dice.random::<f64>())?;
                 soak.trips += u64::from(turned.latched.is_some());
-                bench.flight.machine.mend();
+                bench.runner.machine.mend();
                 if matches!(spec.strike, Strike::Plant(..)) {
                     // what broke in the plant leaves traces: back to rest and begin there
-                    if bench.flight.pilot.mode().moves() || bench.flight.pilot.mode() == Mode::Faulted {
+                    if bench.runner.supervisor.mode().moves() || bench.runner.supervisor.mode() == Mode::Faulted {
                         bench.turn(Some(Order::Reset))?;
                         bench.turn(Some(Order::Relax))?;
                         bench.until(15.0, |t| t.mode != Mode::Relaxing)?;
@@ -100,7 +100,7 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
                     errors.push((bench.true_bend().0 - wanted.0).norm().to_degrees());
                 }
             }
-            let k = bench.flight.pilot.state().lines().map(|l| l.k_epsilon);
+            let k = bench.runner.supervisor.state().lines().map(|l| l.k_epsilon);
             for (k, prior) in k.iter().zip(&prior) {
                 soak.gain_range = soak.gain_range.max((k - prior).abs() / (1.0 + prior));
             }
@@ -135,7 +135,7 @@ fn judge(soak: &mut Soak) {
 fn begin_at_rest(bench: &mut crate::drill::bench::Bench) -> Result<(), MachineError> {
     // what was mended shows first, then what is left is put back
     bench.run(2.0)?;
-    bench.flight.machine.put_back();
+    bench.runner.machine.put_back();
     bench.run(10.0)?;
     bench.turn(Some(Order::Reset))?;
     bench.turn(Some(Order::Zero))?;
@@ -147,13 +147,13 @@ fn begin_at_rest(bench: &mut crate::drill::bench::Bench) -> Result<(), MachineEr
 /// Whatever state it is in, as an operator would: to armed.
 fn to_armed(bench: &mut crate::drill::bench::Bench) -> Result<bool, MachineError> {
     for attempt in 0..10 {
-        match bench.flight.pilot.mode() {
+        match bench.runner.supervisor.mode() {
             Mode::Holding | Mode::Tracking => return Ok(true),
             Mode::Boot | Mode::Aligning => {
                 bench.until(10.0, |t| t.mode != Mode::Aligning && t.mode != Mode::Boot)?;
             }
             // what comes back after a reset needs the rest found again
-            Mode::Disarmed if attempt > 4 && bench.flight.pilot.keep().steps.0 == [0; 3] => {
+            Mode::Disarmed if attempt > 4 && bench.runner.supervisor.keep().steps.0 == [0; 3] => {
                 bench.turn(Some(Order::Reset))?;
                 bench.turn(Some(Order::Zero))?;
                 bench.until(8.0, |t| t.mode != Mode::Aligning)?;
@@ -181,7 +181,7 @@ fn to_armed(bench: &mut crate::drill::bench::Bench) -> Result<bool, MachineError
             }
         }
     }
-    Ok(bench.flight.pilot.mode().moves())
+    Ok(bench.runner.supervisor.mode().moves())
 }
 
 /// Resident memory of this process, KiB.

@@ -24,7 +24,7 @@ pub struct Held {
     /// Mean square of the angle between desired and true tip, degrees².
     pub orientation_error_sq: f64,
     /// Mean square of the angle between felt and true bend vector, degrees².
-    pub felt_error_sq: f64,
+    pub estimate_error_sq: f64,
     /// Time after which the bend error stays within 1°, s; the whole hold if it never does.
     pub settle_s: f64,
     /// Largest less smallest true bend over the scored part, degrees.
@@ -53,7 +53,7 @@ pub struct ArmResult {
     /// RMSE of the tip orientation, degrees.
     pub orientation_rmse_deg: f64,
     /// RMSE of the felt bend vector against the true one, degrees: what the sensing alone errs by.
-    pub felt_rmse_deg: f64,
+    pub estimate_rmse_deg: f64,
     /// Median time to stay within 1°, s.
     pub settle_s_median: f64,
     /// Largest movement within a scored part, degrees.
@@ -95,7 +95,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
     let scored_from = ticks - (SCORED_S / dt_s).round() as usize;
     let want = pose.bend().rotation();
     let mut command = Some(Command { bend: pose.bend(), length: Mm(rig.config.geometry.rest_length_mm) });
-    let (mut sum, mut sum_sq, mut turn_sq, mut felt_sq, mut low, mut high) = (0.0, 0.0, 0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
+    let (mut sum, mut sum_sq, mut turn_sq, mut estimate_sq, mut low, mut high) = (0.0, 0.0, 0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
     let (mut settled_since, mut last) = (0, None);
     let (mut blocked, mut base_moved, mut stopped) = (false, false, false);
     for k in 0..ticks {
@@ -114,7 +114,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
             sum += error_deg;
             sum_sq += error_deg * error_deg;
             turn_sq += want.angle_to(&truth).to_degrees().powi(2);
-            felt_sq += frame.felt.map_or(0.0, |f| (f.bend.0 - true_bend.0).norm().to_degrees().powi(2));
+            estimate_sq += frame.estimate.map_or(0.0, |f| (f.bend.0 - true_bend.0).norm().to_degrees().powi(2));
             (low, high) = (low.min(error_deg), high.max(error_deg));
         }
     }
@@ -127,7 +127,7 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
         bend_error_deg: sum / n,
         bend_error_sq: sum_sq / n,
         orientation_error_sq: turn_sq / n,
-        felt_error_sq: felt_sq / n,
+        estimate_error_sq: estimate_sq / n,
         settle_s: settled_since as f64 * dt_s,
         peak_to_peak_deg: high - low,
         blocked,
@@ -147,7 +147,7 @@ fn summary(name: &str, held: Vec<Held>, k_eps_end: [f64; 3]) -> ArmResult {
         name: name.to_owned(),
         bend_rmse_deg: rms(|h| h.bend_error_sq),
         orientation_rmse_deg: rms(|h| h.orientation_error_sq),
-        felt_rmse_deg: rms(|h| h.felt_error_sq),
+        estimate_rmse_deg: rms(|h| h.estimate_error_sq),
         settle_s_median: settle.get(settle.len() / 2).copied().unwrap_or(0.0),
         peak_to_peak_max_deg: held.iter().map(|h| h.peak_to_peak_deg).fold(0.0, f64::max),
         states: held.len(),

@@ -135,7 +135,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
     let mut plant = String::new();
     if plan.identify {
         let mut world = open(Purpose::Identify).map_err(RigError::from)?;
-        plant.clone_from(&world.nature().name);
+        plant.clone_from(&world.info().name);
         let config = for_world(&base, world.as_ref());
         let result = identify::algorithm_1(&config, world.as_mut(), &paper(), &mut |pass| progress(&format!("identify, pass {pass}")))?;
         (base.lines, base.dynamics) = (result.lines(), result.dynamics);
@@ -144,7 +144,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
     let mut arms = Vec::with_capacity(plan.arms.len());
     for &arm in &plan.arms {
         let mut world = open(Purpose::Arm(arm)).map_err(RigError::from)?;
-        plant.clone_from(&world.nature().name);
+        plant.clone_from(&world.info().name);
         let config = arm.config(&for_world(&base, world.as_ref()));
         let name = format!("arm {}", arm.name());
         arms.push(arm::run(arm.name(), &mut Rig::new(config, world.as_mut()), &paper(), &mut || progress(&name))?);
@@ -155,10 +155,10 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
 /// The plant's own step and rest length take the board's place.
 #[must_use]
 pub fn for_world(config: &LoopConfig, world: &dyn World) -> LoopConfig {
-    let nature = world.nature();
+    let info = world.info();
     let mut config = config.clone();
-    config.drive = Drive { step_mm: nature.step_mm };
-    config.geometry.rest_length_mm = nature.rest_length_mm;
+    config.drive = Drive { step_mm: info.step_mm };
+    config.geometry.rest_length_mm = info.rest_length_mm;
     config
 }
 

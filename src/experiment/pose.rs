@@ -100,10 +100,10 @@ impl Round {
         self.pushes.follow(piston_mm);
         self.since_s += dt_s;
         self.rested_s = if frame.mode == TickPhase::Holding { self.rested_s + dt_s } else { 0.0 };
-        if let Some(felt) = frame.felt {
-            self.bank.step(frame.pistons_give.0, felt.bend.0, dt_s);
+        if let Some(estimate) = frame.estimate {
+            self.bank.step(frame.bend_from_pistons.0, estimate.bend.0, dt_s);
             if self.since_s > HOLD_S - SCORED_S + half_s && self.rested_s > RESTED_S + half_s {
-                self.sum += felt.bend.0;
+                self.sum += estimate.bend.0;
                 self.seen += 1;
                 self.seen_s += dt_s;
             }

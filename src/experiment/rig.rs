@@ -1,6 +1,6 @@
 //! A loop and a world in lockstep.
 
-use crate::control::tick::{Command, LoopConfig, Frame, Input, LoopState, tick};
+use crate::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
 use crate::estimation::fusion::health::ImuReading;
 use crate::simulation::world::{Reply, World};
 use crate::supervisor::machine::MachineError;
@@ -39,7 +39,7 @@ impl<'w> Rig<'w> {
     /// A fresh loop at rest; nothing has moved yet.
     pub fn new(config: LoopConfig, world: &'w mut dyn World) -> Self {
         let state = LoopState::new(&config);
-        let dt_s = world.nature().period_s;
+        let dt_s = world.info().period_s;
         let input = Input { dt_s, ..Input::default() };
         Self { config, state, world, input }
     }
@@ -62,7 +62,7 @@ impl<'w> Rig<'w> {
     /// # Errors
     /// [`RigError::NotStill`] after 20 s, or the world's.
     pub fn align(&mut self) -> Result<(), RigError> {
-        while self.state.fusion.felt().is_none() {
+        while self.state.fusion.estimate().is_none() {
             let (frame, _) = self.advance(None)?;
             if frame.t.0 > ALIGN_MAX_S {
                 return Err(RigError::NotStill(ALIGN_MAX_S, self.state.fusion.waiting_for()));

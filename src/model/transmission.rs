@@ -34,13 +34,13 @@ impl Line {
     }
     /// Slack position that gives a bellow length change: inverse of [`Line::bellow_mm`].
     #[must_use]
-    pub fn slack_mm(&self, q_mm: f64) -> f64 {
+    pub fn play_output_mm(&self, q_mm: f64) -> f64 {
         q_mm * (1.0 + self.k_epsilon)
     }
     /// Eq. 16: piston displacement q̃ for bellow change `q_mm`, pushing to `side` (−1..=1).
     #[must_use]
     pub fn piston_mm(&self, q_mm: f64, side: f64) -> f64 {
-        self.slack_mm(q_mm) + self.k_lambda_mm * side
+        self.play_output_mm(q_mm) + self.k_lambda_mm * side
     }
 }
 
@@ -88,7 +88,7 @@ impl Side {
     /// The inverse with memory: wanted bellow change in, piston position and new state out.
     #[must_use]
     pub fn invert(&self, line: &Line, state: SideState, wanted: &Wanted) -> (f64, SideState) {
-        let want = line.slack_mm(wanted.q_mm);
+        let want = line.play_output_mm(wanted.q_mm);
         let next = match *self {
             Self::Band { band_mm } => band(state, want, band_mm, wanted.reach),
             Self::Smooth { rate_mm_s } => {
@@ -192,7 +192,7 @@ mod tests {
             let side = if up { 1.0 } else { -1.0 };
             let u = l.piston_mm(q, side);
             // arriving from far on the other side, the slack is pushed from behind
-            let w = l.play(l.slack_mm(q) - side * 50.0, u);
+            let w = l.play(l.play_output_mm(q) - side * 50.0, u);
             prop_assert!((l.bellow_mm(w) - q).abs() < 1e-9);
         }
 
@@ -201,9 +201,9 @@ mod tests {
             let smooth = Side::Smooth { rate_mm_s: 1e-3 };
             let (u, _) = smooth.invert(&l, SideState::default(), &wanted(q));
             prop_assert!((u - l.piston_mm(q, 1.0)).abs() < 1e-9);
-            let held = SideState { w_mm: l.slack_mm(q), side: 1.0, way: 1.0 };
+            let held = SideState { w_mm: l.play_output_mm(q), side: 1.0, way: 1.0 };
             let (u, _) = smooth.invert(&l, held, &wanted(q));
-            prop_assert!((u - l.slack_mm(q)).abs() < 1e-9);
+            prop_assert!((u - l.play_output_mm(q)).abs() < 1e-9);
         }
     }
 }

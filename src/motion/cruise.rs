@@ -103,7 +103,8 @@ pub fn arrive_in(limits: &MotionLimits, from: &MotionState, target_mm: f64, dura
     let stop_mm =
         settling(from.velocity_mm_s, from.acceleration_mm_s2, limits).iter().fold(*from, |s, &(t, jerk)| s.after(jerk, t)).position_mm;
     let side = if target_mm >= stop_mm { 1.0 } else { -1.0 };
-    let mirrored = MotionState { position_mm: 0.0, velocity_mm_s: from.velocity_mm_s * side, acceleration_mm_s2: from.acceleration_mm_s2 * side };
+    let mirrored =
+        MotionState { position_mm: 0.0, velocity_mm_s: from.velocity_mm_s * side, acceleration_mm_s2: from.acceleration_mm_s2 * side };
     let way_mm = (target_mm - from.position_mm) * side;
     let cruise = Cruise { limits, from: mirrored, way_mm, duration_s };
     let (speed, cruise_s) = cruise.solve(peak_mm_s)?;

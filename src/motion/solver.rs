@@ -114,7 +114,14 @@ impl Scratch {
     }
 
     /// Step 2: every channel's profile of the common duration, τ.
-    fn synchronise(&mut self, l: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], common: f64, out: &mut Plan) -> Result<(), Refusal> {
+    fn synchronise(
+        &mut self,
+        l: &MotionLimits,
+        from: &[MotionState; 3],
+        target_mm: &[f64; 3],
+        common: f64,
+        out: &mut Plan,
+    ) -> Result<(), Refusal> {
         for channel in 0..3 {
             let (to, plan) = (target_mm[channel], &mut out.channels[channel]);
             let block = &self.blocks[channel];

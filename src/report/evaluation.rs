@@ -185,7 +185,7 @@ fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
             format!("{:.2}°", a.bend_rmse_deg),
             paper,
             format!("{:.2}°", a.orientation_rmse_deg),
-            format!("{:.2}°", a.felt_rmse_deg),
+            format!("{:.2}°", a.estimate_rmse_deg),
             format!("{:.2} s", a.settle_s_median),
             format!("{:.2}°", a.peak_to_peak_max_deg),
             a.states.to_string(),

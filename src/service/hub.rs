@@ -11,15 +11,15 @@ use crate::config::service::ServiceSection;
 use crate::hardware::rt::RtStatus;
 use crate::service::ServiceError;
 use crate::service::calibrate::Session;
-use crate::service::keeper::StateWriter;
 use crate::service::memory::Memory;
 use crate::service::notify::Notifier;
 use crate::service::protocol::{Failure, answer_line};
 use crate::service::record::Recording;
+use crate::service::rt_loop::{Message, OtherEnd, Shared};
 use crate::service::server::Server;
-use crate::service::turns::{Message, OtherEnd, Shared};
+use crate::service::state_writer::StateWriter;
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::cycle::{SupervisorConfig, CycleOutput};
+use crate::supervisor::cycle::{CycleOutput, SupervisorConfig};
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -35,7 +35,7 @@ pub struct Parts {
     /// systemd.
     pub notifier: Notifier,
     /// The disk.
-    pub keeper: StateWriter,
+    pub state_writer: StateWriter,
     /// The rings.
     pub other_end: OtherEnd,
     /// Counters.
@@ -67,7 +67,7 @@ pub struct Parts {
     /// Nothing that was remembered could be believed when the first pilot took off.
     pub doubted: bool,
     /// What the pilot began with.
-    pub pilot: SupervisorConfig,
+    pub supervisor: SupervisorConfig,
     /// The clock is not waited for.
     pub fast: bool,
 }
@@ -279,7 +279,7 @@ impl Hub {
             kept.steps = last.counted;
         }
         let memory = self.parts.memory.clone();
-        let kept = self.parts.keeper.finish(&memory);
+        let kept = self.parts.state_writer.finish(&memory);
         if let Some(Err(e)) = kept.map(|k| k.result) {
             tracing::error!(event = "memory", "the last state could not be kept: {e}");
         }
@@ -289,7 +289,7 @@ impl Hub {
 
     fn status(&self) -> Value {
         let mut value = match &self.last {
-            Some(turned) => super::status::turn(turned, self.parts.pilot.gate.step_mm),
+            Some(turned) => super::status::turn(turned, self.parts.supervisor.gate.step_mm),
             None => json!({"mode": Mode::Boot.name()}),
         };
         let shared = &self.parts.shared;

@@ -307,7 +307,7 @@ mod tests {
         let kept = RestartState {
             steps: crate::primitives::units::Steps([n, -n, 7]),
             bend_rad: [0.1, 1.0 / 3.0],
-            slack_mm: [0.1, 0.2, 0.3],
+            play_output_mm: [0.1, 0.2, 0.3],
             k_epsilon: [2.2; 3],
             k_lambda_mm: [0.9; 3],
             lag_s: 0.03,

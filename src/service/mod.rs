@@ -8,7 +8,7 @@
 //!                    └─▶ keeper (disk)   recorder (disk)   systemd (notify socket)
 //! ```
 //!
-//! The loop thread flies ([`turns`]); it touches no lock, no file and no allocator. The hub thread
+//! The loop thread flies ([`rt_loop`]); it touches no lock, no file and no allocator. The hub thread
 //! ([`hub`]) reads and answers clients, follows the frames and does everything that may wait; what must
 //! be forced to a disk goes through the keeper. When the hub is slow, frames are lost and counted, and
 //! the loop does not notice.
@@ -16,15 +16,15 @@
 pub mod calibrate;
 pub mod client;
 pub mod hub;
-pub mod keeper;
 pub mod memory;
 pub mod notify;
 pub mod protocol;
 pub mod record;
+pub mod rt_loop;
 pub mod server;
+pub mod state_writer;
 pub mod status;
 pub mod tape;
-pub mod turns;
 
 use crate::config::board::Board;
 use crate::config::gains::Gains;
@@ -33,8 +33,8 @@ use crate::hardware::rt::{self, RtWish};
 use crate::service::hub::Hub;
 use crate::service::memory::{Memory, MemoryError, Recall, Store};
 use crate::service::notify::Notifier;
+use crate::service::rt_loop::{Loop, Shared};
 use crate::service::server::Server;
-use crate::service::turns::{Loop, Shared};
 use crate::supervisor::cycle::runner::Runner;
 use crate::supervisor::cycle::{Supervisor, SupervisorConfig};
 use crate::supervisor::machine::Machine;
@@ -49,7 +49,7 @@ pub struct Setup {
     /// The machine, open.
     pub machine: Box<dyn Machine>,
     /// What the pilot runs on.
-    pub pilot: SupervisorConfig,
+    pub supervisor: SupervisorConfig,
     /// The daemon's own table.
     pub service: ServiceSection,
     /// The board, to put a reload together.
@@ -110,15 +110,15 @@ pub fn serve(setup: Setup) -> Result<(), ServiceError> {
     let (store, recall) = Store::open(&setup.service.state)?;
     report_recall(&recall);
     let memory = recall.memory.unwrap_or_default();
-    let pilot = pilot_of(&setup, &memory, recall.unknown);
-    let period_s = setup.machine.nature().period_s;
+    let supervisor = supervisor_of(&setup, &memory, recall.unknown);
+    let period_s = setup.machine.info().period_s;
     let remarks = setup.machine.remarks();
     let server = Server::bind(&setup.service)?;
     let notifier = Notifier::from_env();
     let shared = Arc::new(Shared::default());
-    let (wires, other_end) = turns::wires();
+    let (wires, other_end) = rt_loop::wires();
     let turning = Loop {
-        flight: Runner::new(setup.machine, pilot),
+        runner: Runner::new(setup.machine, supervisor),
         wires,
         shared: Arc::clone(&shared),
         period_s,
@@ -135,11 +135,12 @@ pub fn serve(setup: Setup) -> Result<(), ServiceError> {
     });
     let thread = thread.map_err(|source| ServiceError::System { what: "the loop's thread".to_owned(), source })?;
     let grants = told.recv().map_err(|_| ServiceError::Died)?;
-    let keeper = keeper::start(store).map_err(|source| ServiceError::System { what: "the keeper's thread".to_owned(), source })?;
+    let state_writer =
+        state_writer::start(store).map_err(|source| ServiceError::System { what: "the keeper's thread".to_owned(), source })?;
     let hub = Hub::new(hub::Parts {
         server,
         notifier,
-        keeper,
+        state_writer,
         other_end,
         shared: Arc::clone(&shared),
         memory,
@@ -155,7 +156,7 @@ pub fn serve(setup: Setup) -> Result<(), ServiceError> {
         grants,
         set_aside: recall.set_aside,
         doubted: recall.unknown,
-        pilot: setup.pilot,
+        supervisor: setup.supervisor,
         fast: setup.fast,
     });
     let ended = hub.run(setup.record);
@@ -177,8 +178,8 @@ fn report_recall(recall: &Recall) {
 }
 
 /// A pilot with what is remembered of this very tip.
-fn pilot_of(setup: &Setup, memory: &Memory, unknown: bool) -> Supervisor {
-    let mut config = setup.pilot.clone();
+fn supervisor_of(setup: &Setup, memory: &Memory, unknown: bool) -> Supervisor {
+    let mut config = setup.supervisor.clone();
     if let Some(gains) = memory.accepted.as_ref().filter(|g| g.tip == setup.tip) {
         config.tick.lines =
             std::array::from_fn(|i| crate::model::transmission::Line { k_epsilon: gains.k_epsilon[i], k_lambda_mm: gains.k_lambda_mm[i] });
@@ -193,9 +194,9 @@ fn pilot_of(setup: &Setup, memory: &Memory, unknown: bool) -> Supervisor {
         kept.k_lambda_mm = config.tick.lines.map(|l| l.k_lambda_mm);
         kept.rest = None;
     }
-    let mut pilot = Supervisor::new(config, kept);
+    let mut supervisor = Supervisor::new(config, kept);
     if unknown {
-        pilot.doubt();
+        supervisor.doubt();
     }
-    pilot
+    supervisor
 }

@@ -1,6 +1,6 @@
 //! The status: everything worth knowing, as one JSON object; and what of a turn a subscriber gets.
 
-use crate::control::spent::Saturation;
+use crate::control::saturation::Saturation;
 use crate::control::tick::Frame;
 use crate::service::protocol::VERSION;
 use crate::supervisor::cycle::CycleOutput;
@@ -62,8 +62,8 @@ pub fn turn(turned: &CycleOutput, step_mm: f64) -> Value {
         "mode": turned.mode.name(),
         "target": pose(&f.target.bend),
         "setpoint": pose(&f.setpoint.bend),
-        "felt": f.felt.map(|x| pose(&x.bend)),
-        "sigma_deg": f.felt.and_then(|x| x.sigma_rad).map(|s| round(s.to_degrees())),
+        "felt": f.estimate.map(|x| pose(&x.bend)),
+        "sigma_deg": f.estimate.and_then(|x| x.sigma_rad).map(|s| round(s.to_degrees())),
         "length_mm": round(f.setpoint.length.0),
         "piston_mm": turned.counted.0.map(|n| round(f64::from(n) * step_mm)),
         "counted": turned.counted.0,

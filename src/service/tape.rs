@@ -5,7 +5,7 @@
 //! through the pilot must give every digest again; if not, the software has changed.
 
 use crate::control::tick::{Command, RestartState};
-use crate::estimation::fusion::health::{ReadFault, ImuReading, Quality};
+use crate::estimation::fusion::health::{ImuReading, Quality, ReadFault};
 use crate::model::bend::Bend;
 use crate::model::transmission::Line;
 use crate::primitives::sample::ImuSample;
@@ -59,10 +59,10 @@ pub struct Record {
 #[must_use]
 pub fn digest(turned: &CycleOutput) -> u64 {
     let f = &turned.frame;
-    let felt = f.felt.map_or([f64::NAN; 2], |x| x.bend.0.into());
+    let estimate = f.estimate.map_or([f64::NAN; 2], |x| x.bend.0.into());
     let numbers = [f.setpoint.bend.0.x, f.setpoint.bend.0.y, f.setpoint.length.0, f.error.x, f.error.y, f.feedback.x, f.feedback.y];
     let pistons: [f64; 3] = f.piston_target_mm.into();
-    let floats = numbers.iter().chain(&felt).chain(&pistons).chain(&f.k_epsilon).map(|x| x.to_bits());
+    let floats = numbers.iter().chain(&estimate).chain(&pistons).chain(&f.k_epsilon).map(|x| x.to_bits());
     let rest = turned.steps.0.map(|n| n as u64).into_iter().chain([turned.mode as u64, u64::from(turned.energise)]);
     floats.chain(rest).flat_map(u64::to_le_bytes).fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
@@ -286,7 +286,8 @@ mod tests {
             Order::Stream(command),
             Order::Lines(lines),
         ]);
-        let outcomes = [ImuReading::Nothing, ImuReading::Sample(sample, Quality::default())].into_iter().chain(FAULTS.map(ImuReading::Failed));
+        let outcomes =
+            [ImuReading::Nothing, ImuReading::Sample(sample, Quality::default())].into_iter().chain(FAULTS.map(ImuReading::Failed));
         let alarms = [
             None,
             Some(Alarm::Late { late_s: 0.5 }),

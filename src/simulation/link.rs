@@ -7,7 +7,7 @@ use crate::primitives::frames::Rotation;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::world::{Reply, World};
-use crate::supervisor::machine::{MachineInfo, MachineError};
+use crate::supervisor::machine::{MachineError, MachineInfo};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, BufWriter, Read, Write};
@@ -54,7 +54,7 @@ pub struct Link {
     child: Child,
     to: BufWriter<ChildStdin>,
     from: Receiver<std::io::Result<String>>,
-    nature: MachineInfo,
+    info: MachineInfo,
     n: u64,
     last: String,
 }
@@ -70,9 +70,9 @@ impl Link {
         let missing = || fail(std::io::Error::other("no pipe to it"));
         let to = BufWriter::new(child.stdin.take().ok_or_else(missing)?);
         let from = read_lines(child.stdout.take().ok_or_else(missing)?);
-        let nature = MachineInfo { name: String::new(), period_s: 0.0, step_mm: 0.0, rest_length_mm: 0.0 };
-        let mut link = Self { child, to, from, nature, n: 0, last: "(nothing yet)".to_owned() };
-        link.nature = greeting(&link.line()?)?;
+        let info = MachineInfo { name: String::new(), period_s: 0.0, step_mm: 0.0, rest_length_mm: 0.0 };
+        let mut link = Self { child, to, from, info, n: 0, last: "(nothing yet)".to_owned() };
+        link.info = greeting(&link.line()?)?;
         Ok(link)
     }
 
@@ -114,13 +114,13 @@ impl Drop for Link {
 }
 
 impl World for Link {
-    fn nature(&self) -> &MachineInfo {
-        &self.nature
+    fn info(&self) -> &MachineInfo {
+        &self.info
     }
 
     fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError> {
         self.n += 1;
-        let t = self.n as f64 * self.nature.period_s;
+        let t = self.n as f64 * self.info.period_s;
         let [a, b, c] = steps.0;
         let sent = writeln!(self.to, "{{\"t\":{t:.6},\"steps\":[{a},{b},{c}]}}").and_then(|()| self.to.flush());
         if sent.is_err() {

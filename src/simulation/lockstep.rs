@@ -3,7 +3,7 @@
 use crate::estimation::fusion::health::ImuReading;
 use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::world::World;
-use crate::supervisor::machine::{Inputs, Machine, MachineInfo, Sensed, MachineError};
+use crate::supervisor::machine::{Inputs, Machine, MachineError, MachineInfo, Sensed};
 
 /// Turns of a world that one turn of a late loop may catch up on at most.
 const CATCH_UP_MAX: u32 = 2000;
@@ -31,12 +31,12 @@ impl<W: World> Lockstep<W> {
 }
 
 impl<W: World + Send> Machine for Lockstep<W> {
-    fn nature(&self) -> &MachineInfo {
-        self.world.nature()
+    fn info(&self) -> &MachineInfo {
+        self.world.info()
     }
 
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
-        let period_s = self.world.nature().period_s;
+        let period_s = self.world.info().period_s;
         let mut said = Sensed {
             t: now,
             imu: ImuReading::Nothing,
@@ -79,6 +79,6 @@ impl<W: World + Send> Machine for Lockstep<W> {
     }
 
     fn remarks(&self) -> Vec<String> {
-        vec![format!("plant {}", self.world.nature().name)]
+        vec![format!("plant {}", self.world.info().name)]
     }
 }

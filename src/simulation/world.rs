@@ -8,7 +8,7 @@ use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::plant::PlantError;
-use crate::supervisor::machine::{MachineInfo, MachineError};
+use crate::supervisor::machine::{MachineError, MachineInfo};
 
 /// Answer to one step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,7 +24,7 @@ pub struct Reply {
 /// Something that moves when microsteps are counted.
 pub trait World {
     /// What it is.
-    fn nature(&self) -> &MachineInfo;
+    fn info(&self) -> &MachineInfo;
     /// Holds the counts for one period and answers.
     ///
     /// # Errors

@@ -165,7 +165,7 @@ pub struct GateInput {
     /// The drivers are armed.
     pub armed: bool,
     /// Bellow length changes that go with the felt bend, mm; `None` when nothing is felt.
-    pub felt_bellow_mm: Option<[f64; 3]>,
+    pub estimated_bellow_mm: Option<[f64; 3]>,
     /// Set-point less felt bend and the set-point itself, rad; `None` when there is nothing to follow.
     pub following: Option<Following>,
     /// Age of the last usable orientation, s.
@@ -184,7 +184,7 @@ pub struct Following {
     /// Where the tip is led.
     pub setpoint: [f64; 2],
     /// Where it is.
-    pub felt: [f64; 2],
+    pub estimate: [f64; 2],
 }
 
 /// What the gate lets through.
@@ -373,8 +373,8 @@ impl Gate {
             if acceleration.over(l.acceleration_mm_s2) {
                 return Some(TripCause::Acceleration);
             }
-            if let Some(felt) = told.felt_bellow_mm
-                && (at_mm - felt[i]).abs() > l.squeeze_mm
+            if let Some(estimate) = told.estimated_bellow_mm
+                && (at_mm - estimate[i]).abs() > l.squeeze_mm
                 && told.wanted.0[i] != last.0[i]
             {
                 return Some(TripCause::Pressure);
@@ -407,7 +407,7 @@ impl Gate {
 
     /// How long the felt bend has been further from the set-point than its speed explains.
     fn follow_setpoint(&mut self, told: &GateInput) {
-        let Some(Following { setpoint, felt }) = told.following else {
+        let Some(Following { setpoint, estimate }) = told.following else {
             (self.setpoint, self.recent_rad_s, self.astray_s) = (None, 0.0, 0.0);
             return;
         };
@@ -416,7 +416,7 @@ impl Gate {
         self.recent_rad_s = speed.max(self.recent_rad_s * (-told.dt_s / self.limits.following_s).exp());
         let allowed = self.limits.following_rad + self.limits.following_s * self.recent_rad_s;
         // what is no number is no bend either
-        let follows = distance(&setpoint, &felt) <= allowed;
+        let follows = distance(&setpoint, &estimate) <= allowed;
         self.astray_s = if follows { 0.0 } else { self.astray_s + told.dt_s };
     }
 

@@ -139,7 +139,7 @@ pub enum MachineError {
 /// Something that bends a tip and feels it.
 pub trait Machine: Send {
     /// What it is.
-    fn nature(&self) -> &MachineInfo;
+    fn info(&self) -> &MachineInfo;
 
     /// One turn of the loop at `now` (strictly later than the last): takes the counts that are wanted by
     /// the end of the coming period and hands over what has come since the last turn. Never blocks.
@@ -167,8 +167,8 @@ pub trait Machine: Send {
 }
 
 impl<M: Machine + ?Sized> Machine for Box<M> {
-    fn nature(&self) -> &MachineInfo {
-        (**self).nature()
+    fn info(&self) -> &MachineInfo {
+        (**self).info()
     }
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         (**self).turn(now, wanted)

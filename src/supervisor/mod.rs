@@ -2,7 +2,7 @@
 //!
 //! * [`mode`]: one table of transitions; nothing else changes the mode.
 //! * [`gate`]: stands between the controller and the step generator and trusts neither.
-//! * [`explain`]: turns the difference between what the pistons did and what the IMU measured into a cause.
+//! * [`residual_monitor`]: turns the difference between what the pistons did and what the IMU measured into a cause.
 //! * [`machine`]: the trait that hardware and simulations implement.
 //! * [`cycle`]: one cycle of the supervised loop, the same on every machine.
 //!
@@ -10,7 +10,7 @@
 
 pub mod commission;
 pub mod cycle;
-pub mod explain;
 pub mod gate;
 pub mod machine;
 pub mod mode;
+pub mod residual_monitor;

@@ -64,22 +64,22 @@ fn drives_lose_invert_stop_and_switch_off() {
     rig.plant.clear();
     assert!((rig.at([0.0; 3]) - lost).norm() < 1e-9, "lost steps stay lost");
 
-    let slack = |rig: &mut Rig, to: f64| {
+    let play_output = |rig: &mut Rig, to: f64| {
         rig.at([to, 0.0, 0.0]);
-        last(&rig.hold(0.01)).truth.slack_mm.x
+        last(&rig.hold(0.01)).truth.play_output_mm.x
     };
     let mut rig = Rig::clean("");
     rig.plant.inject(InjectedFault::Inverted { channel: Channel::One });
-    assert!((slack(&mut rig, 5.0) + 5.0).abs() < 0.02);
+    assert!((play_output(&mut rig, 5.0) + 5.0).abs() < 0.02);
     let mut rig = Rig::clean("");
     rig.plant.inject(InjectedFault::Disabled { channel: Channel::One });
-    assert_eq!(slack(&mut rig, 5.0), 0.0);
+    assert_eq!(play_output(&mut rig, 5.0), 0.0);
     rig.plant.clear();
-    assert!((slack(&mut rig, 6.0) - 1.0).abs() < 0.03, "what was sent meanwhile is lost");
+    assert!((play_output(&mut rig, 6.0) - 1.0).abs() < 0.03, "what was sent meanwhile is lost");
     let mut rig = Rig::clean("");
     rig.plant.inject(InjectedFault::EndStop { channel: Channel::One, at_mm: -4.0 });
-    assert!((slack(&mut rig, 7.0) - 7.0).abs() < 0.02 && (slack(&mut rig, -9.0) + 4.0).abs() < 0.02);
-    assert!((slack(&mut rig, -8.0) + 3.0).abs() < 0.03, "it comes off the stop at once, 5 mm short");
+    assert!((play_output(&mut rig, 7.0) - 7.0).abs() < 0.02 && (play_output(&mut rig, -9.0) + 4.0).abs() < 0.02);
+    assert!((play_output(&mut rig, -8.0) + 3.0).abs() < 0.03, "it comes off the stop at once, 5 mm short");
 }
 
 #[test]

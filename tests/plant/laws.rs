@@ -55,9 +55,9 @@ fn every_effect_leaves_its_trace_in_its_own_place() {
         }
         let out = wander(&mut Rig::new(&c));
         let moved = out.iter().zip(&none).any(|(a, b)| a.truth.r_base_tip.angle_to(&b.truth.r_base_tip) > 0.1f64.to_radians());
-        let felt = out.iter().zip(&none).any(|(a, b)| a.imu != b.imu);
+        let estimate = out.iter().zip(&none).any(|(a, b)| a.imu != b.imu);
         let unmoved = e.stage == "sensor" || e.stage == "base" || ["sensor_latency", "clock_drift", "sensor_freeze"].contains(&e.name);
-        assert!(felt, "{} is felt nowhere", e.name);
+        assert!(estimate, "{} is felt nowhere", e.name);
         assert_eq!(moved, !unmoved, "{}", e.name);
     }
 }
@@ -145,7 +145,7 @@ fn nothing_makes_a_nan() {
             let out = plant.step(&Steps(counts), dt);
             let t = &out.truth;
             assert!((t.r_base_tip.quat().norm() - 1.0).abs() < 1e-9, "seed {seed} step {k}");
-            let all = [t.bellow_mm, t.slack_mm, t.pressure_kpa];
+            let all = [t.bellow_mm, t.play_output_mm, t.pressure_kpa];
             assert!(all.iter().flat_map(|v| v.iter()).all(|x| x.is_finite()), "seed {seed} step {k}: {out:?}");
             assert!(out.imu.iter().chain(&out.base_imu).all(|s| s.is_finite()), "seed {seed} step {k}: {out:?}");
         }

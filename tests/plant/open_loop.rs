@@ -96,7 +96,7 @@ impl Bench {
         let q = self.geometry.lengths(&Shape { bend: *bend, length: Mm(self.geometry.rest_length_mm) });
         Vector3::from_fn(|i, _| match arm {
             Arm::None => q[i],
-            Arm::Extension => lines[i].slack_mm(q[i]),
+            Arm::Extension => lines[i].play_output_mm(q[i]),
             Arm::Backlash => {
                 let (u, next) =
                     Side::Band { band_mm: 0.05 }.invert(&lines[i], self.sides[i], &Wanted { q_mm: q[i], dt_s: DT_S, reach: 1.0 });

@@ -53,7 +53,7 @@ pub struct TipPlant {
     pub push: Vector3<f64>,
     /// What something outside bends it by besides, rad.
     pub aside: nalgebra::Vector2<f64>,
-    slack: Vector3<f64>,
+    play_output: Vector3<f64>,
     bellow: Vector3<f64>,
     bend: Bend,
     before: UnitQuaternion<f64>,
@@ -101,7 +101,7 @@ impl TipPlant {
             base_rate: Vector3::zeros(),
             push: Vector3::zeros(),
             aside: nalgebra::Vector2::zeros(),
-            slack: Vector3::zeros(),
+            play_output: Vector3::zeros(),
             bellow: Vector3::zeros(),
             bend: Bend::STRAIGHT,
             before: base,
@@ -117,8 +117,8 @@ impl TipPlant {
         let piston = self.drive.piston_mm(steps);
         let keep = (-self.dt_s / self.lag_s).exp();
         for i in 0..3 {
-            self.slack[i] = self.lines[i].play(self.slack[i], piston[i]);
-            let q = self.lines[i].bellow_mm(self.slack[i]);
+            self.play_output[i] = self.lines[i].play(self.play_output[i], piston[i]);
+            let q = self.lines[i].bellow_mm(self.play_output[i]);
             self.bellow[i] = q + (self.bellow[i] - q) * keep;
         }
         self.before = self.base * self.bend.rotation().quat();

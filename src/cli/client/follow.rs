@@ -30,9 +30,13 @@ pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
     loop {
         std::thread::sleep(Duration::from_millis(50));
         let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
-        let felt = s["felt"]["bend_deg"].as_f64().unwrap_or(0.0);
-        let line =
-            format!("{:>5.1} s  {}  felt {felt:.1}° of {:.1}°", begun.elapsed().as_secs_f64(), s["mode"].as_str().unwrap_or(""), args.bend);
+        let estimate = s["felt"]["bend_deg"].as_f64().unwrap_or(0.0);
+        let line = format!(
+            "{:>5.1} s  {}  felt {estimate:.1}° of {:.1}°",
+            begun.elapsed().as_secs_f64(),
+            s["mode"].as_str().unwrap_or(""),
+            args.bend
+        );
         if live {
             eprint!("\r{line}   ");
         }

@@ -49,8 +49,8 @@ pub struct DynamicsBank {
     commanded: Vector2<f64>,
     candidates: [[Candidate; DELAYS_S.len()]; LAGS_S.len()],
     yy: f64,
-    slow_felt: Vector2<f64>,
-    last_felt: Vector2<f64>,
+    slow_estimate: Vector2<f64>,
+    last_estimate: Vector2<f64>,
     motion_rad: f64,
     due_s: f64,
 }
@@ -63,8 +63,8 @@ impl Default for DynamicsBank {
             commanded: Vector2::zeros(),
             candidates: Default::default(),
             yy: 0.0,
-            slow_felt: Vector2::zeros(),
-            last_felt: Vector2::zeros(),
+            slow_estimate: Vector2::zeros(),
+            last_estimate: Vector2::zeros(),
             motion_rad: 0.0,
             due_s: 0.0,
         }
@@ -73,7 +73,7 @@ impl Default for DynamicsBank {
 
 impl DynamicsBank {
     /// One tick with the bend the pistons should give and the felt bend, rad.
-    pub fn step(&mut self, commanded: Vector2<f64>, felt: Vector2<f64>, dt_s: f64) {
+    pub fn step(&mut self, commanded: Vector2<f64>, estimate: Vector2<f64>, dt_s: f64) {
         self.due_s += dt_s;
         self.commanded += commanded * dt_s;
         if self.due_s < PERIOD_S - 1e-9 {
@@ -88,14 +88,14 @@ impl DynamicsBank {
         self.commanded = Vector2::zeros();
         let delayed = DELAYS_S.map(|delay_s| self.back(delay_s / dt_s));
         let slow_keep = (-dt_s / HIGH_PASS_S).exp();
-        self.slow_felt = felt + (self.slow_felt - felt) * slow_keep;
-        let fast_felt = felt - self.slow_felt;
-        let path = (felt - self.last_felt).norm();
-        self.last_felt = felt;
+        self.slow_estimate = estimate + (self.slow_estimate - estimate) * slow_keep;
+        let fast_estimate = estimate - self.slow_estimate;
+        let path = (estimate - self.last_estimate).norm();
+        self.last_estimate = estimate;
         let moving = path > 0.02 * dt_s.max(PERIOD_S);
         self.motion_rad += if moving { path } else { 0.0 };
         let forget = if moving { (-dt_s / MEMORY_S).exp() } else { 1.0 };
-        self.yy = self.yy * forget + fast_felt.norm_squared() * dt_s;
+        self.yy = self.yy * forget + fast_estimate.norm_squared() * dt_s;
         for (row, &lag_s) in self.candidates.iter_mut().zip(&LAGS_S) {
             let keep = (-dt_s / lag_s).exp();
             for (c, delayed) in row.iter_mut().zip(&delayed) {
@@ -103,7 +103,7 @@ impl DynamicsBank {
                 c.slow = c.lagged + (c.slow - c.lagged) * slow_keep;
                 let fast = c.lagged - c.slow;
                 c.xx = c.xx * forget + fast.norm_squared() * dt_s;
-                c.xy = c.xy * forget + fast.dot(&fast_felt) * dt_s;
+                c.xy = c.xy * forget + fast.dot(&fast_estimate) * dt_s;
             }
         }
     }
@@ -152,9 +152,9 @@ mod tests {
             let step: Vector2<f64> = target - at;
             let size = step.norm();
             at += if size > 1.5 * dt_s { step * (1.5 * dt_s / size) } else { step };
-            let felt = plant.step(at, &truth, dt_s);
-            crept += (felt * 0.1 - crept) * (dt_s / 5.0);
-            bank.step(at, felt * 0.9 + crept, dt_s);
+            let estimate = plant.step(at, &truth, dt_s);
+            crept += (estimate * 0.1 - crept) * (dt_s / 5.0);
+            bank.step(at, estimate * 0.9 + crept, dt_s);
         }
         bank.best(&Dynamics { lag_s: 0.03, delay_s: 0.01 })
     }

@@ -117,7 +117,7 @@ impl RefineState {
         config: &RefineConfig,
         lines: &[Line; 3],
         bend: &Vector2<f64>,
-        slack_mm: &Vector3<f64>,
+        play_output_mm: &Vector3<f64>,
         bellow_mm: &Vector3<f64>,
     ) -> Option<[Line; 3]> {
         let new = self.last_pose.is_none_or(|p| (bend - p).norm() >= config.pose_step_deg.to_radians());
@@ -127,7 +127,7 @@ impl RefineState {
         self.last_pose = Some(*bend);
         let (sector, mut next) = (sector_of(bend), *lines);
         for i in 0..3 {
-            if bellow_mm[i].abs() >= config.strain_min_mm && self.channels[i].add(config, sector, slack_mm[i], bellow_mm[i]) {
+            if bellow_mm[i].abs() >= config.strain_min_mm && self.channels[i].add(config, sector, play_output_mm[i], bellow_mm[i]) {
                 self.raw[i] = self.channels[i].gain(config);
                 let step = config.step_max * (1.0 + lines[i].k_epsilon);
                 next[i].k_epsilon += (self.raw[i] - lines[i].k_epsilon).clamp(-step, step);

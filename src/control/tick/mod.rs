@@ -14,16 +14,16 @@ mod pistons;
 mod state;
 mod types;
 
-pub use state::{RestartState, RestartRest, LoopState};
-pub use types::{Command, LoopConfig, FeedbackConfig, Frame, Input, TickPhase, Senses};
+pub use state::{LoopState, RestartRest, RestartState};
+pub use types::{Command, FeedbackConfig, Frame, Input, LoopConfig, Senses, TickPhase};
 
 use crate::control::follow::Follower;
-use crate::control::limit::Cut;
+use crate::control::limits::Cut;
 use crate::control::pi::PiGains;
-use crate::control::rest::StandstillLatch;
+use crate::control::standstill::StandstillLatch;
+use crate::estimation::fusion::base_watch::{Watch, WatchInput};
 use crate::estimation::fusion::health::{HealthAction, ImuReading as Reading};
-use crate::estimation::fusion::tip::{TipEstimate, FusionInput};
-use crate::estimation::fusion::watch::{WatchInput, Watch};
+use crate::estimation::fusion::tip::{FusionInput, TipEstimate};
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::model::transmission::{Line, realised};
@@ -40,9 +40,9 @@ const LEARN_AFTER_S: f64 = 0.15;
 /// One turn of the loop.
 pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame {
     feel(config, state, input);
-    let given = pistons_give(config, state, input);
-    let felt = state.fusion.felt();
-    let Some(felt_bend) = felt.map(|f| f.bend) else {
+    let given = bend_from_pistons(config, state, input);
+    let estimate = state.fusion.estimate();
+    let Some(estimated_bend) = estimate.map(|f| f.bend) else {
         return frame(config, state, input, None, given, PistonOutput::resting(state));
     };
     if let Some(command) = input.command {
@@ -51,22 +51,22 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     let holding = hold(config, state);
     let cut_setpoint = if holding { Cut::None } else { advance_setpoint(config, state, input.dt_s) };
     let moving = !state.bend.arrived(&state.target.bend.0);
-    let should = state.model.step(given.0 - state.pi.feedback, &state.dynamics, input.dt_s);
-    watch_base(config, state, input, should, felt_bend);
-    let error = feed_back(config, state, should, felt_bend, moving || holding, input.dt_s);
+    let predicted = state.model.step(given.0 - state.pi.feedback, &state.dynamics, input.dt_s);
+    watch_base(config, state, input, predicted, estimated_bend);
+    let error = feed_back(config, state, predicted, estimated_bend, moving || holding, input.dt_s);
     if config.feedback.is_some() && !holding && !state.base_moved {
-        learn(config, state, given, felt_bend, input.dt_s);
+        learn(config, state, given, estimated_bend, input.dt_s);
     }
-    let mut outcome = command_pistons(config, state, felt_bend, moving, input.dt_s);
+    let mut outcome = command_pistons(config, state, estimated_bend, moving, input.dt_s);
     outcome.error = error;
     if let Some(f) = &config.feedback {
-        let off = !state.rest.closed && (state.target.bend.0 - felt_bend.0).norm() > f.wall.error_rad;
+        let off = !state.rest.closed && (state.target.bend.0 - estimated_bend.0).norm() > f.wall.error_rad;
         state.spent.step(moving || holding, off, state.full, outcome.cut, input.dt_s);
     }
     if outcome.cut == Cut::None {
         outcome.cut = cut_setpoint;
     }
-    frame(config, state, input, felt, given, outcome)
+    frame(config, state, input, estimate, given, outcome)
 }
 
 /// Fusion, told whether the pistons have rested.
@@ -107,13 +107,13 @@ fn hold(config: &LoopConfig, state: &mut LoopState) -> bool {
 }
 
 /// The watch for a base that turns, where no base IMU tells; and the request to align again.
-fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Input, should: Vector2<f64>, felt: Bend) {
+fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Input, predicted: Vector2<f64>, estimate: Bend) {
     // by the play, not as the inverse meant it: what was answered before the flag is taken back through
     // the gap, and need not end where it began
-    let played = config.geometry.shape(&bellows_of(&state.lines, &state.slack_mm)).bend.0;
+    let played = config.geometry.shape(&bellows_of(&state.lines, &state.play_output_mm)).bend.0;
     let quiet_bend = Bend(state.quiet[1] + played - state.quiet[2]);
     if input.realign {
-        state.fusion.realign(if state.base_moved { quiet_bend } else { felt });
+        state.fusion.realign(if state.base_moved { quiet_bend } else { estimate });
         return;
     }
     if state.fusion.realigning() {
@@ -125,10 +125,10 @@ fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Input, should:
     };
     let seen = WatchInput {
         rate_rad_s,
-        felt: felt.0,
-        model: should + state.pi.feedback,
+        estimate: estimate.0,
+        model: predicted + state.pi.feedback,
         setpoint: state.bend.at,
-        to_go: state.target.bend.0 - felt.0,
+        to_go: state.target.bend.0 - estimate.0,
         still_s: state.still_s,
         answer_s: state.dynamics.lag_s + state.dynamics.delay_s,
         twists: state.fusion.twists(),
@@ -139,7 +139,7 @@ fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Input, should:
         // back to what was right before it turned
         (state.pi.integral, state.pi.feedback) = (state.quiet[0], state.quiet[0]);
     } else if state.watch.quiet() {
-        state.quiet = [state.pi.integral, felt.0, played];
+        state.quiet = [state.pi.integral, estimate.0, played];
         state.fusion.remember(input.t);
     }
 }
@@ -147,17 +147,17 @@ fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Input, should:
 /// What the pulses so far have done: the slack by the play operator, which teaches k_ε, and the slack
 /// as the inverse meant it, which the error is taken against. They differ while a nudge has jumped
 /// only a share of the gap, and then it is the meant one that the integrator must push on.
-fn pistons_give(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Bend {
+fn bend_from_pistons(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Bend {
     let piston_mm = config.drive.piston_mm(&input.steps);
     for i in 0..3 {
-        state.slack_mm[i] = state.lines[i].play(state.slack_mm[i], piston_mm[i]);
+        state.play_output_mm[i] = state.lines[i].play(state.play_output_mm[i], piston_mm[i]);
         state.realised_mm[i] = realised(&state.lines[i], &state.sides[i], state.realised_mm[i], piston_mm[i]);
     }
     config.geometry.shape(&bellows_of(&state.lines, &state.realised_mm)).bend
 }
 
-fn bellows_of(lines: &[Line; 3], slack_mm: &Vector3<f64>) -> Vector3<f64> {
-    Vector3::from_fn(|i, _| lines[i].bellow_mm(slack_mm[i]))
+fn bellows_of(lines: &[Line; 3], play_output_mm: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::from_fn(|i, _| lines[i].bellow_mm(play_output_mm[i]))
 }
 
 /// Moves the set-point towards the target, both kept within what the bellows can be.
@@ -178,12 +178,12 @@ fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, dt_s: f64) -> Cu
 
 /// PI on the bend vector against what the model says should be felt by now. With a base that has
 /// moved the error means nothing, and the integrator keeps what it had.
-fn feed_back(config: &LoopConfig, state: &mut LoopState, should: Vector2<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector2<f64> {
-    let error = should - felt.0;
+fn feed_back(config: &LoopConfig, state: &mut LoopState, predicted: Vector2<f64>, estimate: Bend, moving: bool, dt_s: f64) -> Vector2<f64> {
+    let error = predicted - estimate.0;
     let Some(f) = &config.feedback else {
         return error;
     };
-    let to_go = state.target.bend.0 - felt.0;
+    let to_go = state.target.bend.0 - estimate.0;
     if state.base_moved {
         state.rest = StandstillLatch::default();
         state.pi.feedback = state.pi.integral;
@@ -192,7 +192,7 @@ fn feed_back(config: &LoopConfig, state: &mut LoopState, should: Vector2<f64>, f
     state.rest.step(&f.rest, to_go, moving, dt_s);
     state.rested_s = if state.rest.closed { state.rested_s + dt_s } else { 0.0 };
     let feedback = state.pi.feedback;
-    state.wall.step(&f.wall, moving, &feedback, &felt.0, &to_go);
+    state.wall.step(&f.wall, moving, &feedback, &estimate.0, &to_go);
     if !state.rest.closed && !state.wall.blocked && state.held.is_none() {
         let gains = PiGains::skogestad(&state.dynamics, f.tau_c_s, f.kp_max);
         state.full = state.pi.step(error, &gains, f.integral_max_rad, dt_s);
@@ -201,10 +201,10 @@ fn feed_back(config: &LoopConfig, state: &mut LoopState, should: Vector2<f64>, f
 }
 
 /// Online learners: dynamics while it moves, k_ε from every new held pose.
-fn learn(config: &LoopConfig, state: &mut LoopState, given: Bend, felt: Bend, dt_s: f64) {
+fn learn(config: &LoopConfig, state: &mut LoopState, given: Bend, estimate: Bend, dt_s: f64) {
     let learns_dynamics = config.feedback.is_some_and(|f| f.learn_dynamics);
     if learns_dynamics {
-        state.bank.step(given.0, felt.0, dt_s);
+        state.bank.step(given.0, estimate.0, dt_s);
     }
     let just_settled = state.rested_s >= LEARN_AFTER_S && state.rested_s - dt_s < LEARN_AFTER_S;
     if !just_settled {
@@ -213,8 +213,8 @@ fn learn(config: &LoopConfig, state: &mut LoopState, given: Bend, felt: Bend, dt
     if let (true, Some(better)) = (learns_dynamics, state.bank.best(&state.dynamics)) {
         state.dynamics = better;
     }
-    let q = config.geometry.lengths(&Shape { bend: felt, length: Mm(state.length.at.x) });
-    let learned = state.refine.learn(&config.refine, &state.lines, &felt.0, &state.slack_mm, &q);
+    let q = config.geometry.lengths(&Shape { bend: estimate, length: Mm(state.length.at.x) });
+    let learned = state.refine.learn(&config.refine, &state.lines, &estimate.0, &state.play_output_mm, &q);
     if let Some(next) = learned {
         // bumpless: the pistons stay, so the same slack now means another bend command
         let was = config.geometry.shape(&bellows_of(&state.lines, &state.realised_mm)).bend;
@@ -224,8 +224,15 @@ fn learn(config: &LoopConfig, state: &mut LoopState, given: Bend, felt: Bend, dt
     }
 }
 
-fn frame(config: &LoopConfig, state: &LoopState, input: &Input, felt: Option<TipEstimate>, given: Bend, outcome: PistonOutput) -> Frame {
-    let mode = match felt {
+fn frame(
+    config: &LoopConfig,
+    state: &LoopState,
+    input: &Input,
+    estimate: Option<TipEstimate>,
+    given: Bend,
+    outcome: PistonOutput,
+) -> Frame {
+    let mode = match estimate {
         None => TickPhase::Aligning,
         Some(_) if state.bend.arrived(&state.target.bend.0) => TickPhase::Holding,
         Some(_) => TickPhase::Tracking,
@@ -235,8 +242,8 @@ fn frame(config: &LoopConfig, state: &LoopState, input: &Input, felt: Option<Tip
         mode,
         target: state.target,
         setpoint: Shape { bend: Bend(state.bend.at), length: Mm(state.length.at.x) },
-        felt,
-        pistons_give: given,
+        estimate,
+        bend_from_pistons: given,
         error: outcome.error,
         feedback: state.pi.feedback,
         bellow_mm: outcome.bellow_mm,
@@ -252,7 +259,7 @@ fn frame(config: &LoopConfig, state: &LoopState, input: &Input, felt: Option<Tip
             action: state.fusion.verdict().map_or(HealthAction::Use, |v| v.action()),
             in_force: state.fusion.in_force(),
             held: state.held.is_some(),
-            disagrees: felt.is_some_and(|f| f.disagrees),
+            disagrees: estimate.is_some_and(|f| f.disagrees),
         },
         base_moved: state.base_moved,
         base_doubted: state.fusion.doubts_base(&config.fuse),

@@ -1,8 +1,8 @@
 //! The command path: bend command → bellow lengths → transmission inverse → limits → paced pistons.
 
 use super::{LoopConfig, LoopState};
-use crate::control::limit::Cut;
-use crate::control::reach::Patience;
+use crate::control::backlash_adaptation::Patience;
+use crate::control::limits::Cut;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::model::transmission::Wanted;
@@ -32,7 +32,7 @@ impl PistonOutput {
 }
 
 /// Bend command → bellow lengths → transmission inverse → limits → paced pistons.
-pub(super) fn command_pistons(config: &LoopConfig, state: &mut LoopState, felt: Bend, moving: bool, dt_s: f64) -> PistonOutput {
+pub(super) fn command_pistons(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, dt_s: f64) -> PistonOutput {
     let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.lag_s);
     let bend = Bend(state.bend.at + state.bend.velocity * lead_s + state.pi.feedback);
     let length = Mm(state.length.at.x);
@@ -43,9 +43,9 @@ pub(super) fn command_pistons(config: &LoopConfig, state: &mut LoopState, felt: 
     } else if state.rest.closed {
         Vector3::from_fn(|i, _| state.pistons[i].at.x)
     } else {
-        invert_transmission(config, state, &bellow_mm, felt, moving, dt_s)
+        invert_transmission(config, state, &bellow_mm, estimate, moving, dt_s)
     };
-    let felt_mm = config.geometry.lengths(&Shape { bend: felt, length });
+    let felt_mm = config.geometry.lengths(&Shape { bend: estimate, length });
     let (allowed_mm, cut) = config.limits.pistons(&piston_mm, &felt_mm);
     let piston_target_mm = eased(state, allowed_mm, dt_s);
     for i in 0..3 {
@@ -70,7 +70,14 @@ fn eased(state: &mut LoopState, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f
 }
 
 /// Eq. 16 per channel; a reversal asked for by feedback alone jumps the learned share of the gap.
-fn invert_transmission(config: &LoopConfig, state: &mut LoopState, bellow_mm: &Vector3<f64>, felt: Bend, moving: bool, dt_s: f64) -> Vector3<f64> {
+fn invert_transmission(
+    config: &LoopConfig,
+    state: &mut LoopState,
+    bellow_mm: &Vector3<f64>,
+    estimate: Bend,
+    moving: bool,
+    dt_s: f64,
+) -> Vector3<f64> {
     let nudging = config.feedback.is_some() && !moving;
     let mut turned = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {
@@ -84,9 +91,9 @@ fn invert_transmission(config: &LoopConfig, state: &mut LoopState, bellow_mm: &V
     if nudging {
         let answer_s = state.dynamics.delay_s + 3.0 * state.dynamics.lag_s + 0.08;
         let worth_rad = config.feedback.map_or(0.0, |f| f.rest.open_rad);
-        let bites = state.reach.step(turned, &(state.target.bend.0 - felt.0), &Patience { answer_s, worth_rad }, dt_s);
-        for (side, bite) in state.sides.iter_mut().zip(bites) {
-            side.side = (side.side + 2.0 * bite * side.way).clamp(-1.0, 1.0);
+        let increments = state.reach.step(turned, &(state.target.bend.0 - estimate.0), &Patience { answer_s, worth_rad }, dt_s);
+        for (side, increment) in state.sides.iter_mut().zip(increments) {
+            side.side = (side.side + 2.0 * increment * side.way).clamp(-1.0, 1.0);
         }
     } else {
         state.reach.forget();

@@ -1,16 +1,16 @@
 //! What the loop remembers from tick to tick, and what of it outlives a restart.
 
 use super::{LoopConfig, bellows_of};
+use crate::control::backlash_adaptation::BacklashAdaptation;
 use crate::control::follow::Follower;
 use crate::control::learning::dynamics::DynamicsBank;
 use crate::control::learning::online::RefineState;
+use crate::control::obstruction::ObstructionDetector;
 use crate::control::pi::{Dynamics, PiState, ReferenceModel};
-use crate::control::reach::BacklashAdaptation;
-use crate::control::rest::StandstillLatch;
-use crate::control::spent::SaturationMonitor;
-use crate::control::wall::ObstructionDetector;
+use crate::control::saturation::SaturationMonitor;
+use crate::control::standstill::StandstillLatch;
+use crate::estimation::fusion::base_watch::Watch;
 use crate::estimation::fusion::tip::Fusion;
-use crate::estimation::fusion::watch::Watch;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::model::transmission::{Line, SideState};
@@ -30,7 +30,7 @@ pub struct LoopState {
     pub(super) lines: [Line; 3],
     pub(super) dynamics: Dynamics,
     pub(super) sides: [SideState; 3],
-    pub(super) slack_mm: Vector3<f64>,
+    pub(super) play_output_mm: Vector3<f64>,
     pub(super) realised_mm: Vector3<f64>,
     pub(super) model: ReferenceModel,
     pub(super) pi: PiState,
@@ -73,7 +73,7 @@ pub struct RestartState {
     /// Felt bend vector, rad.
     pub bend_rad: [f64; 2],
     /// Far ends of the plays, mm of piston.
-    pub slack_mm: [f64; 3],
+    pub play_output_mm: [f64; 3],
     /// Refined extension gains.
     pub k_epsilon: [f64; 3],
     /// Backlash half-widths, mm.
@@ -112,7 +112,7 @@ impl LoopState {
             lines: config.lines,
             dynamics: config.dynamics,
             sides: [SideState::default(); 3],
-            slack_mm: Vector3::zeros(),
+            play_output_mm: Vector3::zeros(),
             realised_mm: Vector3::zeros(),
             model: ReferenceModel::default(),
             pi: PiState::default(),
@@ -153,9 +153,9 @@ impl LoopState {
         let piston_mm = config.drive.piston_mm(steps);
         for i in 0..3 {
             let line = &self.lines[i];
-            let w_mm = line.play(self.slack_mm[i], piston_mm[i]);
+            let w_mm = line.play(self.play_output_mm[i], piston_mm[i]);
             let side = if line.k_lambda_mm > 0.0 { ((piston_mm[i] - w_mm) / line.k_lambda_mm).clamp(-1.0, 1.0) } else { 0.0 };
-            self.slack_mm[i] = w_mm;
+            self.play_output_mm[i] = w_mm;
             self.realised_mm[i] = w_mm;
             self.sides[i] = SideState { w_mm, side, way: if side == 0.0 { 0.0 } else { side.signum() } };
             self.pistons[i] = Follower::resting(Vector1::new(piston_mm[i]));
@@ -191,8 +191,8 @@ impl LoopState {
         });
         RestartState {
             steps: *steps,
-            bend_rad: self.fusion.felt().map_or([0.0; 2], |f| f.bend.0.into()),
-            slack_mm: self.slack_mm.into(),
+            bend_rad: self.fusion.estimate().map_or([0.0; 2], |f| f.bend.0.into()),
+            play_output_mm: self.play_output_mm.into(),
             k_epsilon: self.lines.map(|l| l.k_epsilon),
             k_lambda_mm: self.lines.map(|l| l.k_lambda_mm),
             lag_s: self.dynamics.lag_s,
@@ -205,7 +205,7 @@ impl LoopState {
     pub fn take_up(&mut self, config: &LoopConfig, kept: &RestartState) {
         self.lines = [0, 1, 2].map(|i: usize| Line { k_epsilon: kept.k_epsilon[i], k_lambda_mm: kept.k_lambda_mm[i] });
         self.dynamics = Dynamics { lag_s: kept.lag_s, delay_s: kept.delay_s };
-        self.slack_mm = kept.slack_mm.into();
+        self.play_output_mm = kept.play_output_mm.into();
         self.stand(config, &kept.steps, Bend(kept.bend_rad.into()));
     }
 }

@@ -2,13 +2,13 @@
 
 use crate::control::follow::Pace;
 use crate::control::learning::online::RefineConfig;
-use crate::control::limit::{Cut, ActuatorLimits};
+use crate::control::limits::{ActuatorLimits, Cut};
+use crate::control::obstruction::ObstructionConfig;
 use crate::control::pi::Dynamics;
-use crate::control::rest::StandstillConfig;
-use crate::control::spent::Saturation;
-use crate::control::wall::ObstructionConfig;
-use crate::estimation::fusion::health::{HealthAction, CauseSet, ImuReading as Reading};
-use crate::estimation::fusion::tip::{TipEstimate, FuseConfig};
+use crate::control::saturation::Saturation;
+use crate::control::standstill::StandstillConfig;
+use crate::estimation::fusion::health::{CauseSet, HealthAction, ImuReading as Reading};
+use crate::estimation::fusion::tip::{FuseConfig, TipEstimate};
 use crate::estimation::imu_calibration::Correction;
 use crate::estimation::imu_calibration::motor::MotorField;
 use crate::model::arc::{Geometry, Shape};
@@ -144,9 +144,9 @@ pub struct Frame {
     /// The set-point on its way to the target.
     pub setpoint: Shape,
     /// Felt orientation, once aligned.
-    pub felt: Option<TipEstimate>,
+    pub estimate: Option<TipEstimate>,
     /// Bend that the pistons as they stand should give, rad.
-    pub pistons_give: Bend,
+    pub bend_from_pistons: Bend,
     /// Error that the PI acted on, rad.
     pub error: Vector2<f64>,
     /// Feedback in the command, rad.

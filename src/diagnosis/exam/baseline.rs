@@ -58,17 +58,17 @@ impl Library {
         let (fitted, _) = fit_with_slope(log, &none, &nominal_start(lines), 6, false);
         let point = Point::new(log, &none, &bounds(&none), fitted.theta, &all);
         let tangent = Tangent::new(log, &none, &point, &bounds(&none), &all);
-        let ground = BaseFit { model: none, point, tangent };
-        let (mut columns, mut at) = (ground.tangent.clone(), vec![NOMINAL]);
+        let base_fit = BaseFit { model: none, point, tangent };
+        let (mut columns, mut at) = (base_fit.tangent.clone(), vec![NOMINAL]);
         for e in catalogue {
             let model = Model::new(&[e.as_ref()]);
             let bounds = bounds(&model);
-            let start: Vec<f64> = ground.point.theta.iter().copied().chain(e.starts().swap_remove(0)).collect();
+            let start: Vec<f64> = base_fit.point.theta.iter().copied().chain(e.starts().swap_remove(0)).collect();
             let here = Point::new(log, &model, &bounds, start, &all);
-            columns.append(Tangent::grown(log, &model, &here, &bounds, &all, &ground), NOMINAL);
+            columns.append(Tangent::grown(log, &model, &here, &bounds, &all, &base_fit), NOMINAL);
             at.push(columns.len());
         }
-        let sums = columns.parts(&ground.point, log.bins.len(), 1, |_| Some(0)).swap_remove(0);
+        let sums = columns.parts(&base_fit.point, log.bins.len(), 1, |_| Some(0)).swap_remove(0);
         let (n, k) = (columns.len(), NOMINAL);
         let ridge = DMatrix::identity(k, k) * 1e-6;
         let inverse = (sums.normal.view((0, 0), (k, k)) + ridge).try_inverse().unwrap_or_else(|| DMatrix::zeros(k, k));
@@ -76,7 +76,7 @@ impl Library {
         let normal = sums.normal.view((k, k), (n - k, n - k)) - &across * &inverse * across.transpose();
         let slope = sums.slope.rows(k, n - k) - &across * &inverse * sums.slope.rows(0, k);
         let at = at.iter().map(|a| a - NOMINAL).collect();
-        Self { names: catalogue.iter().map(|e| e.name()).collect(), at, normal, slope, total: ground.point.data() }
+        Self { names: catalogue.iter().map(|e| e.name()).collect(), at, normal, slope, total: base_fit.point.data() }
     }
 
     /// Squares that these groups explain together.

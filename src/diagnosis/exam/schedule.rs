@@ -71,18 +71,18 @@ pub fn draw(rng: &mut StdRng) -> Vec<Leg> {
 /// Counted pistons row by row, mm, and the wanted bend, direction and length beside them.
 pub fn drive(legs: &[Leg], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
     let geometry = Geometry::default();
-    let (mut at, mut slack, mut side) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+    let (mut at, mut play_output, mut side) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut path, mut wanted) = (Vec::new(), Vec::new());
     for l in legs {
         let q = geometry.lengths(&Shape { bend: Bend::from_deg(l.bend_deg, l.dir_deg), length: Mm(l.len_mm) });
-        let want = Vector3::from_fn(|i, _| lines[i].slack_mm(q[i]));
+        let want = Vector3::from_fn(|i, _| lines[i].play_output_mm(q[i]));
         for i in 0..3 {
-            let ahead: f64 = want[i] - slack[i];
+            let ahead: f64 = want[i] - play_output[i];
             if ahead.abs() > 0.02 {
                 side[i] = ahead.signum();
             }
         }
-        slack = want;
+        play_output = want;
         let to = Vector3::from_fn(|i, _| want[i] + lines[i].k_lambda_mm * side[i]);
         let moving = ((to - at).amax() / l.speed_mm_s / DT_S).ceil().max(1.0) as usize;
         let still = (l.hold_s / DT_S) as usize;

@@ -29,7 +29,15 @@ pub enum ManoeuvreKind {
 }
 
 /// Kinds a new manoeuvre is drawn from.
-const KINDS: [ManoeuvreKind; 7] = [ManoeuvreKind::Circle, ManoeuvreKind::Ladder, ManoeuvreKind::Nested, ManoeuvreKind::Reversals, ManoeuvreKind::Stroke, ManoeuvreKind::Hold, ManoeuvreKind::Single];
+const KINDS: [ManoeuvreKind; 7] = [
+    ManoeuvreKind::Circle,
+    ManoeuvreKind::Ladder,
+    ManoeuvreKind::Nested,
+    ManoeuvreKind::Reversals,
+    ManoeuvreKind::Stroke,
+    ManoeuvreKind::Hold,
+    ManoeuvreKind::Single,
+];
 
 /// One manoeuvre.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,7 +74,9 @@ impl Manoeuvre {
         let n = self.count.max(1);
         let part = |k: usize| k as f64 / n as f64;
         let mut rows: Vec<Row> = match self.kind {
-            ManoeuvreKind::Circle => (0..n).map(|k| pose(self.bend_deg, self.dir_deg + 360.0 * part(k), self.len_mm, self.hold_s)).collect(),
+            ManoeuvreKind::Circle => {
+                (0..n).map(|k| pose(self.bend_deg, self.dir_deg + 360.0 * part(k), self.len_mm, self.hold_s)).collect()
+            }
             ManoeuvreKind::Ladder => (1..=n).chain((1..n).rev()).map(|k| here(self.bend_deg * part(k))).collect(),
             ManoeuvreKind::Nested => (0..n).map(|k| here(self.bend_deg * (1.0 - part(k)) * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
             ManoeuvreKind::Reversals => (0..2 * n).map(|k| here(self.bend_deg * if k % 2 == 0 { 1.0 } else { -1.0 })).collect(),
@@ -75,7 +85,9 @@ impl Manoeuvre {
                 (0..2 * n).map(|k| pose(self.bend_deg, self.dir_deg, lengths[k % 2], self.hold_s)).collect()
             }
             ManoeuvreKind::Hold => vec![here(self.bend_deg), pose(0.0, 0.0, rest_mm, self.hold_s / 3.0)],
-            ManoeuvreKind::Single => (0..3).flat_map(|i| single(rig, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))).collect(),
+            ManoeuvreKind::Single => {
+                (0..3).flat_map(|i| single(rig, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))).collect()
+            }
         };
         for row in &mut rows {
             *row = within(rig, row);

@@ -12,7 +12,7 @@ pub mod operators;
 pub mod regress;
 pub mod table;
 
-use crate::diagnosis::map::document::{Document, Entry, Figures, Fresh, Parameter, MapVerdict};
+use crate::diagnosis::map::document::{Document, Entry, Figures, Fresh, MapVerdict, Parameter};
 use crate::diagnosis::map::file::{MapFile, Nominal};
 use crate::diagnosis::map::model::{MapBase, Member};
 use crate::diagnosis::map::operators::{DRIVEN, Operator, STILL};
@@ -42,16 +42,16 @@ struct Set {
 /// Diagnoses; `fresh` are other logs of the rig, on which the fitted model is tried as it is.
 #[must_use]
 pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed: u64) -> Document {
-    let ground = MapBase::new(map, log);
+    let base_fit = MapBase::new(map, log);
     let task = Task::new(&log.output);
     let catalogue = catalogue(map, log);
-    let Some(nominal) = ground.scored(&task, log, &[], 0) else { return Document::empty(map) };
+    let Some(nominal) = base_fit.scored(&task, log, &[], 0) else { return Document::empty(map) };
     let nominal = Set { members: vec![], scores: nominal };
     let noise = noise(&log.output);
     let gap = (nominal.scores.energy() - noise * noise).max(1e-300);
-    let singles: Vec<Set> = catalogue.iter().filter_map(|o| best(&ground, &task, log, &[], o)).collect();
-    let chosen = thinned(&ground, &task, log, grown(&ground, &task, log, &nominal, &catalogue, gap), gap);
-    let equivalent = equivalent(&ground, &task, log, &chosen, &catalogue, gap);
+    let singles: Vec<Set> = catalogue.iter().filter_map(|o| best(&base_fit, &task, log, &[], o)).collect();
+    let chosen = thinned(&base_fit, &task, log, grown(&base_fit, &task, log, &nominal, &catalogue, gap), gap);
+    let equivalent = equivalent(&base_fit, &task, log, &chosen, &catalogue, gap);
     let mut effects: Vec<Entry> = singles.iter().map(|s| entry(s, &nominal, gap, seed)).collect();
     effects.sort_by(|a, b| b.closed.total_cmp(&a.closed));
     let left = (chosen.scores.energy() - noise * noise) / gap;
@@ -64,7 +64,7 @@ pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed:
     let mut notes = notes(log);
     let mut refit = Vec::new();
     for (name, other) in fresh {
-        match tried(&ground, &nominal, &chosen, name, other) {
+        match tried(&base_fit, &nominal, &chosen, name, other) {
             Some(f) => refit.push(f),
             None => notes.push(format!("{name} runs far outside what was fitted and was not tried: record both over one range")),
         }
@@ -92,13 +92,13 @@ fn catalogue(map: &MapFile, log: &Signals) -> Vec<Operator> {
 }
 
 /// `members` and the operator, at the η that leaves least of what the fits have seen.
-fn best(ground: &MapBase, task: &Task<'_>, log: &Signals, members: &[Member], operator: &Operator) -> Option<Set> {
+fn best(base_fit: &MapBase, task: &Task<'_>, log: &Signals, members: &[Member], operator: &Operator) -> Option<Set> {
     let at = |eta: f64| {
-        let member = Member { operator: *operator, eta, columns: (operator.columns)(&ground.drive, eta) };
+        let member = Member { operator: *operator, eta, columns: (operator.columns)(&base_fit.drive, eta) };
         let all: Vec<Member> = members.iter().cloned().chain([member]).collect();
-        ground.scored(task, log, &all, operator.sign).map(|scores| Set { members: all, scores })
+        base_fit.scored(task, log, &all, operator.sign).map(|scores| Set { members: all, scores })
     };
-    let grid = (operator.grid)(&ground.drive);
+    let grid = (operator.grid)(&base_fit.drive);
     let found =
         grid.iter().enumerate().filter_map(|(k, &eta)| at(eta).map(|s| (k, s))).min_by(|a, b| a.1.scores.cost.total_cmp(&b.1.scores.cost));
     let (k, set) = found?;
@@ -109,12 +109,12 @@ fn best(ground: &MapBase, task: &Task<'_>, log: &Signals, members: &[Member], op
 }
 
 /// Forward: the operator that closes most, while it is worth it.
-fn grown(ground: &MapBase, task: &Task<'_>, log: &Signals, nominal: &Set, catalogue: &[Operator], gap: f64) -> Set {
+fn grown(base_fit: &MapBase, task: &Task<'_>, log: &Signals, nominal: &Set, catalogue: &[Operator], gap: f64) -> Set {
     let mut set = nominal.clone();
     while set.members.len() < MEMBERS {
         let fresh = catalogue.iter().filter(|o| set.members.iter().all(|m| m.operator.name != o.name));
         let next =
-            fresh.filter_map(|o| best(ground, task, log, &set.members, o)).min_by(|a, b| a.scores.energy().total_cmp(&b.scores.energy()));
+            fresh.filter_map(|o| best(base_fit, task, log, &set.members, o)).min_by(|a, b| a.scores.energy().total_cmp(&b.scores.energy()));
         match next.filter(|n| pays(&set.scores, &n.scores, gap)) {
             Some(next) => set = next,
             None => break,
@@ -129,12 +129,12 @@ fn pays(from: &Regressed, to: &Regressed, gap: f64) -> bool {
 }
 
 /// Backward: members that the others have made needless go.
-fn thinned(ground: &MapBase, task: &Task<'_>, log: &Signals, mut set: Set, gap: f64) -> Set {
+fn thinned(base_fit: &MapBase, task: &Task<'_>, log: &Signals, mut set: Set, gap: f64) -> Set {
     while set.members.len() > 1 {
         let without = (0..set.members.len()).filter_map(|k| {
             let mut rest = set.members.clone();
             rest.remove(k);
-            ground.scored(task, log, &rest, 0).map(|scores| Set { members: rest, scores })
+            base_fit.scored(task, log, &rest, 0).map(|scores| Set { members: rest, scores })
         });
         let least = without.min_by(|a, b| a.scores.energy().total_cmp(&b.scores.energy()));
         match least.filter(|l| !pays(&l.scores, &set.scores, gap)) {
@@ -146,14 +146,21 @@ fn thinned(ground: &MapBase, task: &Task<'_>, log: &Signals, mut set: Set, gap: 
 }
 
 /// For each member the operators that do as well in its place.
-fn equivalent(ground: &MapBase, task: &Task<'_>, log: &Signals, chosen: &Set, catalogue: &[Operator], gap: f64) -> Vec<Vec<&'static str>> {
+fn equivalent(
+    base_fit: &MapBase,
+    task: &Task<'_>,
+    log: &Signals,
+    chosen: &Set,
+    catalogue: &[Operator],
+    gap: f64,
+) -> Vec<Vec<&'static str>> {
     let mut out = Vec::new();
     for (k, member) in chosen.members.iter().enumerate() {
         let mut rest = chosen.members.clone();
         rest.remove(k);
         let others = catalogue.iter().filter(|o| chosen.members.iter().all(|m| m.operator.name != o.name));
         let as_good =
-            |o: &&Operator| best(ground, task, log, &rest, o).is_some_and(|s| s.scores.energy() - chosen.scores.energy() < SAME * gap);
+            |o: &&Operator| best(base_fit, task, log, &rest, o).is_some_and(|s| s.scores.energy() - chosen.scores.energy() < SAME * gap);
         let group: Vec<&'static str> = [member.operator.name].into_iter().chain(others.filter(as_good).map(|o| o.name)).collect();
         if group.len() > 1 {
             out.push(group);
@@ -198,8 +205,8 @@ fn interval(from: &Regressed, to: &Regressed, floor: f64, seed: u64) -> [f64; 2]
 }
 
 /// The fitted models on a log they have not seen; only the offset is set anew.
-fn tried(ground: &MapBase, nominal: &Set, chosen: &Set, name: &str, other: &Signals) -> Option<Fresh> {
-    let rmse = |set: &Set| ground.rmse_on(other, &set.members, &set.scores.coefficients);
+fn tried(base_fit: &MapBase, nominal: &Set, chosen: &Set, name: &str, other: &Signals) -> Option<Fresh> {
+    let rmse = |set: &Set| base_fit.rmse_on(other, &set.members, &set.scores.coefficients);
     Some(Fresh { log: name.to_owned(), before: rmse(nominal)?, after: rmse(chosen)? })
 }
 

@@ -200,9 +200,9 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
     let status = daemon.until(6.0, "rest", |s| s["settled"] == true)?;
     row.detected_s = Some(begun.elapsed().as_secs_f64());
     row.state = status["mode"].as_str().unwrap_or_default().to_owned();
-    let (target, felt) = (status["target"]["bend_deg"].as_f64().unwrap_or(0.0), status["felt"]["bend_deg"].as_f64().unwrap_or(0.0));
+    let (target, estimate) = (status["target"]["bend_deg"].as_f64().unwrap_or(0.0), status["felt"]["bend_deg"].as_f64().unwrap_or(0.0));
     row.message = format!("{taken} commands from two clients, all answered; the last one holds: {target:.0}°");
-    row.error_deg_after = (target - felt).abs();
+    row.error_deg_after = (target - estimate).abs();
     row.demand(taken == 100, |_| format!("{taken} of 100 were taken"));
     row.demand([30.0, 50.0].iter().any(|b| (target - b).abs() < 0.1), |_| format!("the target is {target}°"));
     row.demand(row.error_deg_after < 1.5, |row| format!("{:.1}° off", row.error_deg_after));

@@ -51,7 +51,7 @@ pub fn exercise(make: &Make, folder: &Path, harm: Option<Harm>) -> io::Result<()
         }
     };
     for round in 0..u32::MAX {
-        if !keep(true, bench.flight.pilot.keep(), &mut out)? {
+        if !keep(true, bench.runner.supervisor.keep(), &mut out)? {
             // not written, not armed: that is all there is to it
             break;
         }
@@ -62,7 +62,7 @@ pub fn exercise(make: &Make, folder: &Path, harm: Option<Harm>) -> io::Result<()
             bench.turn(Some(bend(angle, dir))).map_err(|e| other(&e))?;
             for _ in 0..6 {
                 bench.run(0.1).map_err(|e| other(&e))?;
-                keep(true, bench.flight.pilot.keep(), &mut out)?;
+                keep(true, bench.runner.supervisor.keep(), &mut out)?;
             }
         }
         match (harm, round) {
@@ -72,7 +72,7 @@ pub fn exercise(make: &Make, folder: &Path, harm: Option<Harm>) -> io::Result<()
         }
         bench.turn(Some(Order::Relax)).map_err(|e| other(&e))?;
         bench.until(15.0, |t| t.mode == Mode::Disarmed).map_err(|e| other(&e))?;
-        keep(false, bench.flight.pilot.keep(), &mut out)?;
+        keep(false, bench.runner.supervisor.keep(), &mut out)?;
     }
     Ok(())
 }

@@ -161,9 +161,9 @@ pub fn while_bent(make: &Make) -> io::Result<Row> {
     bench.run(0.05).map_err(world)?;
     bench.turn(Some(bend(55.0, 100.0))).map_err(world)?;
     bench.run(2.5).map_err(world)?;
-    let (kept, now_s) = (bench.flight.pilot.keep(), bench.now_s);
+    let (kept, now_s) = (bench.runner.supervisor.keep(), bench.now_s);
     for moved in [false, true] {
-        let mut machine = bench.flight.machine.clone();
+        let mut machine = bench.runner.machine.clone();
         if moved {
             machine.inject(InjectedFault::Push { bend_deg: 15.0, dir_deg: 200.0 });
         }

@@ -37,7 +37,7 @@
 mod config;
 mod kalman;
 mod laws;
-mod leap;
+mod reacquisition;
 #[cfg(test)]
 mod tests;
 
@@ -51,8 +51,8 @@ use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
 use kalman::{ACC, Belief, GYRO, Innovation, MAG, MOUNT, N, StateVector, TWIST};
 use laws::{Turn, Twist, bend_by_turn, velocity};
-use leap::Reacquisition;
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
+use reacquisition::Reacquisition;
 
 /// Time over which the surprise of gravity decides whether the gyroscope drifts, s.
 const DOUBT_S: f64 = 1.0;
@@ -245,18 +245,18 @@ impl BendFilter {
     }
 
     /// One sample, `dt_s` after the last, with the base turned by `base` since the rest.
-    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, base: &BaseTurn) {
+    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
         let carried = self.s.inverse() * base.rate_rad_s;
         self.predict(&(sample.gyro_rad_s - carried), dt_s);
         let base_now = base.r_rest_now.inverse().to_rotation_matrix().into_inner();
         let turn = Turn { s: self.s.to_rotation_matrix().into_inner(), base_now };
-        if heed.acc {
+        if mask.acc {
             self.acc.add(&(sample.acc_m_s2 - turn.expected(&self.rest.acc_rest_m_s2, &self.belief.block(ACC))));
         }
-        if let (true, Some(m), Some(rest)) = (self.config.use_mag && heed.mag, &sample.mag_ut, &self.rest.mag_rest_ut) {
+        if let (true, Some(m), Some(rest)) = (self.config.use_mag && mask.mag, &sample.mag_ut, &self.rest.mag_rest_ut) {
             self.mag.add(&(m - turn.expected(rest, &self.belief.block(MAG))));
         }
-        if heed.still {
+        if mask.still {
             self.rate.add(&(sample.gyro_rad_s - carried - self.gyro_bias_rad_s()));
         }
         self.since_correction_s += dt_s;

@@ -89,10 +89,10 @@ impl Estimator {
     }
 
     /// One sample, `dt_s` after the last.
-    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, base: &BaseTurn) {
+    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
         match self {
-            Self::Bend(f) => f.update(sample, dt_s, heed, base),
-            Self::Generic(f) => f.update(sample, dt_s, heed, base),
+            Self::Bend(f) => f.update(sample, dt_s, mask, base),
+            Self::Generic(f) => f.update(sample, dt_s, mask, base),
         }
     }
 
@@ -105,10 +105,10 @@ impl Estimator {
     }
 
     /// The first sample after `gap_s` in which nothing could be used.
-    pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, heed: MeasurementMask, base: &BaseTurn) {
+    pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, mask: MeasurementMask, base: &BaseTurn) {
         match self {
             Self::Bend(f) => f.lost((gap_s * DARK_RAD_S).min(DARK_RAD)),
-            Self::Generic(f) => f.relevel(sample, heed, base),
+            Self::Generic(f) => f.relevel(sample, mask, base),
         }
     }
 

@@ -95,13 +95,13 @@ impl Generic {
     }
 
     /// One sample, `dt_s` after the last.
-    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, base: &BaseTurn) {
+    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
         let told = ImuSample {
             t: sample.t,
             gyro_rad_s: sample.gyro_rad_s - self.gyro_bias_rad_s,
             // a force of zero has no direction, and is left out
-            acc_m_s2: if heed.acc { sample.acc_m_s2 } else { Vector3::zeros() },
-            mag_ut: sample.mag_ut.filter(|_| heed.mag),
+            acc_m_s2: if mask.acc { sample.acc_m_s2 } else { Vector3::zeros() },
+            mag_ut: sample.mag_ut.filter(|_| mask.mag),
         };
         self.filter.inner().update(&told, dt_s);
         let r_rest_sensor = self.r_world_rest.inverse() * self.filter.seen().orientation().quat();
@@ -109,8 +109,8 @@ impl Generic {
     }
 
     /// Starts again from one sample after a time in which nothing was seen.
-    pub fn relevel(&mut self, sample: &ImuSample, heed: MeasurementMask, base: &BaseTurn) {
-        self.update(sample, GAP_MAX_S * 1.1, heed, base);
+    pub fn relevel(&mut self, sample: &ImuSample, mask: MeasurementMask, base: &BaseTurn) {
+        self.update(sample, GAP_MAX_S * 1.1, mask, base);
     }
 
     /// Tip in the base.
@@ -152,7 +152,7 @@ mod tests {
             for base in [UnitQuaternion::from_euler_angles(0.4, 0.9, -2.0), UnitQuaternion::from_euler_angles(2.8, 0.1, 1.0)] {
                 let rest = rest(&base);
                 let mut filter = Generic::new(name, Periods { imu_s: 0.002, mag_s: 0.01 }, &rest);
-                let heed = MeasurementMask { acc: true, mag: true, still: false };
+                let mask = MeasurementMask { acc: true, mag: true, still: false };
                 let mut before = UnitQuaternion::identity();
                 for k in 1..=1500 {
                     let t = f64::from(k) * 0.002;
@@ -165,7 +165,7 @@ mod tests {
                         mag_ut: (k % 5 == 0).then(|| back * Vector3::new(20.0, 0.0, -40.0)),
                     };
                     before = q;
-                    filter.update(&sample, 0.002, heed, &BaseTurn::none());
+                    filter.update(&sample, 0.002, mask, &BaseTurn::none());
                 }
                 let error = filter.r_base_tip().angle_to(&want.rotation()).to_degrees();
                 assert!(error < 0.3, "{name}: {error}");

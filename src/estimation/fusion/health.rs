@@ -27,10 +27,10 @@ mod reading;
 mod tests;
 mod verdict;
 
-pub use cause::{HealthCause, CauseSet};
-pub use config::{HealthConfig, ConfigError, Policies, Policy};
-pub use reading::{ReadFault, FieldReference, ImuReading, Quality, TimedReading};
-pub use verdict::{HealthAction, Recovered, HealthVerdict};
+pub use cause::{CauseSet, HealthCause};
+pub use config::{ConfigError, HealthConfig, Policies, Policy};
+pub use reading::{FieldReference, ImuReading, Quality, ReadFault, TimedReading};
+pub use verdict::{HealthAction, HealthVerdict, Recovered};
 
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
@@ -336,7 +336,14 @@ fn needed(config: &HealthConfig, cause: HealthCause, returns: u32) -> u32 {
     }
 }
 
-fn decide(config: &HealthConfig, state: &mut HealthState, reading: TimedReading, found: Found, raised: CauseSet, recovered: Option<Recovered>) -> HealthVerdict {
+fn decide(
+    config: &HealthConfig,
+    state: &mut HealthState,
+    reading: TimedReading,
+    found: Found,
+    raised: CauseSet,
+    recovered: Option<Recovered>,
+) -> HealthVerdict {
     let Found { faults, confirmed, .. } = found;
     let now = reading.now.0;
     let sample = if let ImuReading::Sample(sample, _) = reading.outcome { Some(sample) } else { None };

@@ -13,8 +13,9 @@
 
 pub mod align;
 pub mod base;
+pub mod base_watch;
 pub mod bend;
-pub mod ease;
+pub mod correction_smoother;
 pub mod estimator;
 pub mod gate;
 pub mod generic;
@@ -27,7 +28,6 @@ pub mod rest;
 pub mod second;
 pub mod tip;
 pub mod vqf;
-pub mod watch;
 
 use crate::primitives::frames::{Rotation, Sensor, World};
 use crate::primitives::sample::ImuSample;

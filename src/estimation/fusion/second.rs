@@ -68,13 +68,13 @@ impl Second {
     }
 
     /// Gathers a sample; true when a period was full and the estimator took its mean.
-    pub fn gather(&mut self, config: &SecondConfig, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, base: &BaseTurn) -> bool {
+    pub fn gather(&mut self, config: &SecondConfig, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) -> bool {
         self.turn *= UnitQuaternion::from_scaled_axis(sample.gyro_rad_s * dt_s);
         self.gathered_s += dt_s;
-        if heed.acc {
+        if mask.acc {
             (self.acc, self.n) = (self.acc + sample.acc_m_s2, self.n + 1);
         }
-        if let (Some(mag), true) = (sample.mag_ut, heed.mag) {
+        if let (Some(mag), true) = (sample.mag_ut, mask.mag) {
             self.mag = (self.mag.0 + mag, self.mag.1 + 1);
         }
         if self.gathered_s < config.period_s - 1e-9 {
@@ -86,16 +86,16 @@ impl Second {
             acc_m_s2: self.acc / f64::from(self.n.max(1)),
             mag_ut: (self.mag.1 > 0).then(|| self.mag.0 / f64::from(self.mag.1)),
         };
-        let heed = MeasurementMask { acc: self.n > 0, mag: self.mag.1 > 0, ..heed };
-        self.estimator.update(&mean, self.gathered_s, heed, base);
+        let mask = MeasurementMask { acc: self.n > 0, mag: self.mag.1 > 0, ..mask };
+        self.estimator.update(&mean, self.gathered_s, mask, base);
         self.empty();
         true
     }
 
     /// Starts again from one sample after a time in which nothing was seen.
-    pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, heed: MeasurementMask, base: &BaseTurn) {
+    pub fn recover(&mut self, sample: &ImuSample, gap_s: f64, mask: MeasurementMask, base: &BaseTurn) {
         self.empty();
-        self.estimator.recover(sample, gap_s, heed, base);
+        self.estimator.recover(sample, gap_s, mask, base);
     }
 
     fn empty(&mut self) {

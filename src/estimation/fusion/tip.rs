@@ -12,12 +12,14 @@
 
 use crate::estimation::fusion::align::{AlignConfig, AlignState, Alignment};
 use crate::estimation::fusion::base::{BaseConfig, BaseTracker, BaseTurn};
+use crate::estimation::fusion::base_watch::WatchConfig;
 use crate::estimation::fusion::bend::{BendFilter, BendFilterConfig, MeasurementMask};
-use crate::estimation::fusion::ease::CorrectionSmoother;
+use crate::estimation::fusion::correction_smoother::CorrectionSmoother;
 use crate::estimation::fusion::estimator::{Choice, Estimator};
-use crate::estimation::fusion::health::{self, HealthCause, CauseSet, Health, KnownErrors, ImuReading, Quality, TimedReading, HealthVerdict};
+use crate::estimation::fusion::health::{
+    self, CauseSet, Health, HealthCause, HealthVerdict, ImuReading, KnownErrors, Quality, TimedReading,
+};
 use crate::estimation::fusion::second::{Second, SecondConfig};
-use crate::estimation::fusion::watch::WatchConfig;
 use crate::model::bend::Bend;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
@@ -102,7 +104,7 @@ struct Running {
     noisy: bool,
     estimator: Estimator,
     second: Second,
-    ease: CorrectionSmoother,
+    smoother: CorrectionSmoother,
     last: Option<ImuSample>,
     /// What was refused since for leaping.
     refused: Refused,
@@ -237,8 +239,8 @@ impl Fusion {
 
     /// The felt orientation, once aligned.
     #[must_use]
-    pub fn felt(&self) -> Option<TipEstimate> {
-        if let Stage::Running(running) = &self.stage { Some(running.felt()) } else { None }
+    pub fn estimate(&self) -> Option<TipEstimate> {
+        if let Stage::Running(running) = &self.stage { Some(running.estimate()) } else { None }
     }
 
     /// The judge's last word.
@@ -315,7 +317,7 @@ impl Running {
             noisy: rest.noisy(),
             estimator: Estimator::new(config.filter, &config.bend, rest, 0.0),
             second: Second::new(second),
-            ease: CorrectionSmoother::default(),
+            smoother: CorrectionSmoother::default(),
             last: None,
             refused: Refused::default(),
             bend_rate: Vector2::zeros(),
@@ -339,7 +341,7 @@ impl Running {
 
     fn update(&mut self, config: &FuseConfig, said: &HealthVerdict, told: &FusionInput, base: &BaseTracker) {
         if said.recovered.is_some() {
-            self.ease.arm();
+            self.smoother.arm();
         }
         let (true, ImuReading::Sample(sample, _)) = (said.gyro, &told.tip) else {
             // between samples, and over the first moments of a hole, the tip goes on as it went
@@ -348,7 +350,7 @@ impl Running {
             self.refuse(said, &told.tip);
             return;
         };
-        let heed = MeasurementMask { acc: said.acc, mag: said.mag, still: told.still && !said.hold };
+        let mask = MeasurementMask { acc: said.acc, mag: said.mag, still: told.still && !said.hold };
         let turn = base.turn();
         let gap_s = self.last.map_or(self.rest.periods_s().0, |last| sample.t.0 - last.t.0);
         if gap_s <= 0.0 {
@@ -358,15 +360,15 @@ impl Running {
             let hole_s = gap_s - self.rest.periods_s().0;
             if hole_s > 0.5 * self.rest.periods_s().0 && !said.confirmed {
                 self.estimator.unseen(self.limits.angular_acceleration_max_rad_s2, gap_s);
-                self.ease.arm();
+                self.smoother.arm();
             }
-            self.step(config, &self.bridging(sample, gap_s, said.confirmed), gap_s, heed, &turn);
+            self.step(config, &self.bridging(sample, gap_s, said.confirmed), gap_s, mask, &turn);
         } else {
             let before = self.estimator.bend().0 + self.ahead;
-            self.estimator.recover(sample, gap_s, heed, &turn);
-            self.second.recover(sample, gap_s, heed, &turn);
-            self.ease.arm();
-            self.ease.step(&(self.estimator.bend().0 - before), 0.0);
+            self.estimator.recover(sample, gap_s, mask, &turn);
+            self.second.recover(sample, gap_s, mask, &turn);
+            self.smoother.arm();
+            self.smoother.step(&(self.estimator.bend().0 - before), 0.0);
         }
         (self.last, self.ahead, self.refused) = (Some(*sample), Vector2::zeros(), Refused::default());
         self.align_again(config, sample, said);
@@ -396,19 +398,19 @@ impl Running {
         ImuSample { gyro_rad_s, ..*sample }
     }
 
-    fn step(&mut self, config: &FuseConfig, sample: &ImuSample, dt_s: f64, heed: MeasurementMask, turn: &BaseTurn) {
+    fn step(&mut self, config: &FuseConfig, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, turn: &BaseTurn) {
         let before = self.estimator.bend().0;
-        self.estimator.update(sample, dt_s, heed, turn);
+        self.estimator.update(sample, dt_s, mask, turn);
         if self.estimator.leapt() {
-            self.ease.arm();
-            self.second.recover(sample, dt_s, heed, turn);
+            self.smoother.arm();
+            self.second.recover(sample, dt_s, mask, turn);
         }
         let corrected = self.estimator.corrected();
         self.bend_rate = (self.estimator.bend().0 - before - corrected) / dt_s;
-        self.ease.step(&corrected, dt_s);
-        if self.second.gather(&config.second, sample, dt_s, heed, turn) {
+        self.smoother.step(&corrected, dt_s);
+        if self.second.gather(&config.second, sample, dt_s, mask, turn) {
             let up = self.rest.acc_rest_m_s2;
-            let field = heed.mag && self.estimator.believes_field() && self.second.estimator.believes_field();
+            let field = mask.mag && self.estimator.believes_field() && self.second.estimator.believes_field();
             let turning = (sample.gyro_rad_s - self.rest.gyro_bias_rad_s).norm();
             self.second.compare(&config.second, &self.estimator, &up, field, turning, config.second.period_s);
         }
@@ -420,7 +422,7 @@ impl Running {
         let Some(now) = state.add(&config.align, sample).filter(|_| sound) else { return };
         let bend = *bend;
         self.again = None;
-        let felt = self.felt().bend.0;
+        let estimate = self.estimate().bend.0;
         let straight = bend.rotation();
         self.rest = Alignment {
             acc_rest_m_s2: straight.apply(&now.acc_rest_m_s2),
@@ -436,8 +438,8 @@ impl Running {
         if let Some(f) = self.bend_filter() {
             self.rest = f.rest();
         }
-        self.ease.arm();
-        self.ease.offset = felt - self.estimator.bend().0;
+        self.smoother.arm();
+        self.smoother.offset = estimate - self.estimator.bend().0;
     }
 
     fn assume(&mut self, config: &FuseConfig, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
@@ -465,22 +467,22 @@ impl Running {
         })
     }
 
-    fn felt(&self) -> TipEstimate {
+    fn estimate(&self) -> TipEstimate {
         let said = self.estimator.bend();
-        let mut felt = TipEstimate {
+        let mut estimate = TipEstimate {
             r_base_tip: self.estimator.r_base_tip(),
             bend: said,
             sigma_rad: self.estimator.sigma_rad(),
             disagrees: self.second.disagrees(),
             disagreement_rad: self.second.angle_rad(),
         };
-        let offset = self.ease.offset + self.ahead;
+        let offset = self.smoother.offset + self.ahead;
         if offset.norm_squared() > 0.0 {
             // the bend eased and led on, the twist as it is
-            felt.bend = Bend(said.0 + offset);
-            let twist = said.rotation().inverse() * felt.r_base_tip;
-            felt.r_base_tip = felt.bend.rotation() * twist;
+            estimate.bend = Bend(said.0 + offset);
+            let twist = said.rotation().inverse() * estimate.r_base_tip;
+            estimate.r_base_tip = estimate.bend.rotation() * twist;
         }
-        felt
+        estimate
     }
 }

@@ -11,7 +11,7 @@
 //! scaled and stamped but not corrected: the loop does that. Time comes in with the call.
 
 use super::{Identity, Imu, ImuError};
-use crate::estimation::fusion::health::{ReadFault, ImuReading};
+use crate::estimation::fusion::health::{ImuReading, ReadFault};
 use crate::primitives::units::Seconds;
 use embedded_hal::delay::DelayNs;
 use serde::Deserialize;

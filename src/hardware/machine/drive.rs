@@ -6,7 +6,7 @@
 use crate::hardware::pins::Pins;
 use crate::hardware::stepper::{StartError, Stepper, Sync};
 use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
-use crate::motion::{MotionLimits, Motion, MotionConfig, MotionState, StepperConfig};
+use crate::motion::{Motion, MotionConfig, MotionLimits, MotionState, StepperConfig};
 use crate::primitives::units::Steps;
 
 /// Most segments queued in one turn.

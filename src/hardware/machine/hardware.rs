@@ -1,14 +1,14 @@
 //! [`Machine`] on hardware.
 
 use crate::estimation::fusion::health::ImuReading;
-use crate::hardware::machine::{Drive, DriveState, MachineConfig, HardwareError, Sensor};
+use crate::hardware::machine::{Drive, DriveState, HardwareError, MachineConfig, Sensor};
 use crate::hardware::pins;
 use crate::hardware::rt::monotonic_ns;
 use crate::motion::report::StepperFault;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
 use crate::supervisor::machine::{Alarm, Inputs, Machine, Sensed};
-use crate::supervisor::machine::{MachineInfo, MachineError};
+use crate::supervisor::machine::{MachineError, MachineInfo};
 
 /// A queue that runs dry once is braked within the limits and taken up again: no step is lost and nothing
 /// needs to be done. This often …
@@ -21,7 +21,7 @@ pub struct Hardware {
     drive: Drive,
     imu: Option<Sensor>,
     base_imu: Option<Sensor>,
-    nature: MachineInfo,
+    info: MachineInfo,
     /// Monotonic time at the loop's zero, ns; set by the first turn.
     zero_ns: Option<u64>,
     /// How often the queue ran dry.
@@ -41,9 +41,13 @@ impl Hardware {
         let base_imu = config.base_imu.as_ref().map(Sensor::start).transpose()?;
         let pins = pins::open(&config.pins, config.microsteps)?;
         let drive = Drive::start(pins, &config.stepper, &config.motion, config.step_mm, config.period_s)?;
-        let nature =
-            MachineInfo { name: config.name.clone(), period_s: config.period_s, step_mm: config.step_mm, rest_length_mm: config.rest_length_mm };
-        Ok(Self { drive, imu, base_imu, nature, zero_ns: None, dry: 0, dried_s: [f64::NEG_INFINITY; STARVED_TIMES], starved: false })
+        let info = MachineInfo {
+            name: config.name.clone(),
+            period_s: config.period_s,
+            step_mm: config.step_mm,
+            rest_length_mm: config.rest_length_mm,
+        };
+        Ok(Self { drive, imu, base_imu, info, zero_ns: None, dry: 0, dried_s: [f64::NEG_INFINITY; STARVED_TIMES], starved: false })
     }
 
     /// The motion side.
@@ -70,18 +74,20 @@ fn on_loop_clock(t_ns: u64, zero_ns: u64) -> Seconds {
 }
 
 impl Machine for Hardware {
-    fn nature(&self) -> &MachineInfo {
-        &self.nature
+    fn info(&self) -> &MachineInfo {
+        &self.info
     }
 
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let now_ns = monotonic_ns();
         let zero_ns = *self.zero_ns.get_or_insert_with(|| now_ns.saturating_sub((now.0 * 1e9) as u64));
-        let target_mm = wanted.0.map(|n| f64::from(n) * self.nature.step_mm);
+        let target_mm = wanted.0.map(|n| f64::from(n) * self.info.step_mm);
         let state = self.drive.turn(now_ns, target_mm);
         let stamped = |s: &mut Sensor| {
             s.newest().map(|r| match r.outcome {
-                ImuReading::Sample(sample, quality) => ImuReading::Sample(ImuSample { t: on_loop_clock(r.t_ns, zero_ns), ..sample }, quality),
+                ImuReading::Sample(sample, quality) => {
+                    ImuReading::Sample(ImuSample { t: on_loop_clock(r.t_ns, zero_ns), ..sample }, quality)
+                }
                 other => other,
             })
         };

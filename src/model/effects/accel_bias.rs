@@ -13,7 +13,7 @@
 //! `gravity` (the tip really sags), a tilted base and `mount_misalignment` (turns the other sensors
 //! too). Many attitudes separate it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, ImuPrediction, Stage, Starts};
+use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Offset of the specific force.

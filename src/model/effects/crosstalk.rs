@@ -51,7 +51,7 @@ impl Effect for Crosstalk {
     fn starts(&self) -> Starts {
         vec![vec![0.05; PAIRS.len()]]
     }
-    fn slack(&self, p: &[f64], _m: &mut Memory, _at: &Moment, w_mm: &mut Vector3<f64>) {
+    fn play_output(&self, p: &[f64], _m: &mut Memory, _at: &Moment, w_mm: &mut Vector3<f64>) {
         let pressed = w_mm.map(|w| positive(w, EDGE_MM));
         for ((_, from, to), c) in PAIRS.iter().zip(p) {
             w_mm[*to] += c * pressed[*from];

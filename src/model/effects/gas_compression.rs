@@ -43,7 +43,7 @@ impl Effect for GasCompression {
     fn params(&self) -> Vec<Param> {
         vec![Param::new("boyle", "1/mm", 0.0, 0.04, (-0.05, 0.25))]
     }
-    fn slack(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
+    fn play_output(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let full = 1.0 + at.k_epsilon[i];
             let b = full - p[0] * w_mm[i];

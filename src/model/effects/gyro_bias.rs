@@ -14,7 +14,7 @@
 //! Signature: in the gyroscope only; the other sensors see no motion. Easily confused with
 //! `thermal_drift` and `base_motion`, which the accelerometer sees. Still holds separate it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, ImuPrediction, Stage, Starts};
+use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Times of the knots after the first, s.

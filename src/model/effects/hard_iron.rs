@@ -12,7 +12,7 @@
 //! Signature: in the magnetometer only, fixed to the body. Easily confused with `motor_field` (fixed
 //! in the world, follows the motors) and `torsion`. A tumble with the motors off separates it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, ImuPrediction, Stage, Starts};
+use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Field of magnetised parts on the tip.

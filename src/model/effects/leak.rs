@@ -52,7 +52,7 @@ impl Effect for Leak {
     fn starts(&self) -> Starts {
         [0.003, 0.03].map(|rate| vec![rate, rate, rate, 1.0]).to_vec()
     }
-    fn slack(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
+    fn play_output(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let left_mm = w_mm[i] + m.0[i];
             let side = sign(left_mm, EDGE_MM);

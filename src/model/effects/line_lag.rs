@@ -51,7 +51,7 @@ impl Effect for LineLag {
         [0.08, 0.4].map(|tau| vec![tau, tau, tau, 0.0]).to_vec()
     }
     /// Memory holds where the far end of each line stands.
-    fn slack(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
+    fn play_output(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let gap_mm = w_mm[i] - m.0[i];
             let tau_s = p[i] * (1.0 + p[3] * sign(gap_mm, EDGE_MM));

@@ -175,7 +175,7 @@ pub trait Effect: Send + Sync {
     fn pistons(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _u_mm: &mut Vector3<f64>) {}
     /// Slack positions after the play and before the extension, mm: `w = (1 + k_ε) q` in the nominal
     /// model.
-    fn slack(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _w_mm: &mut Vector3<f64>) {}
+    fn play_output(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _w_mm: &mut Vector3<f64>) {}
     /// Bellow length changes after the extension, mm.
     fn bellows(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _q_mm: &mut Vector3<f64>) {}
     /// Shape after constant curvature.

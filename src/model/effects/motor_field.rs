@@ -19,7 +19,7 @@
 //! to the body, blind to the motors) and `gear_periodic` (moves the tip). Motors on and off while still separate it.
 
 use crate::model::drive::Drive;
-use crate::model::effects::{Effect, Memory, Moment, Param, ImuPrediction, Stage, Starts};
+use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 

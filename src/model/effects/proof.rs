@@ -4,7 +4,7 @@
 //! constant curvature → sensor, at 100 Hz.
 
 use crate::model::arc::Geometry;
-use crate::model::effects::{Effect, Memory, Moment, Param, Pose, ImuPrediction, by_name};
+use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Pose, by_name};
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector2, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use std::time::Instant;
@@ -82,7 +82,7 @@ fn link(e: &dyn Effect, p: &[f64], m: &mut Memory, at: &Moment) -> Link {
     let mut u_mm = at.counted_mm;
     e.pistons(p, m, at, &mut u_mm);
     let mut w_mm = u_mm;
-    e.slack(p, m, at, &mut w_mm);
+    e.play_output(p, m, at, &mut w_mm);
     let mut q_mm = w_mm.component_div(&at.k_epsilon.add_scalar(1.0));
     e.bellows(p, m, at, &mut q_mm);
     let bend = geometry.shape(&q_mm).bend;

@@ -47,7 +47,7 @@ impl Effect for ThermalDrift {
     fn starts(&self) -> Starts {
         [30.0, 120.0].map(|tau| vec![0.1, 0.0, -0.1, tau]).to_vec()
     }
-    fn slack(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
+    fn play_output(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         let warm = -(-at.t_s / p[3]).exp_m1();
         *w_mm += Vector3::new(p[0], p[1], p[2]) * warm;
     }

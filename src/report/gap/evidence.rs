@@ -2,7 +2,7 @@
 
 use crate::diagnosis::chain::lines;
 use crate::diagnosis::diagnose::Diagnosed;
-use crate::diagnosis::observe::{G_M_S2, Quantity, Observed};
+use crate::diagnosis::observe::{G_M_S2, Observed, Quantity};
 use crate::diagnosis::search::HeldOut;
 use crate::model::arc::Geometry;
 use crate::model::bend::Bend;

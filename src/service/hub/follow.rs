@@ -2,7 +2,7 @@
 
 use super::{ANSWER_MAX_S, Hub, Waiting, requests::unix_s};
 use crate::service::calibrate::Next;
-use crate::service::memory::{RecordedFault, LearnedGains};
+use crate::service::memory::{LearnedGains, RecordedFault};
 use crate::service::protocol::Failure;
 use crate::service::status;
 use crate::supervisor::cycle::CycleOutput;
@@ -67,7 +67,7 @@ impl Hub {
             if t >= s.next_s {
                 // a rate that does not divide the loop's still comes out right on average
                 s.next_s = if s.next_s + s.every_s > t { s.next_s + s.every_s } else { t + s.every_s };
-                let line = line.get_or_insert_with(|| status::frame_line(turned, self.parts.pilot.gate.step_mm));
+                let line = line.get_or_insert_with(|| status::frame_line(turned, self.parts.supervisor.gate.step_mm));
                 self.parts.server.send(s.client, line);
             }
         }
@@ -148,7 +148,7 @@ impl Hub {
     pub(super) fn write_ahead(&mut self, order: Order, waiting: Waiting) {
         let id = self.next_order;
         self.next_order += 1;
-        if self.parts.keeper.keep(&self.parts.memory, id) {
+        if self.parts.state_writer.keep(&self.parts.memory, id) {
             self.ahead.insert(id, order);
             self.waiting.insert(id, waiting);
         } else {
@@ -182,17 +182,17 @@ impl Hub {
             let due = self.last_checkpoint.elapsed().as_secs_f64() >= self.parts.service.checkpoint_s;
             if (due && (changed || disarms)) || self.last_checkpoint.elapsed() > Duration::from_secs(60) {
                 self.last_checkpoint = Instant::now();
-                if self.parts.keeper.checkpoint(&self.parts.memory) && disarms {
+                if self.parts.state_writer.checkpoint(&self.parts.memory) && disarms {
                     self.armed_on_disk = false;
                 }
             }
         }
-        while let Some(done) = self.parts.keeper.done() {
+        while let Some(done) = self.parts.state_writer.done() {
             self.kept(done);
         }
     }
 
-    fn kept(&mut self, done: crate::service::keeper::Done) {
+    fn kept(&mut self, done: crate::service::state_writer::Done) {
         let error = done.result.err().map(|e| e.to_string());
         if let Some(error) = &error
             && self.memory_error.as_ref() != Some(error)
@@ -205,7 +205,7 @@ impl Hub {
         match error {
             None => {
                 match order {
-                    Order::Lines(lines) => self.parts.pilot.tick.lines = lines,
+                    Order::Lines(lines) => self.parts.supervisor.tick.lines = lines,
                     _ => self.armed_on_disk = true,
                 }
                 self.order(order, Some(waiting));
@@ -221,12 +221,12 @@ impl Hub {
     /// STATUS for the service manager, when it changes.
     pub(super) fn tell_manager(&mut self) {
         let Some(last) = &self.last else { return };
-        let felt = last
+        let estimate = last
             .frame
-            .felt
+            .estimate
             .map_or_else(String::new, |f| format!(", {:.1}° at {:.0}°", f.bend.beta().to_degrees(), f.bend.delta().to_degrees()));
         let fault = last.latched.map_or_else(String::new, |c| format!(": {}", status::words(c)));
-        let line = format!("STATUS={}{felt}{fault}", last.mode);
+        let line = format!("STATUS={}{estimate}{fault}", last.mode);
         let (said, when) = &self.last_status;
         if *said != line && when.elapsed() > Duration::from_secs(1) {
             self.parts.notifier.say(&line);

@@ -9,9 +9,9 @@ use crate::primitives::units::Mm;
 use crate::service::calibrate::{Found, Session};
 use crate::service::protocol::{CalibrateAction, Failure, RecordAction, Request, parse};
 use crate::service::record::Recording;
+use crate::service::rt_loop::Message;
 use crate::service::server::Line;
 use crate::service::tape;
-use crate::service::turns::Message;
 use crate::supervisor::cycle::Supervisor;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
@@ -90,7 +90,7 @@ impl Hub {
     }
 
     fn command(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Command {
-        let length = Mm(length_mm.unwrap_or(self.parts.pilot.tick.geometry.rest_length_mm));
+        let length = Mm(length_mm.unwrap_or(self.parts.supervisor.tick.geometry.rest_length_mm));
         Command { bend: Bend::from_deg(bend_deg, dir_deg), length }
     }
 
@@ -108,7 +108,7 @@ impl Hub {
             return Err(Failure::refused("no gains file was given: start with `retroflex run --gains FILE` to reload it"));
         };
         let gains: Gains = source::read(&path).map_err(|e| Failure::bad(format!("{e}; the gains in use stay")))?;
-        let mut next = self.parts.pilot.clone();
+        let mut next = self.parts.supervisor.clone();
         let whole = crate::config::assemble(&self.parts.board, &self.parts.calibration, &gains);
         // what the machine and the calibration said stays; what the gains file says is new
         next.tick = crate::control::tick::LoopConfig {
@@ -121,7 +121,7 @@ impl Hub {
         if self.parts.other_end.orders.push(Message::Reload(Box::new(next.clone()))).is_err() {
             return Err(Failure::refused("too many commands at once; try again in a moment"));
         }
-        self.parts.pilot = next;
+        self.parts.supervisor = next;
         if let Ok(text) = std::fs::read_to_string(&path) {
             self.parts.texts[1] = text;
         }
@@ -164,7 +164,7 @@ impl Hub {
     pub(super) fn begin_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
         let at_rest = self.mode() == Mode::Disarmed && self.last.as_ref().is_some_and(|t| t.counted.0 == [0; 3] && t.latched.is_none());
         let fresh = at_boot || at_rest;
-        let p = &self.parts.pilot;
+        let p = &self.parts.supervisor;
         let header = tape::Header {
             tape: 1,
             program: env!("CARGO_PKG_VERSION").to_owned(),
@@ -189,12 +189,12 @@ impl Hub {
 
     /// A pilot that remembers nothing but what the header of the tape says takes over, at rest.
     fn relieve(&mut self, kept: Option<crate::control::tick::RestartState>) {
-        let mut config = self.parts.pilot.clone();
+        let mut config = self.parts.supervisor.clone();
         config.tick.lines = self.first_lines().map(|[k_epsilon, k_lambda_mm]| crate::model::transmission::Line { k_epsilon, k_lambda_mm });
         let [lag_s, delay_s] = self.first_dynamics();
         config.tick.dynamics = crate::control::pi::Dynamics { lag_s, delay_s };
-        let pilot = Supervisor::new(config, kept);
-        if self.parts.other_end.orders.push(Message::Relieve(Box::new(pilot))).is_err()
+        let supervisor = Supervisor::new(config, kept);
+        if self.parts.other_end.orders.push(Message::Relieve(Box::new(supervisor))).is_err()
             && let Some(r) = &mut self.recording
         {
             r.go_without_tape();
@@ -218,13 +218,13 @@ impl Hub {
 
     fn first_lines(&self) -> [[f64; 2]; 3] {
         let accepted = self.parts.memory.accepted.as_ref().filter(|g| g.tip == self.parts.tip);
-        let lines = &self.parts.pilot.tick.lines;
+        let lines = &self.parts.supervisor.tick.lines;
         std::array::from_fn(|i| accepted.map_or([lines[i].k_epsilon, lines[i].k_lambda_mm], |g| [g.k_epsilon[i], g.k_lambda_mm[i]]))
     }
 
     fn first_dynamics(&self) -> [f64; 2] {
         let accepted = self.parts.memory.accepted.as_ref().filter(|g| g.tip == self.parts.tip);
-        let d = &self.parts.pilot.tick.dynamics;
+        let d = &self.parts.supervisor.tick.dynamics;
         accepted.map_or([d.lag_s, d.delay_s], |g| [g.lag_s, g.delay_s])
     }
 
@@ -247,9 +247,9 @@ impl Hub {
             CalibrateAction::Full | CalibrateAction::Short if self.calibration.is_some() => {
                 return Some(Err(Failure::refused("a calibration runs already")));
             }
-            CalibrateAction::Full => Session::full(self.parts.pilot.tick.geometry, self.parts.pilot.gate.step_mm, self.in_use()),
+            CalibrateAction::Full => Session::full(self.parts.supervisor.tick.geometry, self.parts.supervisor.gate.step_mm, self.in_use()),
             CalibrateAction::Short => {
-                let (geometry, step_mm) = (self.parts.pilot.tick.geometry, self.parts.pilot.gate.step_mm);
+                let (geometry, step_mm) = (self.parts.supervisor.tick.geometry, self.parts.supervisor.gate.step_mm);
                 Session::short(geometry, step_mm, self.parts.calibration.prior(), self.in_use())
             }
         };
@@ -263,10 +263,10 @@ impl Hub {
     }
 
     fn in_use(&self) -> Found {
-        let lines = self.parts.pilot.tick.lines;
+        let lines = self.parts.supervisor.tick.lines;
         let k = self.last.as_ref().map_or(lines.map(|l| l.k_epsilon), |t| t.frame.k_epsilon);
         let lines = std::array::from_fn(|i| crate::model::transmission::Line { k_epsilon: k[i], ..lines[i] });
-        Found { lines, dynamics: self.parts.pilot.tick.dynamics }
+        Found { lines, dynamics: self.parts.supervisor.tick.dynamics }
     }
 
     fn accept(&mut self, waiting: Waiting) -> Option<Result<Value, Failure>> {

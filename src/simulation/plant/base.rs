@@ -5,9 +5,9 @@
 //! two sines whose periods stand in the golden ratio and so never repeat.
 
 use crate::primitives::frames::{Rotation, World};
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use crate::simulation::plant::shape::arc::Plate;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -56,15 +56,15 @@ impl PlantEffect for BaseMotion {
         self.angle_deg = (self.angle_deg * factor).clamp(-180.0, 180.0);
         self.sway_deg *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let angle_deg = lot.sized(3.0, 12.0, severity);
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let angle_deg = rng.sized(3.0, 12.0, severity);
         Self {
             angle_deg,
-            axis: lot.direction().into(),
-            at_s: lot.between(8.0, 35.0),
-            over_s: lot.between(2.0, 15.0),
-            sway_deg: if lot.chance(0.5) { angle_deg * lot.between(0.05, 0.2) } else { 0.0 },
-            sway_period_s: lot.between(5.0, 20.0),
+            axis: rng.direction().into(),
+            at_s: rng.between(8.0, 35.0),
+            over_s: rng.between(2.0, 15.0),
+            sway_deg: if rng.chance(0.5) { angle_deg * rng.between(0.05, 0.2) } else { 0.0 },
+            sway_period_s: rng.between(5.0, 20.0),
         }
     }
 }

@@ -18,7 +18,7 @@ use crate::simulation::plant::line::crosstalk::Crosstalk;
 use crate::simulation::plant::line::gas_compression::GasCompression;
 use crate::simulation::plant::line::leak::Leak;
 use crate::simulation::plant::line::thermal_drift::ThermalDrift;
-use crate::simulation::plant::lot::{PlantRng, Stream};
+use crate::simulation::plant::rng::{PlantRng, Stream};
 use crate::simulation::plant::shape::cable_stiffness::CableStiffness;
 use crate::simulation::plant::shape::clocking::Clocking;
 use crate::simulation::plant::shape::curvature::Curvature;
@@ -34,8 +34,8 @@ impl PlantConfig {
     /// # Errors
     /// [`PlantError::UnknownEffect`] for a name that [`effect_names`] does not list.
     pub fn with_effect<R: Rng + ?Sized>(mut self, name: &str, severity: f64, rng: &mut R) -> Result<Self, PlantError> {
-        let mut lot = PlantRng::new(rng.next_u64(), Stream::Choice);
-        if self.effects.choose(name, severity, &mut lot) {
+        let mut rng = PlantRng::new(rng.next_u64(), Stream::Choice);
+        if self.effects.choose(name, severity, &mut rng) {
             return Ok(self);
         }
         let known = effect_names().map(|e| e.name).collect::<Vec<_>>().join(", ");
@@ -46,9 +46,9 @@ impl PlantConfig {
     /// tip orientation and each there with even odds. What is set already is left alone.
     #[must_use]
     pub fn background<R: Rng + ?Sized>(mut self, rng: &mut R) -> Self {
-        let mut lot = PlantRng::new(rng.next_u64(), Stream::Choice);
+        let mut rng = PlantRng::new(rng.next_u64(), Stream::Choice);
         let e = &mut self.effects;
-        let mut tenth = |size: f64| size * lot.between(0.3, 1.0);
+        let mut tenth = |size: f64| size * rng.between(0.3, 1.0);
         let small = Effects {
             gear_periodic: Some(GearPeriodic { amplitude_mm: tenth(0.01), ..GearPeriodic::default() }),
             leak: Some(Leak { rate_per_s: [0; 3].map(|_| tenth(5e-5)), ..Leak::default() }),
@@ -71,17 +71,17 @@ impl PlantConfig {
             mount_misalignment: Some(MountMisalignment { tilt_deg: [0; 3].map(|_| tenth(0.06)), ..MountMisalignment::default() }),
             ..Effects::default()
         };
-        e.fill(small, &mut lot);
+        e.fill(small, &mut rng);
         self
     }
 }
 
 impl Effects {
     /// Takes each cause of `small` that is not set here, with even odds.
-    fn fill(&mut self, small: Effects, lot: &mut PlantRng) {
+    fn fill(&mut self, small: Effects, rng: &mut PlantRng) {
         macro_rules! take {
             ($($name:ident),*) => { $(
-                let wanted = lot.chance(0.5);
+                let wanted = rng.chance(0.5);
                 if wanted && self.$name.is_none() { self.$name = small.$name; }
             )* };
         }

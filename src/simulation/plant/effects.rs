@@ -13,7 +13,6 @@ use crate::simulation::plant::bellows::ringing::Ringing;
 use crate::simulation::plant::bellows::snap_through::SnapThrough;
 use crate::simulation::plant::bellows::softening::Softening;
 use crate::simulation::plant::bellows::stiffening::Stiffening;
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::drive::gear_periodic::GearPeriodic;
 use crate::simulation::plant::drive::missed_steps::MissedSteps;
@@ -31,7 +30,8 @@ use crate::simulation::plant::line::line_lag::LineLag;
 use crate::simulation::plant::line::play::PlayWear;
 use crate::simulation::plant::line::rate_coupling::RateCoupling;
 use crate::simulation::plant::line::thermal_drift::ThermalDrift;
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use crate::simulation::plant::shape::cable_stiffness::CableStiffness;
 use crate::simulation::plant::shape::clocking::Clocking;
 use crate::simulation::plant::shape::contact::Contact;
@@ -78,16 +78,16 @@ macro_rules! causes {
                 Ok(())
             }
             /// Draws the named cause; false if this table has none of the name.
-            fn draw(&mut self, name: &str, severity: f64, lot: &mut PlantRng) -> bool {
+            fn draw(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
                 match name {
-                    $( stringify!($name) => self.$name = Some(<$kind>::draw(severity, lot)), )*
+                    $( stringify!($name) => self.$name = Some(<$kind>::draw(severity, rng)), )*
                     _ => return false,
                 }
                 true
             }
             /// Makes every cause bigger or smaller by a factor of its own.
-            fn vary(&mut self, sigma: f64, lot: &mut PlantRng) {
-                $( if let Some(cause) = &mut self.$name { cause.scale(lot.factor(sigma)); } )*
+            fn vary(&mut self, sigma: f64, rng: &mut PlantRng) {
+                $( if let Some(cause) = &mut self.$name { cause.scale(rng.factor(sigma)); } )*
             }
         }
     };
@@ -155,14 +155,14 @@ impl Effects {
         self.outside.check()
     }
     /// Sets the named cause to a random one of its typical range; false if there is no such name.
-    pub(crate) fn choose(&mut self, name: &str, severity: f64, lot: &mut PlantRng) -> bool {
-        self.draw(name, severity, lot) || self.outside.draw(name, severity, lot)
+    pub(crate) fn choose(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
+        self.draw(name, severity, rng) || self.outside.draw(name, severity, rng)
     }
     /// Sizes as another unit of the same make has them.
-    pub(crate) fn varied(&self, sigma: f64, lot: &mut PlantRng) -> Self {
+    pub(crate) fn varied(&self, sigma: f64, rng: &mut PlantRng) -> Self {
         let mut unit = self.clone();
-        unit.vary(sigma, lot);
-        unit.outside.vary(sigma, lot);
+        unit.vary(sigma, rng);
+        unit.outside.vary(sigma, rng);
         unit
     }
 }

@@ -166,7 +166,10 @@ impl Plant {
             | InjectedFault::NoMag
             | InjectedFault::GyroBias { .. }
             | InjectedFault::AccBias { .. } => self.break_sensor(fault),
-            InjectedFault::StepLoss { .. } | InjectedFault::Inverted { .. } | InjectedFault::Disabled { .. } | InjectedFault::EndStop { .. } => self.break_drive(fault),
+            InjectedFault::StepLoss { .. }
+            | InjectedFault::Inverted { .. }
+            | InjectedFault::Disabled { .. }
+            | InjectedFault::EndStop { .. } => self.break_drive(fault),
             InjectedFault::Leak { channel, rate_per_s } => self.line.broken.leak(channel.index(), rate_per_s),
             InjectedFault::Burst { channel } => self.line.broken.leak(channel.index(), BURST_PER_S),
             InjectedFault::Blocked { channel } => self.line.broken.block(channel.index()),

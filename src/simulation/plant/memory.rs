@@ -1,6 +1,6 @@
 //! Small memories that several stages keep: an exact first-order decay, coloured noise, a delay line.
 
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use std::collections::VecDeque;
 
@@ -39,14 +39,14 @@ pub(crate) struct Wander {
 
 impl Wander {
     /// Starts at a typical value, not at zero.
-    pub(crate) fn new(sigma: f64, tau_s: f64, lot: &mut PlantRng) -> Self {
-        Self { sigma, decay: Decay::new(tau_s), x: lot.normals() * sigma }
+    pub(crate) fn new(sigma: f64, tau_s: f64, rng: &mut PlantRng) -> Self {
+        Self { sigma, decay: Decay::new(tau_s), x: rng.normals() * sigma }
     }
     /// The value after `dt_s` more seconds.
-    pub(crate) fn step(&mut self, dt_s: f64, lot: &mut PlantRng) -> Vector3<f64> {
+    pub(crate) fn step(&mut self, dt_s: f64, rng: &mut PlantRng) -> Vector3<f64> {
         if self.sigma > 0.0 {
             let kept = 1.0 - self.decay.share(dt_s);
-            self.x = self.x * kept + lot.normals() * (self.sigma * (1.0 - kept * kept).sqrt());
+            self.x = self.x * kept + rng.normals() * (self.sigma * (1.0 - kept * kept).sqrt());
         }
         self.x
     }
@@ -102,7 +102,7 @@ impl<T: Mix> Delay<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::plant::lot::Stream;
+    use crate::simulation::plant::rng::Stream;
 
     #[test]
     fn a_decay_does_not_care_for_the_step() {
@@ -119,10 +119,10 @@ mod tests {
 
     #[test]
     fn wander_has_the_spread_it_was_given() {
-        let mut lot = PlantRng::new(3, Stream::TipImu);
-        let mut w = Wander::new(2.0, 0.1, &mut lot);
+        let mut rng = PlantRng::new(3, Stream::TipImu);
+        let mut w = Wander::new(2.0, 0.1, &mut rng);
         let n = 20_000;
-        let square: f64 = (0..n).map(|_| w.step(0.05, &mut lot).norm_squared() / 3.0).sum::<f64>() / f64::from(n);
+        let square: f64 = (0..n).map(|_| w.step(0.05, &mut rng).norm_squared() / 3.0).sum::<f64>() / f64::from(n);
         assert!((square.sqrt() - 2.0).abs() < 0.06, "{}", square.sqrt());
     }
 

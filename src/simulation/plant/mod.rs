@@ -11,7 +11,6 @@
 
 pub mod base;
 pub mod bellows;
-mod cause;
 mod check;
 mod choice;
 pub mod config;
@@ -20,8 +19,9 @@ pub mod effects;
 mod fault;
 pub mod imu;
 pub mod line;
-mod lot;
 mod memory;
+mod plant_effect;
+mod rng;
 pub mod shape;
 pub mod spread;
 pub mod timing;
@@ -37,11 +37,11 @@ use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::plant::base::Stand;
 use crate::simulation::plant::bellows::Bellows;
-use crate::simulation::plant::cause::active;
 use crate::simulation::plant::drive::Drive;
 use crate::simulation::plant::imu::motor_field::Motors;
 use crate::simulation::plant::imu::{Imu, Surroundings};
 use crate::simulation::plant::line::Line;
+use crate::simulation::plant::plant_effect::active;
 use crate::simulation::plant::shape::arc::Plate;
 use crate::simulation::plant::shape::{Pose, Shape};
 use crate::simulation::plant::timing::DeadTime;
@@ -88,7 +88,7 @@ pub struct Truth {
     /// Length changes of the bellows, mm.
     pub bellow_mm: Vector3<f64>,
     /// Far ends of the plays, mm of piston.
-    pub slack_mm: Vector3<f64>,
+    pub play_output_mm: Vector3<f64>,
     /// Gauge pressures, kPa.
     pub pressure_kpa: Vector3<f64>,
     /// A wall holds the tip.
@@ -143,15 +143,15 @@ impl Plant {
         let sent = Vector3::from(steps.0.map(f64::from));
         let counts = self.commands.as_mut().map_or(sent, |c| c.pass(t, dt_s, sent));
         let plunger_mm = self.drive.step(&counts, t, dt_s);
-        let air_mm = self.line.step(&plunger_mm, &self.bellows.felt, dt_s);
+        let air_mm = self.line.step(&plunger_mm, &self.bellows.estimate, dt_s);
         let bellow_mm = self.bellows.step(&air_mm, t, dt_s);
         let pose = self.shape.step(&bellow_mm, &self.stand.attitude(t), dt_s);
         let (imu, base_imu) = self.sense(&pose, &counts);
         let truth = Truth {
             r_base_tip: self.r_base_plate * pose.r_plate_tip,
             bellow_mm,
-            slack_mm: self.line.slack_mm(),
-            pressure_kpa: self.bellows.felt.pressure_kpa,
+            play_output_mm: self.line.play_output_mm(),
+            pressure_kpa: self.bellows.estimate.pressure_kpa,
             wall_touched: pose.touched,
         };
         Output { t: Seconds(t), imu, base_imu, truth }

@@ -3,10 +3,10 @@
 //! Both dead times wander: `T (1 + j x(t))`, with `x` a unit Gauss-Markov process of 1 s correlation
 //! time, bounded at ±2.5. What lies between two known moments is taken as a straight line.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::{PlantRng, Stream};
 use crate::simulation::plant::memory::{Delay, Mix, Wander};
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::{PlantRng, Stream};
 use serde::{Deserialize, Serialize};
 
 /// `[effects.transport_delay]`
@@ -62,8 +62,8 @@ impl PlantEffect for TransportDelay {
     fn scale(&mut self, factor: f64) {
         self.delay_s = (self.delay_s * factor).min(LONGEST_S);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { delay_s: lot.sized(0.05, 0.25, severity), jitter: lot.between(0.02, 0.1) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { delay_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
     }
 }
 
@@ -78,8 +78,8 @@ impl PlantEffect for SensorLatency {
     fn scale(&mut self, factor: f64) {
         self.latency_s = (self.latency_s * factor).min(LONGEST_S);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { latency_s: lot.sized(0.05, 0.25, severity), jitter: lot.between(0.02, 0.1) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { latency_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
     }
 }
 
@@ -90,7 +90,7 @@ pub(crate) struct DeadTime<T> {
     jitter: f64,
     line: Delay<T>,
     wander: Wander,
-    lot: PlantRng,
+    rng: PlantRng,
 }
 
 impl<T: Mix> DeadTime<T> {
@@ -102,15 +102,15 @@ impl<T: Mix> DeadTime<T> {
     pub(crate) fn latency(config: &SensorLatency, rest: T, seed: u64) -> Self {
         Self::new(config.latency_s, config.jitter, rest, PlantRng::new(seed, Stream::SensorLatency))
     }
-    fn new(delay_s: f64, jitter: f64, rest: T, mut lot: PlantRng) -> Self {
+    fn new(delay_s: f64, jitter: f64, rest: T, mut rng: PlantRng) -> Self {
         let reach_s = delay_s * (1.0 + jitter * WANDER_MAX);
-        let wander = Wander::new(1.0, WANDER_S, &mut lot);
-        Self { delay_s, jitter, line: Delay::new(reach_s, STEP_MIN_S, rest), wander, lot }
+        let wander = Wander::new(1.0, WANDER_S, &mut rng);
+        Self { delay_s, jitter, line: Delay::new(reach_s, STEP_MIN_S, rest), wander, rng }
     }
     /// Takes what is true at `t` and gives what arrives then.
     pub(crate) fn pass(&mut self, t: f64, dt_s: f64, value: T) -> T {
         self.line.push(t, value);
-        let x = self.wander.step(dt_s, &mut self.lot).x.clamp(-WANDER_MAX, WANDER_MAX);
+        let x = self.wander.step(dt_s, &mut self.rng).x.clamp(-WANDER_MAX, WANDER_MAX);
         self.line.at(t - self.delay_s * (1.0 + self.jitter * x))
     }
 }
@@ -134,8 +134,8 @@ impl PlantEffect for ClockDrift {
     fn scale(&mut self, factor: f64) {
         self.per_mille *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { per_mille: lot.sign() * lot.sized(5.0, 40.0, severity) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { per_mille: rng.sign() * rng.sized(5.0, 40.0, severity) }
     }
 }
 
@@ -177,8 +177,8 @@ impl PlantEffect for SensorFreeze {
     fn scale(&mut self, factor: f64) {
         self.for_s *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { for_s: lot.sized(0.5, 3.0, severity), at_s: lot.between(8.0, 20.0), every_s: lot.between(10.0, 25.0) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { for_s: rng.sized(0.5, 3.0, severity), at_s: rng.between(8.0, 20.0), every_s: rng.between(10.0, 25.0) }
     }
 }
 

@@ -3,7 +3,7 @@
 //! A unit is drawn once, from its seed alone, and then is what it is.
 
 use crate::simulation::plant::config::PlantConfig;
-use crate::simulation::plant::lot::{PlantRng, Stream};
+use crate::simulation::plant::rng::{PlantRng, Stream};
 use crate::simulation::plant::spread::Spread;
 
 /// Draws beyond this many standard deviations are taken at it: such units are not sold.
@@ -14,10 +14,10 @@ impl PlantConfig {
     /// field and IMU biases drawn from `spread`, which is used up by it.
     #[must_use]
     pub fn drawn(&self, seed: u64) -> PlantConfig {
-        let (spread, mut lot) = (&self.spread, PlantRng::new(seed, Stream::Unit));
+        let (spread, mut rng) = (&self.spread, PlantRng::new(seed, Stream::Unit));
         let mut unit = PlantConfig { spread: Spread::default(), ..self.clone() };
-        unit.effects = self.effects.varied(spread.effects, &mut lot);
-        let mut about = |sigma: f64| sigma * lot.normal().clamp(-SOLD, SOLD);
+        unit.effects = self.effects.varied(spread.effects, &mut rng);
+        let mut about = |sigma: f64| sigma * rng.normal().clamp(-SOLD, SOLD);
         for i in 0..3 {
             unit.line.k_epsilon[i] *= 1.0 + about(spread.k_epsilon);
             unit.line.k_lambda_mm[i] *= 1.0 + about(spread.k_lambda);
@@ -32,7 +32,7 @@ impl PlantConfig {
         unit.field.dip_deg = (unit.field.dip_deg + about(spread.dip_deg)).clamp(-90.0, 90.0);
         unit.base.pitch_deg = wrapped(unit.base.pitch_deg + about(spread.tilt_deg));
         unit.base.roll_deg = wrapped(unit.base.roll_deg + about(spread.tilt_deg));
-        unit.base.yaw_deg = wrapped(unit.base.yaw_deg + spread.heading_deg * lot.between(-1.0, 1.0));
+        unit.base.yaw_deg = wrapped(unit.base.yaw_deg + spread.heading_deg * rng.between(-1.0, 1.0));
         unit
     }
 }

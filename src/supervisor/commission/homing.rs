@@ -4,7 +4,7 @@
 //! position that the board file gives for the switch, and the difference of two closings is the proof.
 
 use crate::primitives::units::Steps;
-use crate::supervisor::commission::hand::{Hand, HandError};
+use crate::supervisor::commission::manual_motion::{Hand, HandError};
 
 /// How to search.
 #[derive(Debug, Clone, Copy, PartialEq)]

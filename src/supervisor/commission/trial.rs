@@ -1,7 +1,7 @@
 //! The procedure: one channel after the other bends the tip a little, and holds it for a while.
 
 use crate::model::arc::Geometry;
-use crate::supervisor::commission::hand::{Hand, HandError};
+use crate::supervisor::commission::manual_motion::{Hand, HandError};
 use crate::supervisor::commission::turned::{Rest, Turned};
 use crate::supervisor::commission::wiring::{self, Wiring};
 use nalgebra::{Vector2, Vector3};

@@ -14,7 +14,7 @@ pub mod proof;
 pub mod runner;
 
 use crate::control::follow::Pace;
-use crate::control::tick::{self, Command, LoopConfig, FeedbackConfig, Frame, Input, RestartState, LoopState, tick};
+use crate::control::tick::{self, Command, FeedbackConfig, Frame, Input, LoopConfig, LoopState, RestartState, tick};
 use crate::estimation::fusion::health::CauseSet;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
@@ -22,10 +22,10 @@ use crate::model::transmission::Line;
 use crate::primitives::units::{Mm, Seconds, Steps};
 use crate::supervisor::cycle::order::{Order, Refusal};
 use crate::supervisor::cycle::proof::RestartCheckConfig;
-use crate::supervisor::explain::{self, ResidualMonitor, ResidualConfig, ResidualInput, Suspicion};
 use crate::supervisor::gate::{self, Following, Gate, GateInput};
 use crate::supervisor::machine::Sensed;
 use crate::supervisor::mode::{Event, Mode, Modes};
+use crate::supervisor::residual_monitor::{self, ResidualConfig, ResidualInput, ResidualMonitor, Suspicion};
 use nalgebra::{Vector2, Vector3};
 
 /// Everything that does not change while the pilot flies, but by `reload`.
@@ -283,7 +283,7 @@ impl Supervisor {
 
     /// Alignment found, and where something was remembered, proved or doubted.
     fn follow_alignment(&mut self, frame: &Frame) {
-        if self.modes.now() != Mode::Aligning || frame.felt.is_none() || self.state.fusion.realigning() {
+        if self.modes.now() != Mode::Aligning || frame.estimate.is_none() || self.state.fusion.realigning() {
             return;
         }
         let Some(kept) = self.kept.take() else {
@@ -309,7 +309,7 @@ impl Supervisor {
     /// A tip whose set-point rests does not turn for long: a mean rate that stays is the sensor's, or the
     /// base's. (What feedback corrects of it in the felt bend is no turn either.)
     fn watch_bias(&mut self, frame: &Frame, dt_s: f64) {
-        let rests = frame.felt.is_some() && frame.mode == tick::TickPhase::Holding;
+        let rests = frame.estimate.is_some() && frame.mode == tick::TickPhase::Holding;
         self.resting_s = if rests { self.resting_s + dt_s } else { 0.0 };
         if let Some(rate) = self.state.fusion.rate_rad_s() {
             let keep = (-dt_s / RESTING_S).exp();
@@ -345,20 +345,20 @@ impl Supervisor {
         let armed = self.modes.now().moves() && !self.handing_over;
         self.clearing_s = (self.clearing_s - dt_s).max(0.0);
         let geometry = &self.config.tick.geometry;
-        let felt = frame.felt;
+        let estimate = frame.estimate;
         let stretch_mm = frame.setpoint.length.0 - geometry.rest_length_mm;
         let led = armed && self.aside.is_none() && !frame.senses.held;
         if armed && !sensed.energised {
             // drivers that are not on yet take no steps: the controller waits where it is
-            self.state.stand(&self.config.tick, &self.sent, felt.map_or(Bend::STRAIGHT, |f| f.bend));
+            self.state.stand(&self.config.tick, &self.sent, estimate.map_or(Bend::STRAIGHT, |f| f.bend));
         }
         let wanted = if armed && sensed.energised { frame.steps } else { self.sent };
         let told = GateInput {
             dt_s,
             wanted,
             armed,
-            felt_bellow_mm: felt.map(|f| explain::bellows(geometry, &f.bend.0, stretch_mm).into()),
-            following: felt.filter(|_| led).map(|f| Following { setpoint: frame.setpoint.bend.0.into(), felt: f.bend.0.into() }),
+            estimated_bellow_mm: estimate.map(|f| residual_monitor::bellows(geometry, &f.bend.0, stretch_mm).into()),
+            following: estimate.filter(|_| led).map(|f| Following { setpoint: frame.setpoint.bend.0.into(), estimate: f.bend.0.into() }),
             stale_s: self.blind_s,
             disagree: frame.senses.disagrees,
             emergency_stop: sensed.inputs.emergency_stop,
@@ -387,7 +387,7 @@ impl Supervisor {
     }
 
     fn come_to_rest(&mut self) {
-        let known = !self.adrift && self.kept.is_none() && self.state.fusion.felt().is_some();
+        let known = !self.adrift && self.kept.is_none() && self.state.fusion.estimate().is_some();
         if self.gate.latched().is_none() {
             self.gate.reset(&self.sent);
         }
@@ -404,15 +404,16 @@ impl Supervisor {
         if self.handing_over && !self.gate.is_busy() && sensed.counted == self.sent {
             self.handing_over = false;
             self.gate.reset(&self.sent);
-            self.take_over(frame.felt.map_or(Bend::STRAIGHT, |f| f.bend));
+            self.take_over(frame.estimate.map_or(Bend::STRAIGHT, |f| f.bend));
         }
-        if self.modes.now() == Mode::Tracking && !self.handing_over && frame.mode == tick::TickPhase::Holding && self.stream_until.is_none() {
+        if self.modes.now() == Mode::Tracking && !self.handing_over && frame.mode == tick::TickPhase::Holding && self.stream_until.is_none()
+        {
             self.modes.take(Event::Settled);
         }
     }
 
     fn watch_motion(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> bool {
-        let Some(felt) = frame.felt.filter(|_| self.modes.now().moves() && !self.handing_over) else {
+        let Some(estimate) = frame.estimate.filter(|_| self.modes.now().moves() && !self.handing_over) else {
             return false;
         };
         if frame.base_moved {
@@ -422,9 +423,9 @@ impl Supervisor {
         }
         let seen = ResidualInput {
             dt_s,
-            given: frame.pistons_give.0,
+            given: frame.bend_from_pistons.0,
             gapless: self.gapless(sensed),
-            felt: felt.bend.0,
+            estimate: estimate.bend.0,
             answer_s: frame.dynamics.lag_s + frame.dynamics.delay_s,
             moving: frame.mode == tick::TickPhase::Tracking,
             blocked: frame.blocked,

@@ -121,7 +121,7 @@ impl Supervisor {
             return Ok(());
         }
         self.take(Event::Arm)?;
-        let at = self.state.fusion.felt().map_or(crate::model::bend::Bend::STRAIGHT, |f| f.bend);
+        let at = self.state.fusion.estimate().map_or(crate::model::bend::Bend::STRAIGHT, |f| f.bend);
         self.gate.reset(&self.sent);
         self.take_over(at);
         Ok(())
@@ -163,7 +163,7 @@ impl Supervisor {
         let mode = self.modes.now();
         if mode == Mode::Relaxing {
             self.gate.stand();
-            let known = self.state.fusion.felt().is_some() && !self.adrift && self.kept.is_none();
+            let known = self.state.fusion.estimate().is_some() && !self.adrift && self.kept.is_none();
             let event = match (self.gate.latched(), known) {
                 (Some(_), _) => Event::Trip,
                 (None, false) => Event::Doubted,
@@ -217,7 +217,7 @@ impl Supervisor {
             return Err(Refusal::Busy);
         }
         if self.modes.now() == Mode::Faulted {
-            let aligned = self.state.fusion.felt().is_some();
+            let aligned = self.state.fusion.estimate().is_some();
             let event = if self.adrift {
                 Event::Doubted
             } else if aligned && self.kept.is_none() {
@@ -273,7 +273,7 @@ impl Supervisor {
         }
         self.config.tick.lines = lines;
         self.state.set_lines(lines);
-        let at = self.state.fusion.felt().map(|f| f.bend);
+        let at = self.state.fusion.estimate().map(|f| f.bend);
         if let (Mode::Holding | Mode::Disarmed, Some(at)) = (mode, at) {
             self.take_over(at);
         }

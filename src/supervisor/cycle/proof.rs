@@ -5,7 +5,7 @@
 //! Agreement proves it as far as two directions can; a contradiction, or nothing to compare with, does
 //! not, and then nothing moves.
 
-use crate::control::tick::{LoopConfig, RestartState, LoopState};
+use crate::control::tick::{LoopConfig, LoopState, RestartState};
 use crate::model::bend::Bend;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -33,10 +33,10 @@ impl Default for RestartCheckConfig {
 pub fn holds(config: &RestartCheckConfig, kept: &RestartState, state: &LoopState) -> bool {
     let (Some(now), Some(then)) = (state.fusion.rest(), &kept.rest) else { return false };
     let bent = Bend(kept.bend_rad.into()).rotation().inverse();
-    let apart = |felt: &Vector3<f64>, rest: [f64; 3]| felt.angle(&bent.apply(&Vector3::from(rest))).to_degrees();
+    let apart = |estimate: &Vector3<f64>, rest: [f64; 3]| estimate.angle(&bent.apply(&Vector3::from(rest))).to_degrees();
     let gravity = apart(&now.acc_rest_m_s2, then.acc_m_s2) <= config.gravity_deg;
     let field = match (now.mag_rest_ut, then.mag_ut) {
-        (Some(felt), Some(rest)) => apart(&felt, rest) <= config.field_deg,
+        (Some(estimate), Some(rest)) => apart(&estimate, rest) <= config.field_deg,
         (None, Some(_)) => false,
         (_, None) => true,
     };

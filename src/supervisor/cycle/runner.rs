@@ -2,7 +2,7 @@
 
 use crate::primitives::units::{Seconds, Steps};
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::cycle::{Supervisor, CycleOutput};
+use crate::supervisor::cycle::{CycleOutput, Supervisor};
 use crate::supervisor::machine::MachineError;
 use crate::supervisor::machine::{Machine, Sensed};
 
@@ -12,7 +12,7 @@ pub struct Runner<M> {
     /// The machine.
     pub machine: M,
     /// The pilot.
-    pub pilot: Supervisor,
+    pub supervisor: Supervisor,
     wanted: Steps,
     /// What the machine was told; nothing before the first turn.
     energised: Option<bool>,
@@ -20,9 +20,9 @@ pub struct Runner<M> {
 
 impl<M: Machine> Runner<M> {
     /// Nothing has been sensed yet.
-    pub fn new(machine: M, pilot: Supervisor) -> Self {
-        let wanted = pilot.keep().steps;
-        Self { machine, pilot, wanted, energised: None }
+    pub fn new(machine: M, supervisor: Supervisor) -> Self {
+        let wanted = supervisor.keep().steps;
+        Self { machine, supervisor, wanted, energised: None }
     }
 
     /// One turn at `now`: the machine hands over what came and takes what was wanted, the pilot decides.
@@ -31,7 +31,7 @@ impl<M: Machine> Runner<M> {
     /// The machine's.
     pub fn turn(&mut self, now: Seconds, order: Option<Order>) -> Result<CycleOutput, MachineError> {
         let sensed: Sensed = self.machine.turn(now, &self.wanted)?;
-        let turned = self.pilot.turn(&sensed, order);
+        let turned = self.supervisor.turn(&sensed, order);
         if self.energised != Some(turned.energise) {
             self.energised = Some(turned.energise);
             self.machine.energise(turned.energise);

@@ -1,6 +1,6 @@
 //! What the judge answers.
 
-use super::cause::{HealthCause, CauseSet};
+use super::cause::{CauseSet, HealthCause};
 
 /// The harshest thing a verdict asks for, in rising order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

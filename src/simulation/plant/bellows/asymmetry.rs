@@ -3,9 +3,9 @@
 //! Folds open one after another, so the stiffness turns over smoothly around rest:
 //! `dW/dq = 1 + a x/√(1 + x²)` with `x = q/s`, hence `W = q + a s (√(1 + x²) − 1)`.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.asymmetry]`
@@ -37,8 +37,8 @@ impl PlantEffect for Asymmetry {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).clamp(-0.8, 0.8);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { share: lot.sign() * lot.sized(0.08, 0.3, severity), knee_mm: lot.between(0.3, 1.2) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sign() * rng.sized(0.08, 0.3, severity), knee_mm: rng.between(0.3, 1.2) }
     }
 }
 

@@ -9,9 +9,9 @@
 
 use crate::simulation::plant::bellows::asymmetry::Asymmetry;
 use crate::simulation::plant::bellows::stiffening::Hardening;
-use crate::simulation::plant::cause::active;
 use crate::simulation::plant::config::PlantConfig;
 use crate::simulation::plant::line::gas_compression::GasCompression;
+use crate::simulation::plant::plant_effect::active;
 use nalgebra::Vector3;
 
 /// Springs of the three channels and their last balance.

@@ -2,9 +2,9 @@
 //!
 //! From `at_s` on (until `until_s`) the air of one line gives way `factor` times as much.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, channel, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.outside.bubble_jump]`
@@ -41,11 +41,11 @@ impl PlantEffect for BubbleJump {
     fn scale(&mut self, factor: f64) {
         self.change = (self.change * factor).max(-0.95);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let at_s = lot.between(15.0, 50.0);
-        let until_s = if lot.chance(0.5) { 1e9 } else { at_s + lot.between(10.0, 40.0) };
-        let change = lot.sized(0.25, 0.8, severity);
-        Self { change: if lot.chance(0.3) { -0.7 * change } else { change }, channel: lot.channel(), at_s, until_s }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let at_s = rng.between(15.0, 50.0);
+        let until_s = if rng.chance(0.5) { 1e9 } else { at_s + rng.between(10.0, 40.0) };
+        let change = rng.sized(0.25, 0.8, severity);
+        Self { change: if rng.chance(0.3) { -0.7 * change } else { change }, channel: rng.channel(), at_s, until_s }
     }
 }
 

@@ -4,10 +4,10 @@
 //! weights `∝ τ^α` (the spectrum of a power law over those decades), each relaxing towards its share
 //! of `q (1 + ν |q| / 5 mm)`. The motion grows in holds and recovers afterwards.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -43,8 +43,8 @@ impl PlantEffect for Creep {
     fn scale(&mut self, factor: f64) {
         self.share *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { share: lot.sized(0.08, 0.4, severity), exponent: lot.between(0.0, 0.3), nonlinear: lot.between(0.0, 0.6) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sized(0.08, 0.4, severity), exponent: rng.between(0.0, 0.3), nonlinear: rng.between(0.0, 0.6) }
     }
 }
 

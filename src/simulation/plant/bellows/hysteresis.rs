@@ -6,9 +6,9 @@
 //! makes loops wider when the bellow is long, so that loops of one width at two places are not
 //! congruent, which no sum of plays can mimic.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -52,13 +52,13 @@ impl PlantEffect for Hysteresis {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).min(0.75);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
-            share: lot.sized(0.15, 0.55, severity),
-            yield_mm: lot.between(0.6, 1.6),
-            spread: lot.between(0.5, 0.9),
-            back: lot.between(0.7, 1.1),
-            long_side: lot.between(0.0, 0.3),
+            share: rng.sized(0.15, 0.55, severity),
+            yield_mm: rng.between(0.6, 1.6),
+            spread: rng.between(0.5, 0.9),
+            back: rng.between(0.7, 1.1),
+            long_side: rng.between(0.0, 0.3),
         }
     }
 }

@@ -13,10 +13,10 @@ pub mod snap_through;
 pub mod softening;
 pub mod stiffening;
 
-use crate::simulation::plant::cause::active;
 use crate::simulation::plant::config::PlantConfig;
 use crate::simulation::plant::line::Felt;
 use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::plant_effect::active;
 use balance::Balance;
 use bubble_jump::BubbleJump;
 use creep::Creeping;
@@ -39,7 +39,7 @@ pub(crate) struct Bellows {
     rings: Option<Rings>,
     lagged_mm: Vector3<f64>,
     /// What the lines feel of the bellows.
-    pub(crate) felt: Felt,
+    pub(crate) estimate: Felt,
     /// What was broken at run time.
     pub(crate) broken: Broken,
 }
@@ -73,7 +73,7 @@ impl Bellows {
             lag: Decay::new(config.line.lag_s),
             rings: active(effects.outside.ringing.as_ref()).map(Rings::new),
             lagged_mm: zero,
-            felt: Felt { bellow_mm: zero, pressure_kpa: zero },
+            estimate: Felt { bellow_mm: zero, pressure_kpa: zero },
             broken: Broken::default(),
         }
     }
@@ -86,7 +86,7 @@ impl Bellows {
         }
         let softness = self.damage.as_ref().map_or_else(|| Vector3::repeat(1.0), Damage::left);
         let (mut q, pressure) = self.balance.solve(air_mm, &compliance, &softness);
-        self.felt = Felt { bellow_mm: q, pressure_kpa: pressure };
+        self.estimate = Felt { bellow_mm: q, pressure_kpa: pressure };
         if let Some(damage) = &mut self.damage {
             damage.stretch(&q);
         }

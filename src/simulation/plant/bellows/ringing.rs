@@ -3,9 +3,9 @@
 //! A share of the motion passes through a lightly damped second-order system of unit gain,
 //! `ẍ + 2 ζ ω ẋ + ω² x = ω² u`, stepped by its exact solution for an input held over the step.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::{Matrix2, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -39,8 +39,8 @@ impl PlantEffect for Ringing {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).min(1.0);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { share: lot.sized(0.4, 0.9, severity), frequency_hz: lot.between(1.0, 4.0), damping: lot.between(0.03, 0.12) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sized(0.4, 0.9, severity), frequency_hz: rng.between(1.0, 4.0), damping: rng.between(0.03, 0.12) }
     }
 }
 

@@ -3,10 +3,10 @@
 //! A fold is bistable: past `at_mm` it pops and adds `jump_mm` within some 50 ms; it pops back only
 //! once the bellow has come back by `1.5 jump` (but at least 0.5 mm) below that.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, channel, range};
-use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -41,8 +41,8 @@ impl PlantEffect for SnapThrough {
     fn scale(&mut self, factor: f64) {
         self.jump_mm *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { jump_mm: lot.sized(0.4, 1.5, severity), at_mm: lot.between(1.0, 2.5), channel: lot.channel() }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { jump_mm: rng.sized(0.4, 1.5, severity), at_mm: rng.between(1.0, 2.5), channel: rng.channel() }
     }
 }
 

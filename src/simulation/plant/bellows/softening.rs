@@ -4,9 +4,9 @@
 //! `0.7 |q|`, breaks bonds: `D = 1 − d (1 − e^(−(m/s)²))`. Below the worst stretch so far nothing
 //! changes any more (Simo 1987, with energy taken as quadratic).
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -41,8 +41,8 @@ impl PlantEffect for Softening {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).min(0.9);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { share: lot.sized(0.1, 0.5, severity), stretch_mm: lot.between(2.0, 4.0) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sized(0.1, 0.5, severity), stretch_mm: rng.between(2.0, 4.0) }
     }
 }
 

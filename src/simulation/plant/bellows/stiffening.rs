@@ -3,9 +3,9 @@
 //! Beside the linear wall, `h q (e^(|q|/s) − 1)`, with `h` such that the extra is `share` of the
 //! linear force at 5 mm. Odd, and with every odd and even power of |q| behind it.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.stiffening]`
@@ -40,8 +40,8 @@ impl PlantEffect for Stiffening {
     fn scale(&mut self, factor: f64) {
         self.share *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { share: lot.sized(0.12, 0.7, severity), onset_mm: lot.between(1.8, 4.0) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sized(0.12, 0.7, severity), onset_mm: rng.between(1.8, 4.0) }
     }
 }
 

@@ -3,9 +3,9 @@
 //! `e(u) = A (1 + v sin 0.37θ) sin(θ + s sin θ)`, `θ = 2πu/p + φ`: flanks wear on one side (skew `s`)
 //! and no tooth is like the next (`v`). Counted from rest, so that `e(0) = 0`.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
@@ -47,12 +47,12 @@ impl PlantEffect for GearPeriodic {
     fn scale(&mut self, factor: f64) {
         self.amplitude_mm *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
-            amplitude_mm: lot.sized(0.04, 0.4, severity),
-            phase_deg: [lot.angle_deg(), lot.angle_deg(), lot.angle_deg()],
-            skew: lot.between(0.1, 0.6),
-            variation: lot.between(0.05, 0.3),
+            amplitude_mm: rng.sized(0.04, 0.4, severity),
+            phase_deg: [rng.angle_deg(), rng.angle_deg(), rng.angle_deg()],
+            skew: rng.between(0.1, 0.6),
+            variation: rng.between(0.05, 0.3),
             ..Self::default()
         }
     }

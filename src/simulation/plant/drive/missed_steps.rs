@@ -5,10 +5,10 @@
 //! slope between 10 and 40 ms of smoothing. A rotor out of step stands still and loses what it is sent
 //! until it catches a pole again, `full_steps` later. The offset stays.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, channel, range};
-use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -51,13 +51,13 @@ impl PlantEffect for MissedSteps {
     fn scale(&mut self, factor: f64) {
         self.full_steps *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
-            full_steps: lot.sized(1.5, 30.0, severity).round(),
-            channel: lot.channel(),
-            accel_max_mm_s2: lot.between(30.0, 70.0),
-            after_s: lot.between(8.0, 40.0),
-            stalls_max: if lot.chance(0.5) { 1 } else { 2 },
+            full_steps: rng.sized(1.5, 30.0, severity).round(),
+            channel: rng.channel(),
+            accel_max_mm_s2: rng.between(30.0, 70.0),
+            after_s: rng.between(8.0, 40.0),
+            stalls_max: if rng.chance(0.5) { 1 } else { 2 },
             ..Self::default()
         }
     }

@@ -7,8 +7,8 @@ pub mod gear_periodic;
 pub mod missed_steps;
 pub mod stick_slip;
 
-use crate::simulation::plant::cause::active;
 use crate::simulation::plant::config::PlantConfig;
+use crate::simulation::plant::plant_effect::active;
 use gear_periodic::Teeth;
 use missed_steps::Stall;
 use nalgebra::Vector3;

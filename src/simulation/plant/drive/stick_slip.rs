@@ -4,9 +4,9 @@
 //! the breakaway distance, then jumps to where sliding friction holds it. Rubber that rests grows
 //! fast: breakaway rises by a tenth for every e-fold of seconds at rest.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -42,8 +42,8 @@ impl PlantEffect for StickSlip {
     fn scale(&mut self, factor: f64) {
         self.breakaway_mm *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { breakaway_mm: lot.sized(0.3, 1.5, severity), sliding: lot.between(0.0, 0.4), ..Self::default() }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { breakaway_mm: rng.sized(0.3, 1.5, severity), sliding: rng.between(0.0, 0.4), ..Self::default() }
     }
 }
 

@@ -2,10 +2,10 @@
 //!
 //! `f + b (1 + 0.15 (f/g)²)`, axis by axis.
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, ranges};
 use crate::simulation::plant::imu::feeling::GRAVITY_M_S2;
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -30,9 +30,9 @@ impl PlantEffect for AccelBias {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.bias_mg, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sized(25.0, 120.0, severity);
-        Self { bias_mg: (lot.direction() * size).into() }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(25.0, 120.0, severity);
+        Self { bias_mg: (rng.direction() * size).into() }
     }
 }
 

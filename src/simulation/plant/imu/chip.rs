@@ -8,8 +8,8 @@ use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
 use crate::simulation::plant::check::{PlantError, range, ranges};
 use crate::simulation::plant::imu::feeling::{Feeling, GRAVITY_M_S2};
-use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Wander;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -142,14 +142,14 @@ struct Axes {
 }
 
 impl Axes {
-    fn new(bias: &[f64; 3], sigma: f64, wander: (f64, f64), digit: f64, range: f64, unit: f64, lot: &mut PlantRng) -> Self {
-        let wander = Wander::new(wander.0 * unit, wander.1, lot);
+    fn new(bias: &[f64; 3], sigma: f64, wander: (f64, f64), digit: f64, range: f64, unit: f64, rng: &mut PlantRng) -> Self {
+        let wander = Wander::new(wander.0 * unit, wander.1, rng);
         Self { bias: Vector3::from(*bias) * unit, sigma: sigma * unit, wander, digit: digit * unit, range: range * unit }
     }
-    fn read(&mut self, truth: &Vector3<f64>, dt_s: f64, lot: &mut PlantRng) -> Vector3<f64> {
-        let mut x = truth + self.bias + self.wander.step(dt_s, lot);
+    fn read(&mut self, truth: &Vector3<f64>, dt_s: f64, rng: &mut PlantRng) -> Vector3<f64> {
+        let mut x = truth + self.bias + self.wander.step(dt_s, rng);
         if self.sigma > 0.0 {
-            x += lot.normals() * self.sigma;
+            x += rng.normals() * self.sigma;
         }
         x.map(|x| {
             let clipped = x.clamp(-self.range, self.range);
@@ -166,12 +166,12 @@ pub(crate) struct Chip {
     gyro: Axes,
     acc: Axes,
     mag: Axes,
-    lot: PlantRng,
+    rng: PlantRng,
     mag_dt_s: f64,
 }
 
 impl Chip {
-    pub(crate) fn new(config: &ImuConfig, mut lot: PlantRng) -> Self {
+    pub(crate) fn new(config: &ImuConfig, mut rng: PlantRng) -> Self {
         let white = (0.5 / config.period_s).sqrt();
         let (deg, mg) = (1f64.to_radians(), 1e-3 * GRAVITY_M_S2);
         let c = config;
@@ -182,7 +182,7 @@ impl Chip {
             c.gyro_digit_deg_s,
             c.gyro_range_deg_s,
             deg,
-            &mut lot,
+            &mut rng,
         );
         let acc = Axes::new(
             &c.acc_bias_mg,
@@ -191,10 +191,10 @@ impl Chip {
             c.acc_digit_mg,
             c.acc_range_g * 1000.0,
             mg,
-            &mut lot,
+            &mut rng,
         );
-        let mag = Axes::new(&c.mag_bias_ut, c.mag_noise_ut, (c.mag_wander_ut, c.wander_s), c.mag_digit_ut, c.mag_range_ut, 1.0, &mut lot);
-        Self { period_s: c.period_s, mag_period_s: c.mag_period_s, gyro, acc, mag, lot, mag_dt_s: 0.0 }
+        let mag = Axes::new(&c.mag_bias_ut, c.mag_noise_ut, (c.mag_wander_ut, c.wander_s), c.mag_digit_ut, c.mag_range_ut, 1.0, &mut rng);
+        Self { period_s: c.period_s, mag_period_s: c.mag_period_s, gyro, acc, mag, rng, mag_dt_s: 0.0 }
     }
     pub(crate) fn period_s(&self) -> f64 {
         self.period_s
@@ -205,9 +205,9 @@ impl Chip {
     /// A sample of what the chip feels; its time is the caller's to set.
     pub(crate) fn read(&mut self, feeling: &Feeling, dt_s: f64, with_mag: bool) -> ImuSample {
         self.mag_dt_s += dt_s;
-        let gyro_rad_s = self.gyro.read(&feeling.rate, dt_s, &mut self.lot);
-        let acc_m_s2 = self.acc.read(&feeling.force, dt_s, &mut self.lot);
-        let mag_ut = with_mag.then(|| self.mag.read(&feeling.field, std::mem::take(&mut self.mag_dt_s), &mut self.lot));
+        let gyro_rad_s = self.gyro.read(&feeling.rate, dt_s, &mut self.rng);
+        let acc_m_s2 = self.acc.read(&feeling.force, dt_s, &mut self.rng);
+        let mag_ut = with_mag.then(|| self.mag.read(&feeling.field, std::mem::take(&mut self.mag_dt_s), &mut self.rng));
         ImuSample { t: Seconds(0.0), gyro_rad_s, acc_m_s2, mag_ut }
     }
     /// Full scale on every axis of rate and force, on the side it is already on.
@@ -220,7 +220,7 @@ impl Chip {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::plant::lot::Stream;
+    use crate::simulation::plant::rng::Stream;
 
     fn still() -> Feeling {
         Feeling { rate: Vector3::zeros(), force: Vector3::new(0.0, 0.0, GRAVITY_M_S2), field: Vector3::new(20.0, 0.0, -43.0) }

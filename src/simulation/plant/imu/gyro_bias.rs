@@ -3,10 +3,10 @@
 //! Warm-up as a stretched exponential, `b (1 − e^(−(t/τ)^0.7))`: fast at first and never quite done;
 //! beside it a Gauss-Markov wander of 40 s correlation time.
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::{PlantRng, Stream};
 use crate::simulation::plant::memory::Wander;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::{PlantRng, Stream};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -42,9 +42,9 @@ impl PlantEffect for GyroBias {
         scale_all(&mut self.warm_up_deg_s, factor);
         self.wander_deg_s *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sized(0.5, 4.0, severity);
-        Self { warm_up_deg_s: (lot.direction() * size).into(), over_s: lot.between(15.0, 70.0), wander_deg_s: 0.1 * size }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(0.5, 4.0, severity);
+        Self { warm_up_deg_s: (rng.direction() * size).into(), over_s: rng.between(15.0, 70.0), wander_deg_s: 0.1 * size }
     }
 }
 
@@ -53,23 +53,23 @@ impl PlantEffect for GyroBias {
 pub(crate) struct Drifting {
     config: GyroBias,
     wander: Wander,
-    lot: PlantRng,
+    rng: PlantRng,
     start: Vector3<f64>,
 }
 
 impl Drifting {
     pub(crate) fn new(config: GyroBias, seed: u64) -> Self {
-        let mut lot = PlantRng::new(seed, Stream::GyroBias);
-        let mut wander = Wander::new(config.wander_deg_s.to_radians(), 40.0, &mut lot);
+        let mut rng = PlantRng::new(seed, Stream::GyroBias);
+        let mut wander = Wander::new(config.wander_deg_s.to_radians(), 40.0, &mut rng);
         // what it starts with is the constant bias, which is nobody's fault
-        let start = wander.step(0.0, &mut lot);
-        Self { config, wander, lot, start }
+        let start = wander.step(0.0, &mut rng);
+        Self { config, wander, rng, start }
     }
     /// Bias at time `t`, `dt_s` after the last, rad/s.
     pub(crate) fn rate(&mut self, t: f64, dt_s: f64) -> Vector3<f64> {
         let warm = -(-(t / self.config.over_s).powf(0.7)).exp_m1();
         let drift = Vector3::from(self.config.warm_up_deg_s).map(f64::to_radians) * warm;
-        drift + self.wander.step(dt_s, &mut self.lot) - self.start
+        drift + self.wander.step(dt_s, &mut self.rng) - self.start
     }
 }
 

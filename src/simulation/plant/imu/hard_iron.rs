@@ -3,10 +3,10 @@
 //! A constant body-fixed field `b`, plus `v |b|` along the field that the parts have been in over the
 //! last 15 s (magnetic viscosity).
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -41,9 +41,9 @@ impl PlantEffect for HardIron {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.offset_ut, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sized(4.0, 40.0, severity);
-        Self { offset_ut: (lot.direction() * size).into(), viscous: lot.between(0.02, 0.15) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(4.0, 40.0, severity);
+        Self { offset_ut: (rng.direction() * size).into(), viscous: rng.between(0.02, 0.15) }
     }
 }
 

@@ -17,10 +17,10 @@ pub mod scale;
 use crate::primitives::frames::{Rotation, Tip, World};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
-use crate::simulation::plant::cause::active;
 use crate::simulation::plant::config::PlantConfig;
 use crate::simulation::plant::effects::Effects;
-use crate::simulation::plant::lot::{PlantRng, Stream};
+use crate::simulation::plant::plant_effect::active;
+use crate::simulation::plant::rng::{PlantRng, Stream};
 use crate::simulation::plant::timing::{ClockDrift, DeadTime, SensorFreeze};
 use accel_bias::AccelBias;
 use chip::{Chip, ImuConfig};
@@ -109,10 +109,10 @@ impl Imu {
     pub(crate) fn base(config: &PlantConfig, seed: u64, here: Surroundings) -> Self {
         Self::new(&config.imu.unbiased(), Flaws::default(), PlantRng::new(seed, Stream::BaseImu), here)
     }
-    fn new(config: &ImuConfig, flaws: Flaws, lot: PlantRng, here: Surroundings) -> Self {
+    fn new(config: &ImuConfig, flaws: Flaws, rng: PlantRng, here: Surroundings) -> Self {
         let turn = Vector3::from(config.mount_deg).map(f64::to_radians);
         Self {
-            chip: Chip::new(config, lot),
+            chip: Chip::new(config, rng),
             mount: (turn.norm() > 0.0).then(|| UnitQuaternion::from_scaled_axis(turn)),
             flaws,
             age: None,

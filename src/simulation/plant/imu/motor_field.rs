@@ -5,10 +5,10 @@
 //! `A I (u (cos φ + h cos 3φ) + w (sin φ − h sin 3φ))`, `u` and `w` across the motor's axis. The
 //! driver lets the current `I` down to its idle share once a channel has stood still.
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -49,13 +49,13 @@ impl PlantEffect for MotorField {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.amplitude_ut, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sized(1.5, 20.0, severity);
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(1.5, 20.0, severity);
         Self {
-            amplitude_ut: std::array::from_fn(|_| size * lot.between(0.6, 1.2)),
-            azimuth_deg: [lot.angle_deg(), lot.angle_deg(), lot.angle_deg()],
-            saturation: lot.between(0.05, 0.2),
-            idle: lot.between(0.3, 0.7),
+            amplitude_ut: std::array::from_fn(|_| size * rng.between(0.6, 1.2)),
+            azimuth_deg: [rng.angle_deg(), rng.angle_deg(), rng.angle_deg()],
+            saturation: rng.between(0.05, 0.2),
+            idle: rng.between(0.3, 0.7),
         }
     }
 }

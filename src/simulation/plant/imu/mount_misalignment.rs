@@ -2,10 +2,10 @@
 //!
 //! Rotation vector `m + w (f/g) × ẑ`: a constant tilt, and `w` of bending per g across.
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
 use crate::simulation::plant::imu::feeling::GRAVITY_M_S2;
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -38,9 +38,9 @@ impl PlantEffect for MountMisalignment {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.tilt_deg, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sized(3.0, 15.0, severity);
-        Self { tilt_deg: (lot.direction() * size).into(), give: lot.between(0.0, 0.05) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(3.0, 15.0, severity);
+        Self { tilt_deg: (rng.direction() * size).into(), give: rng.between(0.0, 0.05) }
     }
 }
 

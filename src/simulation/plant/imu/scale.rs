@@ -3,10 +3,10 @@
 //! Gyroscope and accelerometer axis by axis, the gyroscope's answer to plain force, and soft iron,
 //! which stretches the field along one body-fixed direction.
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
 use crate::simulation::plant::imu::feeling::GRAVITY_M_S2;
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -64,9 +64,9 @@ impl PlantEffect for GyroScale {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.share, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sized(0.03, 0.15, severity);
-        Self { share: std::array::from_fn(|_| size * lot.sign() * lot.between(0.6, 1.2)) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(0.03, 0.15, severity);
+        Self { share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)) }
     }
 }
 
@@ -86,9 +86,9 @@ impl PlantEffect for AccScale {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.share, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sized(0.03, 0.15, severity);
-        Self { share: std::array::from_fn(|_| size * lot.sign() * lot.between(0.6, 1.2)) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(0.03, 0.15, severity);
+        Self { share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)) }
     }
 }
 
@@ -110,8 +110,8 @@ impl PlantEffect for SoftIron {
     fn scale(&mut self, factor: f64) {
         self.stretch = (self.stretch * factor).max(-0.9);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { stretch: lot.sized(0.06, 0.35, severity), direction: lot.direction().into() }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { stretch: rng.sized(0.06, 0.35, severity), direction: rng.direction().into() }
     }
 }
 
@@ -132,9 +132,9 @@ impl PlantEffect for GSensitivity {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.deg_s_per_g, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sized(0.6, 4.0, severity);
-        Self { deg_s_per_g: (lot.direction() * size).into() }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(0.6, 4.0, severity);
+        Self { deg_s_per_g: (rng.direction() * size).into() }
     }
 }
 

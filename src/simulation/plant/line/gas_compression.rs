@@ -6,9 +6,9 @@
 //! much stiffer than nominal the bellow is at the same k_ε, so how much pressure the air really sees),
 //! `ε = (V_d / s) (1 − (1 + s p/P)^(−1/n))`, and `s → 0` is the linear spring.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.gas_compression]`
@@ -43,8 +43,8 @@ impl PlantEffect for GasCompression {
     fn scale(&mut self, factor: f64) {
         self.strength = (self.strength * factor).min(3.0);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { strength: lot.sized(0.5, 2.2, severity), polytropic: lot.between(1.05, 1.35), ..Self::default() }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { strength: rng.sized(0.5, 2.2, severity), polytropic: rng.between(1.05, 1.35), ..Self::default() }
     }
 }
 

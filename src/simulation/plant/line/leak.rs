@@ -5,9 +5,9 @@
 //! `s = 2 / (1 + √(1 + |p|/p_t))`; a lip that is sucked shut leaks less under vacuum. Stepped exactly
 //! for a flow coefficient held over the step.
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -50,9 +50,9 @@ impl PlantEffect for Leak {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.rate_per_s, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let rate = lot.sized(2e-3, 6e-2, severity);
-        Self { rate_per_s: lot.on_channels(rate), vacuum: lot.between(0.4, 1.0), ..Self::default() }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let rate = rng.sized(2e-3, 6e-2, severity);
+        Self { rate_per_s: rng.on_channels(rate), vacuum: rng.between(0.4, 1.0), ..Self::default() }
     }
 }
 

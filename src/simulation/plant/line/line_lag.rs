@@ -5,9 +5,9 @@
 //! quadratic; the step relaxes over the time constant `Δ/f` that the flow has at its start, which is
 //! exact when `o = 0` and stable for every step.
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -40,9 +40,9 @@ impl PlantEffect for LineLag {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.lag_s, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let tau = lot.sized(0.12, 0.9, severity);
-        Self { lag_s: std::array::from_fn(|_| tau * lot.between(0.85, 1.15)), port: lot.between(0.2, 1.0) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let tau = rng.sized(0.12, 0.9, severity);
+        Self { lag_s: std::array::from_fn(|_| tau * rng.between(0.85, 1.15)), port: rng.between(0.2, 1.0) }
     }
 }
 

@@ -11,8 +11,8 @@ pub mod play;
 pub mod rate_coupling;
 pub mod thermal_drift;
 
-use crate::simulation::plant::cause::active;
 use crate::simulation::plant::config::PlantConfig;
+use crate::simulation::plant::plant_effect::active;
 use crosstalk::Crosstalk;
 use leak::{Leak, Leaking};
 use line_lag::Lumen;
@@ -90,8 +90,8 @@ impl Line {
     }
 
     /// Far end of the play, mm of piston.
-    pub(crate) fn slack_mm(&self) -> Vector3<f64> {
-        self.play.slack_mm()
+    pub(crate) fn play_output_mm(&self) -> Vector3<f64> {
+        self.play.play_output_mm()
     }
 
     /// All lines are opened for a moment, pistons at rest.
@@ -102,20 +102,20 @@ impl Line {
     }
 
     /// Air delivered to the bellows, mm of piston, after `dt_s`.
-    pub(crate) fn step(&mut self, plunger_mm: &Vector3<f64>, felt: &Felt, dt_s: f64) -> Vector3<f64> {
-        let slack = self.play.step(plunger_mm);
-        let mut pushed = slack;
+    pub(crate) fn step(&mut self, plunger_mm: &Vector3<f64>, estimate: &Felt, dt_s: f64) -> Vector3<f64> {
+        let play_output = self.play.step(plunger_mm);
+        let mut pushed = play_output;
         if let Some(dragging) = &mut self.dragging {
-            pushed += dragging.step(&slack, dt_s);
+            pushed += dragging.step(&play_output, dt_s);
         }
         if let Some(warmth) = &mut self.warmth {
             pushed += warmth.step(dt_s);
         }
         if let Some(crosstalk) = &self.crosstalk {
-            pushed += crosstalk.squeezed_mm(&felt.bellow_mm, &self.k_epsilon);
+            pushed += crosstalk.squeezed_mm(&estimate.bellow_mm, &self.k_epsilon);
         }
         for leaking in [&mut self.leaking, &mut self.broken.leaking].into_iter().flatten() {
-            pushed -= leaking.step(&pushed, &felt.pressure_kpa, dt_s);
+            pushed -= leaking.step(&pushed, &estimate.pressure_kpa, dt_s);
         }
         let arrived = match &mut self.lumen {
             Some(lumen) => lumen.step(&pushed, dt_s),

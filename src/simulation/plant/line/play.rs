@@ -3,9 +3,9 @@
 //! The far end `w` is dragged when the near end has crossed the gap: `w ← clamp(w, u − λ, u + λ)`.
 //! Teeth that wear widen it with the distance gone: `λ = λ₀ (1 + g (1 − e^(−s/S)))`.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -37,8 +37,8 @@ impl PlantEffect for PlayWear {
     fn scale(&mut self, factor: f64) {
         self.growth *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { growth: lot.sized(0.5, 2.5, severity), over_mm: lot.between(100.0, 400.0) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { growth: rng.sized(0.5, 2.5, severity), over_mm: rng.between(100.0, 400.0) }
     }
 }
 
@@ -47,7 +47,7 @@ impl PlantEffect for PlayWear {
 pub(crate) struct Play {
     half_width_mm: Vector3<f64>,
     wear: Option<PlayWear>,
-    slack_mm: Vector3<f64>,
+    play_output_mm: Vector3<f64>,
     plunger_mm: Vector3<f64>,
     gone_mm: Vector3<f64>,
 }
@@ -55,17 +55,17 @@ pub(crate) struct Play {
 impl Play {
     pub(crate) fn new(half_width_mm: &[f64; 3], wear: Option<PlayWear>) -> Self {
         let zero = Vector3::zeros();
-        Self { half_width_mm: Vector3::from(*half_width_mm), wear, slack_mm: zero, plunger_mm: zero, gone_mm: zero }
+        Self { half_width_mm: Vector3::from(*half_width_mm), wear, play_output_mm: zero, plunger_mm: zero, gone_mm: zero }
     }
-    pub(crate) fn slack_mm(&self) -> Vector3<f64> {
-        self.slack_mm
+    pub(crate) fn play_output_mm(&self) -> Vector3<f64> {
+        self.play_output_mm
     }
     pub(crate) fn step(&mut self, plunger_mm: &Vector3<f64>) -> Vector3<f64> {
         let width = self.worn_mm(plunger_mm);
         for i in 0..3 {
-            self.slack_mm[i] = self.slack_mm[i].max(plunger_mm[i] - width[i]).min(plunger_mm[i] + width[i]);
+            self.play_output_mm[i] = self.play_output_mm[i].max(plunger_mm[i] - width[i]).min(plunger_mm[i] + width[i]);
         }
-        self.slack_mm
+        self.play_output_mm
     }
     fn worn_mm(&mut self, plunger_mm: &Vector3<f64>) -> Vector3<f64> {
         let Some(wear) = &self.wear else { return self.half_width_mm };

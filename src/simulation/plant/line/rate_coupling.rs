@@ -3,10 +3,10 @@
 //! The three racks share a frame that gives: pushing one at speed `v` shifts the next by `c v`, seen
 //! through 0.15 s of the frame's own spring and friction. Nothing is left once all stand still.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -32,8 +32,8 @@ impl PlantEffect for RateCoupling {
     fn scale(&mut self, factor: f64) {
         self.shift_s *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { shift_s: lot.sign() * lot.sized(0.06, 0.3, severity) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { shift_s: rng.sign() * rng.sized(0.06, 0.3, severity) }
     }
 }
 
@@ -50,9 +50,9 @@ impl Dragging {
         Self { config, decay: Decay::new(FRAME_S), followed_mm: Vector3::zeros() }
     }
     /// Shift of each line, mm of piston: `c` times the smoothed speed of the channel before.
-    pub(crate) fn step(&mut self, slack_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
-        self.followed_mm += (slack_mm - self.followed_mm) * self.decay.share(dt_s);
-        let speed = (slack_mm - self.followed_mm) / FRAME_S;
+    pub(crate) fn step(&mut self, play_output_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+        self.followed_mm += (play_output_mm - self.followed_mm) * self.decay.share(dt_s);
+        let speed = (play_output_mm - self.followed_mm) / FRAME_S;
         Vector3::new(speed.z, speed.x, speed.y) * self.config.shift_s
     }
 }

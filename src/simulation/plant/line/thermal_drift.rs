@@ -3,10 +3,10 @@
 //! Motors warm the case and the case warms the air, two thermal masses in series:
 //! `a (1 − (τ₂ e^(−t/τ₂) − τ₁ e^(−t/τ₁)) / (τ₂ − τ₁))`, which starts without a slope.
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -41,14 +41,14 @@ impl PlantEffect for ThermalDrift {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.offset_mm, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sized(0.4, 3.0, severity);
-        let main = lot.channel() - 1;
-        let sign = lot.sign();
-        let share = lot.between(-0.4, 0.4);
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(0.4, 3.0, severity);
+        let main = rng.channel() - 1;
+        let sign = rng.sign();
+        let share = rng.between(-0.4, 0.4);
         let mut offset_mm = [size * sign * share; 3];
         offset_mm[main] = size * sign;
-        Self { offset_mm, air_s: lot.between(6.0, 25.0), case_s: lot.between(30.0, 120.0) }
+        Self { offset_mm, air_s: rng.between(6.0, 25.0), case_s: rng.between(30.0, 120.0) }
     }
 }
 

@@ -4,9 +4,9 @@
 //! With `x = b·u` the bend along the cable's side `u`, it takes back `c x (1 + o y/√(1 + y²)) u`,
 //! `y = x / 0.3`.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -44,8 +44,8 @@ impl PlantEffect for CableStiffness {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).min(0.48);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { share: lot.sized(0.1, 0.4, severity), direction_deg: lot.angle_deg(), one_sided: lot.between(0.1, 0.6) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sized(0.1, 0.4, severity), direction_deg: rng.angle_deg(), one_sided: rng.between(0.1, 0.6) }
     }
 }
 

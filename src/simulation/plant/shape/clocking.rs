@@ -2,9 +2,9 @@
 //!
 //! A bellow glued askew runs along a helix: stretched by `q` it sits at `ζ (1 + w q / 5 mm)`.
 
-use crate::simulation::plant::cause::{PlantEffect, largest, scale_all};
 use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::{PlantEffect, largest, scale_all};
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -36,14 +36,14 @@ impl PlantEffect for Clocking {
     fn scale(&mut self, factor: f64) {
         scale_all(&mut self.offset_deg, factor);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        let size = lot.sign() * lot.sized(3.0, 18.0, severity);
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sign() * rng.sized(3.0, 18.0, severity);
         let mut offset_deg = [size; 3];
-        if lot.chance(0.6) {
+        if rng.chance(0.6) {
             offset_deg = [0.0; 3];
-            offset_deg[lot.channel() - 1] = size;
+            offset_deg[rng.channel() - 1] = size;
         }
-        Self { offset_deg, wander: lot.between(0.03, 0.12) }
+        Self { offset_deg, wander: rng.between(0.03, 0.12) }
     }
 }
 

@@ -4,9 +4,9 @@
 //! that stiffens as it yields), of which `block` tells how much of it there is. While pressed, the
 //! tip sticks sideways: it follows along the wall only once it is `μ` times the pressing behind.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -47,13 +47,13 @@ impl PlantEffect for Contact {
     fn scale(&mut self, factor: f64) {
         self.block = (self.block * factor).min(1.0);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
-            block: lot.sized(0.6, 1.0, severity).min(1.0),
-            direction_deg: lot.angle_deg(),
-            at_deg: lot.between(15.0, 40.0 - 15.0 * severity),
-            give_deg: lot.between(3.0, 10.0),
-            friction: lot.between(0.1, 0.5),
+            block: rng.sized(0.6, 1.0, severity).min(1.0),
+            direction_deg: rng.angle_deg(),
+            at_deg: rng.between(15.0, 40.0 - 15.0 * severity),
+            give_deg: rng.between(3.0, 10.0),
+            friction: rng.between(0.1, 0.5),
         }
     }
 }

@@ -3,9 +3,9 @@
 //! End caps stay straight and the middle bends first: `β' = β + A (β/β₀) tanh((β/β₀)²) / tanh 1`,
 //! which is `A` at `β₀ = 60°`, flat at rest and proportional far out.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -31,8 +31,8 @@ impl PlantEffect for Curvature {
     fn scale(&mut self, factor: f64) {
         self.excess_deg *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { excess_deg: lot.sign() * lot.sized(3.0, 10.0, severity) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { excess_deg: rng.sign() * rng.sized(3.0, 10.0, severity) }
     }
 }
 

@@ -5,9 +5,9 @@
 //! by fixed point from the last solution; each round shrinks the error about tenfold.
 
 use crate::primitives::frames::{Rotation, World};
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use crate::simulation::plant::shape::arc::{Plate, Terms};
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -41,8 +41,8 @@ impl PlantEffect for Gravity {
     fn scale(&mut self, factor: f64) {
         self.sag_deg = (self.sag_deg * factor).min(25.0);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { sag_deg: lot.sized(2.5, 10.0, severity), com_mm: lot.between(3.0, 9.0) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { sag_deg: rng.sized(2.5, 10.0, severity), com_mm: rng.between(3.0, 9.0) }
     }
 }
 

@@ -2,9 +2,9 @@
 //!
 //! The bend is `1 + g (l − l₀)/5 mm` times what the bellows ask for.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use serde::{Deserialize, Serialize};
 
 /// `[effects.outside.length_gain]`
@@ -29,8 +29,8 @@ impl PlantEffect for LengthGain {
     fn scale(&mut self, factor: f64) {
         self.share = (self.share * factor).clamp(-1.0, 1.0);
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { share: lot.sign() * lot.sized(0.2, 0.7, severity) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sign() * rng.sized(0.2, 0.7, severity) }
     }
 }
 

@@ -15,8 +15,8 @@ pub mod twist_creep;
 
 use crate::model::bend::Bend;
 use crate::primitives::frames::{Rotation, Tip, World};
-use crate::simulation::plant::cause::active;
 use crate::simulation::plant::config::PlantConfig;
+use crate::simulation::plant::plant_effect::active;
 use arc::{Plate, Section, Terms};
 use cable_stiffness::Cable;
 use clocking::Clocking;

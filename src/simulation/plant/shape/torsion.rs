@@ -3,9 +3,9 @@
 //! `T tanh(1.2 β/β₀) / tanh 1.2 · (1 + 0.2 cos 3(δ − δ₀))`: it levels off, and three bellows make it
 //! three-lobed. `β₀ = 60°`.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -36,8 +36,8 @@ impl PlantEffect for Torsion {
     fn scale(&mut self, factor: f64) {
         self.twist_deg *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { twist_deg: lot.sign() * lot.sized(3.0, 20.0, severity), direction_deg: lot.angle_deg() }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { twist_deg: rng.sign() * rng.sized(3.0, 20.0, severity), direction_deg: rng.angle_deg() }
     }
 }
 

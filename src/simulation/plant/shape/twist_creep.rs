@@ -2,10 +2,10 @@
 //!
 //! The twist about the tip's axis creeps towards `T β / 60°` with one time constant and back.
 
-use crate::simulation::plant::cause::PlantEffect;
 use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::lot::PlantRng;
 use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::plant_effect::PlantEffect;
+use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
@@ -37,8 +37,8 @@ impl PlantEffect for TwistCreep {
     fn scale(&mut self, factor: f64) {
         self.twist_deg *= factor;
     }
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self {
-        Self { twist_deg: lot.sign() * lot.sized(5.0, 20.0, severity), over_s: lot.between(3.0, 15.0) }
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { twist_deg: rng.sign() * rng.sized(5.0, 20.0, severity), over_s: rng.between(3.0, 15.0) }
     }
 }
 

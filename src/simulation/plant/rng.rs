@@ -100,9 +100,9 @@ mod tests {
 
     #[test]
     fn sizes_stay_near_their_range() {
-        let mut lot = PlantRng::new(1, Stream::Choice);
+        let mut rng = PlantRng::new(1, Stream::Choice);
         for k in 0..200 {
-            let x = lot.sized(0.1, 10.0, f64::from(k) / 199.0);
+            let x = rng.sized(0.1, 10.0, f64::from(k) / 199.0);
             assert!((0.09..11.0).contains(&x));
         }
     }

@@ -29,18 +29,25 @@ pub struct ObstructionDetector {
 
 impl ObstructionDetector {
     /// One tick with the feedback in the command, the felt bend and the error, all rad.
-    pub fn step(&mut self, config: &ObstructionConfig, moving: bool, feedback: &Vector2<f64>, felt: &Vector2<f64>, error: &Vector2<f64>) {
+    pub fn step(
+        &mut self,
+        config: &ObstructionConfig,
+        moving: bool,
+        feedback: &Vector2<f64>,
+        estimate: &Vector2<f64>,
+        error: &Vector2<f64>,
+    ) {
         if moving {
             *self = Self::default();
             return;
         }
-        let (feedback0, felt0) = *self.begun.get_or_insert((*feedback, *felt));
+        let (feedback0, felt0) = *self.begun.get_or_insert((*feedback, *estimate));
         let push = feedback - feedback0;
         let size = push.norm();
-        if (felt - felt0).dot(&push) < -size * BACK_RAD {
-            self.begun = Some((*feedback, *felt));
+        if (estimate - felt0).dot(&push) < -size * BACK_RAD {
+            self.begun = Some((*feedback, *estimate));
         } else if size > config.push_rad && error.norm() > config.error_rad {
-            let followed = (felt - felt0).dot(&push) / (size * size);
+            let followed = (estimate - felt0).dot(&push) / (size * size);
             self.blocked |= followed < config.follow_min;
         } else if error.norm() < config.error_rad {
             self.blocked = false;
@@ -61,8 +68,8 @@ mod tests {
         let mut s = ObstructionDetector::default();
         for i in 0..100 {
             let f = Vector2::new(0.005 * f64::from(i), 0.0);
-            let felt = f * compliance;
-            s.step(&CONFIG, false, &f, &felt, &(Vector2::new(0.4, 0.0) - felt));
+            let estimate = f * compliance;
+            s.step(&CONFIG, false, &f, &estimate, &(Vector2::new(0.4, 0.0) - estimate));
         }
         s.blocked
     }
@@ -81,8 +88,8 @@ mod tests {
             for i in 0..200 {
                 let f = Vector2::new(0.005 * f64::from(i), 0.0);
                 let sunk = Vector2::new(-0.005 * f64::from(i.min(70)), 0.0);
-                let felt = sunk + f.map(|f| (f - 0.35).max(0.0) * compliance);
-                s.step(&CONFIG, false, &f, &felt, &(Vector2::new(0.4, 0.0) - felt));
+                let estimate = sunk + f.map(|f| (f - 0.35).max(0.0) * compliance);
+                s.step(&CONFIG, false, &f, &estimate, &(Vector2::new(0.4, 0.0) - estimate));
             }
             s.blocked
         };

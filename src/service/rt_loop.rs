@@ -7,7 +7,7 @@ use crate::primitives::units::Seconds;
 use crate::service::notify::Feed;
 use crate::supervisor::cycle::order::{Order, Refusal};
 use crate::supervisor::cycle::runner::Runner;
-use crate::supervisor::cycle::{Supervisor, SupervisorConfig, CycleOutput};
+use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
 use crate::supervisor::machine::Machine;
 use crate::supervisor::machine::MachineError;
 use rtrb::{Consumer, Producer, RingBuffer};
@@ -113,7 +113,7 @@ impl Shared {
 /// Everything the thread owns.
 pub struct Loop {
     /// Pilot and machine.
-    pub flight: Runner<Box<dyn Machine>>,
+    pub runner: Runner<Box<dyn Machine>>,
     /// Its ends of the rings.
     pub wires: Wires,
     /// Counters.
@@ -133,7 +133,7 @@ impl Loop {
     /// The machine's.
     pub fn run(mut self) -> Result<(), MachineError> {
         let clock = Monotonic::default();
-        let simulated = self.flight.machine.is_simulated();
+        let simulated = self.runner.machine.is_simulated();
         let period_ns = (self.period_s * 1e9) as u64;
         let begun_ns = clock.now_ns();
         let mut due_ns = begun_ns;
@@ -166,17 +166,17 @@ impl Loop {
         match self.wires.orders.pop() {
             Ok(Message::Order(id, o)) => order = Some((id, o)),
             Ok(Message::Reload(mut config)) => {
-                self.flight.pilot.reload(&mut config);
+                self.runner.supervisor.reload(&mut config);
                 // sixteen old ones waiting: better to free one here than to leak it
                 drop(self.wires.spent.push(Retired::Config(config)));
             }
-            Ok(Message::Relieve(mut pilot)) => {
-                std::mem::swap(&mut self.flight.pilot, &mut pilot);
-                drop(self.wires.spent.push(Retired::Supervisor(pilot)));
+            Ok(Message::Relieve(mut supervisor)) => {
+                std::mem::swap(&mut self.runner.supervisor, &mut supervisor);
+                drop(self.wires.spent.push(Retired::Supervisor(supervisor)));
             }
             Err(_) => {}
         }
-        let turned = self.flight.turn(now, order.map(|(_, o)| o))?;
+        let turned = self.runner.turn(now, order.map(|(_, o)| o))?;
         if let (Some((id, _)), Some(answer)) = (order, turned.answer)
             && self.wires.answers.push((id, answer)).is_err()
         {
@@ -187,9 +187,9 @@ impl Loop {
         }
         let n = self.shared.turns.fetch_add(1, Relaxed);
         if n.is_multiple_of(KEEP_EVERY) {
-            let pilot = &self.flight.pilot;
+            let supervisor = &self.runner.supervisor;
             // a full ring means a hub that is behind; the next note says the same and more
-            let _ = self.wires.keeps.push(KeepNote { kept: pilot.keep(), at_rest: pilot.is_at_rest() });
+            let _ = self.wires.keeps.push(KeepNote { kept: supervisor.keep(), at_rest: supervisor.is_at_rest() });
         }
         Ok(())
     }

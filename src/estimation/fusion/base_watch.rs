@@ -73,7 +73,7 @@ pub struct WatchInput {
     /// Rate of the tip, bias taken off, tip axes, rad/s.
     pub rate_rad_s: Vector3<f64>,
     /// Felt bend vector, rad.
-    pub felt: Vector2<f64>,
+    pub estimate: Vector2<f64>,
     /// Bend that the pistons should give by now, rad.
     pub model: Vector2<f64>,
     /// Set-point on its way, rad.
@@ -130,7 +130,7 @@ impl Watch {
         let keep = |tau_s: f64| (-seen.dt_s / tau_s).exp();
         self.path_fast = self.path_fast * keep(0.25 + 2.0 * seen.answer_s) + path;
         self.path_slow = self.path_slow * keep(0.6 + 2.0 * seen.answer_s) + path;
-        let phi_rate = constrained(&seen.felt, &seen.rate_rad_s);
+        let phi_rate = constrained(&seen.estimate, &seen.rate_rad_s);
         let fade = 1.0 - share(seen.dt_s, config.memory_s);
         self.twist = self.twist * fade + phi_rate.z * seen.dt_s;
         // b = (φ_y, φ_x)
@@ -194,7 +194,7 @@ mod tests {
         (0..800).map(|k| f64::from(k) * DT_S).find(|&t| {
             let seen = WatchInput {
                 rate_rad_s: rate(t),
-                felt: Vector2::new(0.7, 0.0),
+                estimate: Vector2::new(0.7, 0.0),
                 model: model(t),
                 setpoint: setpoint(t),
                 to_go,
@@ -245,7 +245,7 @@ mod tests {
                 let rate_rad_s = Vector3::new(0.0, 1.0, twisting);
                 let still = WatchInput {
                     rate_rad_s,
-                    felt: bend,
+                    estimate: bend,
                     model: bend,
                     setpoint: bend,
                     to_go: bend,

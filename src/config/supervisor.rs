@@ -9,11 +9,11 @@ use crate::supervisor::machine::MachineInfo;
 
 /// Board, calibration and gains for a machine of this nature.
 #[must_use]
-pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, nature: &MachineInfo) -> SupervisorConfig {
+pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, info: &MachineInfo) -> SupervisorConfig {
     let mut tick = super::assemble(board, calibration, gains);
     // the machine's own step and rest length take the board's place
-    tick.drive = Drive { step_mm: nature.step_mm };
-    tick.geometry.rest_length_mm = nature.rest_length_mm;
-    let gate = board.safety.gate(&tick, &tick.limits, nature.period_s);
+    tick.drive = Drive { step_mm: info.step_mm };
+    tick.geometry.rest_length_mm = info.rest_length_mm;
+    let gate = board.safety.gate(&tick, &tick.limits, info.period_s);
     SupervisorConfig { gate, explain: board.safety.explain, proof: board.safety.proof, dead_man_s: board.service.dead_man_s, tick }
 }

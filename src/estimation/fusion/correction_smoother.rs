@@ -44,19 +44,19 @@ mod tests {
 
     #[test]
     fn a_jump_is_spread_and_wholly_let_in() {
-        let mut ease = CorrectionSmoother::default();
-        ease.step(&Vector2::new(0.2, 0.0), 0.005);
-        assert_eq!(ease.offset, Vector2::zeros(), "corrections pass when nothing was wrong");
-        ease.arm();
-        let (mut estimate, mut felt) = (0.0, 0.0);
+        let mut smoother = CorrectionSmoother::default();
+        smoother.step(&Vector2::new(0.2, 0.0), 0.005);
+        assert_eq!(smoother.offset, Vector2::zeros(), "corrections pass when nothing was wrong");
+        smoother.arm();
+        let (mut estimate, mut output) = (0.0, 0.0);
         for k in 0..1000 {
             let jump = if k == 3 { 0.2 } else { 0.0 };
             estimate += jump;
-            ease.step(&Vector2::new(jump, 0.0), 0.005);
-            let now = estimate + ease.offset.x;
-            assert!((now - felt).abs() < 0.2 * 0.02, "{now} after {felt}");
-            felt = now;
+            smoother.step(&Vector2::new(jump, 0.0), 0.005);
+            let now = estimate + smoother.offset.x;
+            assert!((now - output).abs() < 0.2 * 0.02, "{now} after {output}");
+            output = now;
         }
-        assert_eq!(felt, 0.2);
+        assert_eq!(output, 0.2);
     }
 }

@@ -114,7 +114,7 @@ mod tests {
         let s = LIMITS.relief(&q, &lines);
         assert!(s < 0.0);
         for i in 0..3 {
-            assert!(lines[i].slack_mm(q[i] + s).abs() + 1.0 <= 30.0 + 1e-9);
+            assert!(lines[i].play_output_mm(q[i] + s).abs() + 1.0 <= 30.0 + 1e-9);
         }
         assert_eq!(LIMITS.relief(&(q * 0.5), &lines), 0.0);
     }

@@ -3,13 +3,13 @@
 use crate::cli::Unreachable;
 use crate::config::board::Board;
 use crate::config::source;
-use crate::hardware::machine::{Hardware, MachineConfig, HardwareError};
+use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
 use crate::hardware::pins::OpenError;
 use crate::hardware::rt;
 use crate::primitives::units::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
-use crate::supervisor::commission::hand::{Hand, HandError};
+use crate::supervisor::commission::manual_motion::{Hand, HandError};
 use crate::supervisor::machine::Machine;
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::Path;

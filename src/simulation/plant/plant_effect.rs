@@ -1,7 +1,7 @@
 //! What every imperfection of the plant has in common: a size, a range, a typical draw.
 
 use crate::simulation::plant::check::PlantError;
-use crate::simulation::plant::lot::PlantRng;
+use crate::simulation::plant::rng::PlantRng;
 
 /// One physical cause beyond the nominal model.
 pub(crate) trait PlantEffect: Clone {
@@ -12,7 +12,7 @@ pub(crate) trait PlantEffect: Clone {
     /// Makes it `factor` times as big.
     fn scale(&mut self, factor: f64);
     /// One of a plausible size: the small end of what is typical at severity 0, the big end at 1.
-    fn draw(severity: f64, lot: &mut PlantRng) -> Self;
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self;
 }
 
 /// The cause if there is any of it, so that size 0 and absence are the same plant bit for bit.

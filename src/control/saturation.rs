@@ -5,7 +5,7 @@
 //! follows a push; this one only whether there is any push left, so a line that follows too weakly is
 //! said as well.
 
-use crate::control::limit::Cut;
+use crate::control::limits::Cut;
 
 /// What there is no more of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -63,7 +63,7 @@ impl<'a> Hand<'a> {
     /// Piston travel per microstep, mm.
     #[must_use]
     pub fn step_mm(&self) -> f64 {
-        self.machine.nature().step_mm
+        self.machine.info().step_mm
     }
 
     /// Where the pistons are wanted, mm.
@@ -89,7 +89,7 @@ impl<'a> Hand<'a> {
     /// # Errors
     /// [`HandError`].
     pub fn turn(&mut self) -> Result<Sensed, HandError> {
-        let next = Seconds(self.now.0 + self.machine.nature().period_s);
+        let next = Seconds(self.now.0 + self.machine.info().period_s);
         self.now = (self.wait)(next).ok_or(HandError::Cancelled)?;
         let sensed = self.machine.turn(self.now, &self.steps())?;
         self.last = Some(sensed);

@@ -88,11 +88,15 @@ impl std::fmt::Display for Suspicion {
             SuspicionKind::Leak => write!(f, "{line} loses air slowly ({percent:.0} % so far): look for a leak at its connectors"),
             SuspicionKind::Burst => write!(f, "{line} lost its pressure at once: a hose came off or a bellow is torn; relax and replace"),
             SuspicionKind::Weak => write!(f, "{line} gives {percent:.0} % less than it did: air in the line, a soft bellow, or lost steps"),
-            SuspicionKind::Strong => write!(f, "{line} gives {percent:.0} % more than it did: calibrate again, or something pushes the tip"),
+            SuspicionKind::Strong => {
+                write!(f, "{line} gives {percent:.0} % more than it did: calibrate again, or something pushes the tip")
+            }
             SuspicionKind::Inverted => write!(f, "{line} moves the wrong way: check the motor's plug and `invert_dir`"),
             SuspicionKind::Deaf => write!(f, "{line} does not answer its piston: driver off, kinked line or end stop"),
             SuspicionKind::Contact => write!(f, "{line} is held or pushed by {:.0}° by something outside", self.deg),
-            SuspicionKind::LostSteps => write!(f, "{line} is off by a constant {:.1}°: its motor lost steps; `relax`, then `zero`", self.deg),
+            SuspicionKind::LostSteps => {
+                write!(f, "{line} is off by a constant {:.1}°: its motor lost steps; `relax`, then `zero`", self.deg)
+            }
         }
     }
 }
@@ -107,7 +111,7 @@ pub struct ResidualInput {
     /// Bend that they should give if there were no play, rad: a gap is never quite where it is believed.
     pub gapless: Vector2<f64>,
     /// Felt bend, rad.
-    pub felt: Vector2<f64>,
+    pub estimate: Vector2<f64>,
     /// Lag and dead time of the line together, s.
     pub answer_s: f64,
     /// The set-point moves.
@@ -221,7 +225,7 @@ impl ResidualMonitor {
     /// One tick; a suspicion that is new.
     pub fn step(&mut self, seen: &ResidualInput) -> Option<Suspicion> {
         let model = self.follow(seen);
-        let unexplained = seen.felt - model;
+        let unexplained = seen.estimate - model;
         let given = (seen.given - self.last_given).norm();
         self.path_rad += given;
         self.last_given = seen.given;
@@ -244,7 +248,7 @@ impl ResidualMonitor {
 
     fn follow(&mut self, seen: &ResidualInput) -> Vector2<f64> {
         let keep = (-seen.dt_s / seen.answer_s.max(1e-3)).exp();
-        let from = self.model.unwrap_or(seen.felt);
+        let from = self.model.unwrap_or(seen.estimate);
         let model = seen.given + (from - seen.given) * keep;
         self.model = Some(model);
         model
@@ -324,7 +328,11 @@ impl ResidualMonitor {
         }
         if all_mm.abs() < 0.5 {
             // a channel near its own rest has nothing to lose: what moves it came from outside or the drive
-            return if sudden { of(SuspicionKind::LostSteps, 0.0) } else { Suspicion { kind: SuspicionKind::Contact, channel: None, share: 0.0, deg } };
+            return if sudden {
+                of(SuspicionKind::LostSteps, 0.0)
+            } else {
+                Suspicion { kind: SuspicionKind::Contact, channel: None, share: 0.0, deg }
+            };
         }
         match (x_mm / all_mm, sudden || self.abrupt) {
             (s, true) if s < -0.75 => of(SuspicionKind::Burst, s),

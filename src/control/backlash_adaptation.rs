@@ -60,11 +60,11 @@ impl BacklashAdaptation {
     /// One tick at a resting set-point: which pistons turned round, and what is the error to the target
     /// (rad)? Returns the further share of its gap that each channel is to jump now.
     pub fn step(&mut self, turned: [bool; 3], error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> [f64; 3] {
-        let mut bites = [0.0; 3];
-        for ((channel, turned), bite) in self.channels.iter_mut().zip(turned).zip(&mut bites) {
-            *bite = channel.step(turned, error, patience, dt_s);
+        let mut increments = [0.0; 3];
+        for ((channel, turned), increment) in self.channels.iter_mut().zip(turned).zip(&mut increments) {
+            *increment = channel.step(turned, error, patience, dt_s);
         }
-        bites
+        increments
     }
 
     /// The set-point moves: what happens now says nothing about a jump.
@@ -94,9 +94,9 @@ impl Channel {
                 (*before, *age_s) = (*error, 0.0);
                 let short = (SHORT..1.0 / SHORT).contains(&left) && error.norm() > worth_rad;
                 if short && self.share < 1.0 {
-                    let bite = BITE.min(1.0 - self.share);
-                    self.share += bite;
-                    return bite;
+                    let increment = BITE.min(1.0 - self.share);
+                    self.share += increment;
+                    return increment;
                 }
             }
         }
