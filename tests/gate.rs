@@ -355,7 +355,7 @@ fn drivers_that_were_let_go_stay_off_when_a_milder_cause_follows() {
     gate.pass(&GateInput { emergency_stop: true, ..told([50; 3]) });
     let passed = gate.pass(&GateInput { emergency_stop: true, alarm: true, ..told([50; 3]) });
     assert_eq!((passed.tripped, passed.energise), (Some(TripCause::StepGenerator), false));
-    let on = SafeStates { step_generator: SafeState::Relax, ..On::default() };
+    let on = SafeStates { step_generator: SafeState::Relax, ..SafeStates::default() };
     let mut gate = Gate::new(&GateLimits { on, ..limits() }, &Steps([50; 3]));
     gate.pass(&GateInput { emergency_stop: true, ..told([50; 3]) });
     let passed = gate.pass(&GateInput { alarm: true, ..told([50; 3]) });
@@ -553,7 +553,8 @@ fn every_cause_leads_where_the_board_says() {
         }
     }
     // the one that takes time to bring about
-    let mut gate = Gate::new(&GateLimits { on: SafeStates { rate: SafeState::Release, ..On::default() }, ..limits() }, &Steps([0; 3]));
+    let mut gate =
+        Gate::new(&GateLimits { on: SafeStates { rate: SafeState::Release, ..SafeStates::default() }, ..limits() }, &Steps([0; 3]));
     assert_eq!(steady(&mut gate, 0, 40.0, 0.5), Some(TripCause::Rate));
     assert!(!gate.pass(&told([0; 3])).energise);
 }
