@@ -4,7 +4,7 @@
 //! A line request must hand the caller a file descriptor, which no file server can. So the caller is
 //! started with some of the server's own files open at known numbers, and is handed those.
 
-use crate::estimation::fusion::{Answer, Ioctl, long, word};
+use crate::fuse::{Answer, Ioctl, long, word};
 use retroflex::hardware::pins::PinsConfig;
 use std::collections::BTreeMap;
 

@@ -2,7 +2,7 @@
 //! thread sees `/dev/i2c-1`, `/dev/gpiochip0`, `/dev/gpiomem` and a device tree; nothing else does.
 #![allow(unsafe_code)]
 
-use crate::estimation::fusion;
+use crate::fuse;
 use crate::gpio::{HANDLE_FD, HANDLES};
 use crate::server::World;
 use std::ffi::CString;

@@ -3,7 +3,7 @@
 //! Pulses move the plant, the plant moves the sensor's registers. Time is the real one: at every
 //! transfer and every look from outside the plant is brought up to the present, a millisecond at a time.
 
-use crate::estimation::fusion::{Answer, Files, Ioctl};
+use crate::fuse::{Answer, Files, Ioctl};
 use crate::gpio::{Chip, HANDLES};
 use crate::i2c::Bus;
 use retroflex::config::board::{Board, PlantSection};
