@@ -10,6 +10,7 @@ use crate::estimation::fusion::tip::{FuseConfig, Fusion, FusionInput};
 use crate::estimation::imu_calibration::{CalibrationLimits, ImuCalibration, Pedigree, accel, gyro, mag, motor, mount, still};
 use crate::hardware::imu::Imu;
 use crate::log::bend_log::{self, BendLog};
+use crate::log::error::ReadError;
 use crate::log::recording;
 use crate::model::drive::Drive;
 use crate::primitives::sample::ImuSample;
@@ -195,7 +196,7 @@ fn samples(args: &Args) -> Result<Vec<ImuSample>> {
         (Some(file), _) => match bend_log::read(file) {
             Ok(log) => log_samples(&log),
             // another kind of file: its reader says what is wrong if it is neither
-            Err(bend_log::LogError::Missing { .. }) => recording::read(file).into_diagnostic()?.rows.iter().map(|r| r.sample).collect(),
+            Err(ReadError::Missing { .. }) => recording::read(file).into_diagnostic()?.rows.iter().map(|r| r.sample).collect(),
             Err(e) => return Err(e).into_diagnostic(),
         },
         (None, Some(bus)) => live(bus, args.seconds)?,

@@ -1,77 +1,85 @@
-//! Why a file of samples cannot be read: every message names the file, and the line and column where there is one.
+//! Why a table is refused. Every message names the file and, where there is one, the line and the column.
 
-use std::path::PathBuf;
-
-/// Why a recording cannot be read.
+/// Why a table cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The file is not there, or not to be opened.
-    #[error("{}: cannot be opened: {source}: check the path and its permissions", file.display())]
+    /// The file does not exist or cannot be opened.
+    #[error("{file}: cannot be opened: {source}; check the path and its permissions")]
     Open {
-        /// The file.
-        file: PathBuf,
-        /// What the system said.
+        /// File.
+        file: String,
+        /// Reason given by the operating system.
         source: std::io::Error,
     },
-    /// The file stops, or is not what its compression says.
-    #[error("{}, line {line}: cannot be read: {source}: the file is cut short or damaged, copy it again", file.display())]
+    /// The file ends early, or its contents contradict its compression or encoding.
+    #[error("{file}, line {line}: cannot be read: {reason}; the file is cut short or damaged, copy it again")]
     Broken {
-        /// The file.
-        file: PathBuf,
-        /// Last line that was begun, counted from 1.
+        /// File.
+        file: String,
+        /// Line reached, counted from 1.
         line: u64,
-        /// What the decoder said.
-        source: std::io::Error,
+        /// Reason given by the decoder.
+        reason: String,
     },
-    /// The file holds no rows.
-    #[error("{}: has no rows: a header line and at least two samples are needed", file.display())]
-    Empty {
-        /// The file.
-        file: PathBuf,
+    /// The file has too few rows.
+    #[error("{file}: has {rows} rows; a header line and at least {least} rows are needed")]
+    TooShort {
+        /// File.
+        file: String,
+        /// `no`, or the number of rows.
+        rows: String,
+        /// Rows needed.
+        least: usize,
     },
-    /// A required column is not in the header.
-    #[error("{}, line 1: column {column} is missing: the header must name it", file.display())]
-    MissingColumn {
-        /// The file.
-        file: PathBuf,
-        /// The column.
-        column: &'static str,
+    /// The header lacks a required column.
+    #[error("{file}, line 1, column {column}: is missing; the header names {header}")]
+    Missing {
+        /// File.
+        file: String,
+        /// Missing column.
+        column: String,
+        /// Columns that are present.
+        header: String,
     },
-    /// A line has another number of fields than the header.
-    #[error("{}, line {line}, column {column}: {found} fields where the header has {expected}: the line is cut short or has stray commas", file.display())]
+    /// A line has a different number of fields than the header.
+    #[error(
+        "{file}, line {line}, column {column}: the line has {found} fields where the header has {expected}; it is cut short or has stray commas"
+    )]
     Fields {
-        /// The file.
-        file: PathBuf,
-        /// The line, counted from 1.
+        /// File.
+        file: String,
+        /// Line, counted from 1.
         line: u64,
-        /// First column without a field, or the last one.
+        /// First column without a field, or the last column.
         column: String,
         /// Fields found.
         found: usize,
         /// Fields in the header.
         expected: usize,
     },
-    /// A field is not what its column holds.
-    #[error("{}, line {line}, column {column}: \"{value}\" is not {wanted}", file.display())]
+    /// A field does not hold what its column requires.
+    #[error("{file}, line {line}, column {column}: `{value}` is not {expected}")]
     Field {
-        /// The file.
-        file: PathBuf,
-        /// The line, counted from 1.
+        /// File.
+        file: String,
+        /// Line, counted from 1.
         line: u64,
-        /// The column.
-        column: &'static str,
-        /// What stands there.
+        /// Column.
+        column: String,
+        /// Field as read.
         value: String,
-        /// What should stand there.
-        wanted: &'static str,
+        /// What the column requires.
+        expected: String,
     },
     /// Time does not increase.
-    #[error("{}, line {line}, column time_s: {now_s} s does not come after {before_s} s: time must strictly increase", file.display())]
+    #[error("{file}, line {line}, column {column}: {now_s} s does not come after {before_s} s; time must strictly increase")]
     Clock {
-        /// The file.
-        file: PathBuf,
-        /// The line, counted from 1.
+        /// File.
+        file: String,
+        /// Line, counted from 1.
         line: u64,
+        /// Column.
+        column: String,
         /// Time of this line, s.
         now_s: f64,
         /// Time of the line before, s.

@@ -1,5 +1,8 @@
-//! Logs on disk, read into the types of the lower floors.
+//! Logs and recordings on disk.
+//!
+//! [`table`] reads CSV or gzip CSV; [`bend_log`] and [`recording`] give the columns their meaning.
 
 pub mod bend_log;
 pub mod error;
 pub mod recording;
+pub mod table;

@@ -4,19 +4,18 @@
 //! fastest piston on the way, and how long the pose is held after the arrival. All pistons leave and
 //! arrive together, in straight lines; Eq. 10-11 and Eq. 16 turn poses into pistons.
 
+use crate::log::error::ReadError;
+use crate::log::table::{Schema, Table};
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
 use crate::model::transmission::{Line, Side, SideState, Wanted};
 use crate::primitives::units::Mm;
 use nalgebra::Vector3;
-use serde::Deserialize;
 use std::fmt::Write as _;
 use std::path::Path;
-use thiserror::Error;
 
 /// One pose of a schedule.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
     /// Bend β, degrees.
     pub bend_deg: f64,
@@ -149,41 +148,31 @@ pub fn csv(rows: &[Row]) -> String {
     out
 }
 
-/// A schedule that cannot be read.
-#[derive(Debug, Error)]
-#[error("{file}, line {line}: {why}; `retroflex gap excite` writes schedules")]
-pub struct ScheduleError {
-    file: String,
-    line: u64,
-    why: String,
-}
+/// Columns of a schedule with the range of each.
+const COLUMNS: [(&str, std::ops::RangeInclusive<f64>); 5] = [
+    ("bend_deg", 0.0..=180.0),
+    ("dir_deg", -360.0..=360.0),
+    ("len_mm", 1.0..=200.0),
+    ("hold_s", 0.0..=3600.0),
+    ("speed_mm_s", 0.1..=1000.0),
+];
 
-/// Reads a schedule as [`csv()`] writes it; poses that the machine cannot reach are for it to refuse.
+/// Reads a schedule in the format of [`csv()`]. Whether the machine can reach the poses is not checked.
 ///
 /// # Errors
-/// [`ScheduleError`] with the line.
-pub fn read(path: &Path) -> Result<Vec<Row>, ScheduleError> {
-    let fail = |line, why| ScheduleError { file: path.display().to_string(), line, why };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|e| fail(0, e.to_string()))?;
-    let mut rows = Vec::new();
-    for row in reader.deserialize::<Row>() {
-        let line = rows.len() as u64 + 2;
-        let row = row.map_err(|e| fail(e.position().map_or(line, csv::Position::line), e.to_string()))?;
-        let values = [
-            ("bend_deg", row.bend_deg, 0.0..=180.0),
-            ("dir_deg", row.dir_deg, -360.0..=360.0),
-            ("len_mm", row.len_mm, 1.0..=200.0),
-            ("hold_s", row.hold_s, 0.0..=3600.0),
-            ("speed_mm_s", row.speed_mm_s, 0.1..=1000.0),
-        ];
-        for (name, value, allowed) in values {
-            if !allowed.contains(&value) {
-                return Err(fail(line, format!("{name} = {value}, allowed is {} to {}", allowed.start(), allowed.end())));
-            }
+/// [`ReadError`] with file, line and column.
+pub fn read(path: &Path) -> Result<Vec<Row>, ReadError> {
+    let names = COLUMNS.map(|c| c.0);
+    let table = Table::open(path, &Schema { required: &names, known: &|n| names.contains(&n), rows_min: 1 })?;
+    for (name, allowed) in COLUMNS {
+        if let Some((k, value)) = table.complete(name)?.iter().enumerate().find(|(_, v)| !allowed.contains(v)) {
+            let expected = format!("a number from {} to {}", allowed.start(), allowed.end());
+            return Err(table.refuse(k, name, &value.to_string(), &expected));
         }
-        rows.push(row);
     }
-    if rows.is_empty() { Err(fail(1, "no rows".to_owned())) } else { Ok(rows) }
+    let [bend, dir, len, hold, speed] = table.group(names)?.unwrap_or_default();
+    let row = |k: usize| Row { bend_deg: bend[k], dir_deg: dir[k], len_mm: len[k], hold_s: hold[k], speed_mm_s: speed[k] };
+    Ok((0..table.rows()).map(row).collect())
 }
 
 #[cfg(test)]
@@ -235,9 +224,9 @@ mod tests {
         assert_eq!(read(&path).unwrap(), rows);
         let head = "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n";
         let cases = [
-            (format!("{head}0,0,20,4,20\n10,0,20,-1,20\n"), "line 3: hold_s = -1, allowed is 0 to 3600"),
+            (format!("{head}0,0,20,4,20\n10,0,20,-1,20\n"), "line 3, column hold_s: `-1` is not a number from 0 to 3600"),
             (format!("{head}0,0,20,4,x\n"), "line 2"),
-            (format!("{head}0,0,20,4,NaN\n"), "line 2: speed_mm_s = NaN"),
+            (format!("{head}0,0,20,4,NaN\n"), "line 2, column speed_mm_s"),
             (head.to_owned(), "no rows"),
             ("bend_deg,dir_deg\n1,2\n".to_owned(), "len_mm"),
         ];

@@ -1,61 +1,36 @@
-//! The columns that a map names, read from CSV or gzip CSV.
+//! Reader of the columns that a map names.
 
 use crate::diagnosis::map::file::{MapFile, Nominal};
-use flate2::read::MultiGzDecoder;
-use std::io::{BufRead, BufReader, Read};
+use crate::log::error::ReadError;
+use crate::log::table::{Schema, Table};
 use std::path::Path;
 use thiserror::Error;
 
-/// Why a log does not go with a map.
+/// Why a log cannot be used with a map.
 #[derive(Debug, Error)]
 pub enum MapError {
-    /// Not there or damaged.
-    #[error("{0}: cannot be read: {1}; check the path, and copy the file again if it is cut short")]
-    Broken(String, String),
-    /// A column is not in the header.
-    #[error("{file}, line 1, column {column}: is missing; the map names it, the header has {header}")]
-    Missing {
-        /// File.
-        file: String,
-        /// Column.
-        column: String,
-        /// Columns that are there.
-        header: String,
-    },
-    /// A field is no number, or missing.
-    #[error("{file}, line {line}, column {column}: `{value}` is not a finite number")]
-    Field {
-        /// File.
-        file: String,
-        /// Line, from 1.
-        line: u64,
-        /// Column.
-        column: String,
-        /// What stands there.
-        value: String,
-    },
-    /// Time does not go on.
-    #[error("{0}, line {1}, column {2}: time does not increase; it must strictly increase")]
-    Clock(String, u64, String),
-    /// Not enough to hold anything out.
-    #[error("{0}: {1} rows; at least {2} are needed to hold some out: record longer, or lower `every` in the map")]
+    /// The table cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The log is too short to hold out a part of it.
+    #[error("{0}: {1} rows remain; at least {2} are needed to hold some out: record longer, or lower `every` in the map")]
     Short(String, usize, usize),
-    /// Nothing changes.
-    #[error("{0}, column {1}: stands at one value; record a log in which it changes")]
-    Still(String, String),
+    /// A signal is constant.
+    #[error("{0}, column {1}: is constant; record a log in which it changes")]
+    Constant(String, String),
 }
 
-/// Rows needed at least.
+/// Rows needed: five in each of the twelve blocks of [`crate::diagnosis::map::regress`].
 const ROWS_MIN: usize = 60;
 
-/// A log as the map sees it.
+/// Signals of a log as the map defines them, all of equal length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Signals {
     /// Inputs.
     pub inputs: Vec<Vec<f64>>,
     /// Output.
     pub output: Vec<f64>,
-    /// What friction follows, if there is anything.
+    /// Signal whose speed friction depends on, if there is one.
     pub motion: Option<Vec<f64>>,
     /// Time, s; row numbers if the log has no clock.
     pub t: Vec<f64>,
@@ -66,112 +41,85 @@ pub struct Signals {
 /// Reads the columns that a map names.
 ///
 /// # Errors
-/// [`MapError`], naming file, line and column.
+/// [`MapError`] with file, line and column.
 pub fn read(path: &Path, map: &MapFile) -> Result<Signals, MapError> {
-    let file = path.display().to_string();
-    let broken = |e: std::io::Error| MapError::Broken(file.clone(), e.to_string());
-    let mut reader = BufReader::new(std::fs::File::open(path).map_err(broken)?);
-    let gzip = reader.fill_buf().map_err(broken)?.starts_with(&[0x1f, 0x8b]);
-    if gzip { parse(&file, MultiGzDecoder::new(reader), map) } else { parse(&file, reader, map) }
+    let names = names(map);
+    let table = Table::open(path, &Schema { required: &names, known: &|n| names.contains(&n), rows_min: 1 })?;
+    signals(&path.display().to_string(), &table, map)
 }
 
-/// The same from text; `file` is what errors call it.
-///
-/// # Errors
-/// [`MapError`].
-pub fn parse(file: &str, text: impl Read, map: &MapFile) -> Result<Signals, MapError> {
-    let broken = |e: csv::Error| MapError::Broken(file.to_owned(), e.to_string());
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text);
-    let header: Vec<String> = reader.headers().map_err(broken)?.iter().map(str::to_owned).collect();
+fn names(map: &MapFile) -> Vec<&str> {
     let inputs = map.input.as_ref().map(|i| i.names()).unwrap_or_default();
-    let outputs = map.output.names();
-    let wanted: Vec<&str> = inputs.iter().chain(&outputs).copied().chain(map.motion.as_deref()).chain(map.time.as_deref()).collect();
-    let mut at = Vec::new();
-    for name in &wanted {
-        let lost = || MapError::Missing { file: file.to_owned(), column: (*name).to_owned(), header: header.join(", ") };
-        at.push(header.iter().position(|h| h == name).ok_or_else(lost)?);
-    }
-    let (mut columns, mut lines): (Vec<Vec<f64>>, Vec<u64>) = (vec![vec![]; wanted.len()], vec![]);
-    for (row, record) in reader.records().enumerate() {
-        let record = record.map_err(broken)?;
-        if row % map.every != 0 {
-            continue;
-        }
-        // a row in which a value is missing says nothing
-        if at.iter().any(|&k| record[k].is_empty()) {
-            continue;
-        }
-        let line = record.position().map_or(0, csv::Position::line);
-        for ((column, &k), name) in columns.iter_mut().zip(&at).zip(&wanted) {
-            let value = &record[k];
-            let bad = || MapError::Field { file: file.to_owned(), line, column: (*name).to_owned(), value: value.to_owned() };
-            column.push(value.parse().ok().filter(|v: &f64| v.is_finite()).ok_or_else(bad)?);
-        }
-        lines.push(line);
-    }
-    assemble(file, map, columns, &lines, (inputs.len(), outputs.len()))
+    inputs.into_iter().chain(map.output.names()).chain(map.motion.as_deref()).chain(map.time.as_deref()).collect()
 }
 
-fn assemble(
-    file: &str,
-    map: &MapFile,
-    mut columns: Vec<Vec<f64>>,
-    lines: &[u64],
-    (inputs, outputs): (usize, usize),
-) -> Result<Signals, MapError> {
-    let n = lines.len();
-    if n < ROWS_MIN {
-        return Err(MapError::Short(file.to_owned(), n, ROWS_MIN));
+fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError> {
+    let columns = names(map).into_iter().map(|n| table.required(n)).collect::<Result<Vec<_>, _>>()?;
+    // a row with a missing value is left out
+    let rows: Vec<usize> = (0..table.rows()).step_by(map.every).filter(|&k| columns.iter().all(|c| !c[k].is_nan())).collect();
+    if rows.len() < ROWS_MIN {
+        return Err(MapError::Short(file.to_owned(), rows.len(), ROWS_MIN));
     }
-    let time = map.time.as_ref().and_then(|_| columns.pop());
-    let motion = map.motion.as_ref().and_then(|_| columns.pop());
-    if let (Some(t), Some(name)) = (&time, &map.time)
-        && let Some(k) = t.windows(2).position(|w| w[1] <= w[0])
-    {
-        return Err(MapError::Clock(file.to_owned(), lines[k + 1], name.clone()));
+    let taken = |name: &str| table.required(name).map(|c| rows.iter().map(|&k| c[k]).collect::<Vec<f64>>());
+    let all = |names: Vec<&str>| names.into_iter().map(taken).collect::<Result<Vec<_>, _>>();
+    let constant = |c: &[f64]| c.iter().all(|v| *v == c[0]);
+    let inputs = all(map.input.as_ref().map(|i| i.names()).unwrap_or_default())?;
+    if map.nominal != Nominal::Still && inputs.len() == 1 && constant(&inputs[0]) {
+        return Err(MapError::Constant(file.to_owned(), names(map)[0].to_owned()));
     }
-    let answers = columns.split_off(inputs);
-    let output = if outputs == 1 {
-        answers.into_iter().next().unwrap_or_default()
-    } else {
-        (0..n).map(|k| answers.iter().map(|c| c[k] * c[k]).sum::<f64>().sqrt()).collect()
+    let answers = all(map.output.names())?;
+    let output = match answers.as_slice() {
+        [one] => one.clone(),
+        many => (0..rows.len()).map(|k| many.iter().map(|c| c[k] * c[k]).sum::<f64>().sqrt()).collect(),
     };
-    let moves = |c: &[f64]| c.iter().any(|v| *v != c[0]);
-    if map.nominal != Nominal::Still
-        && let Some(k) = columns.iter().position(|c| !moves(c))
-        && inputs == 1
-    {
-        return Err(MapError::Still(file.to_owned(), map.input.as_ref().map_or(String::new(), |i| i.names()[k].to_owned())));
+    if constant(&output) {
+        return Err(MapError::Constant(file.to_owned(), map.output.names().join(", ")));
     }
-    if !moves(&output) {
-        return Err(MapError::Still(file.to_owned(), map.output.names().join(", ")));
-    }
-    let step = map.rate_hz.map_or(1.0, |r| map.every as f64 / r);
-    let clocked = time.is_some() || map.rate_hz.is_some();
-    let t = time.unwrap_or_else(|| (0..n).map(|k| k as f64 * step).collect());
-    Ok(Signals { motion: motion.or_else(|| columns.first().cloned()), inputs: columns, output, t, clocked })
+    let t = match &map.time {
+        Some(name) => {
+            table.increasing(name, rows.iter().copied())?;
+            taken(name)?
+        }
+        None => {
+            let step = map.rate_hz.map_or(1.0, |r| map.every as f64 / r);
+            (0..rows.len()).map(|k| k as f64 * step).collect()
+        }
+    };
+    let motion = map.motion.as_deref().map(taken).transpose()?.or_else(|| inputs.first().cloned());
+    Ok(Signals { motion, inputs, output, t, clocked: map.time.is_some() || map.rate_hz.is_some() })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn why(map: &str, text: &str) -> String {
-        match parse("x.csv", text.as_bytes(), &toml::from_str(map).unwrap()) {
-            Ok(_) => String::new(),
-            Err(e) => e.to_string(),
-        }
+    fn error(map: &str, text: &str) -> String {
+        let map: MapFile = toml::from_str(map).unwrap();
+        let names = names(&map);
+        let table = Table::parse("x.csv", text.as_bytes(), &Schema { required: &names, known: &|n| names.contains(&n), rows_min: 1 });
+        table.map_err(MapError::from).and_then(|t| signals("x.csv", &t, &map)).map_or_else(|e| e.to_string(), |_| String::new())
     }
 
     #[test]
-    fn a_log_that_does_not_go_with_its_map_is_refused_by_line_and_column() {
+    fn a_log_that_contradicts_its_map_is_refused_by_line_and_column() {
         let map = "input = \"u\"\noutput = \"y\"\ntime = \"t\"\n";
         let rows = |f: fn(usize) -> String| format!("t,u,y\n{}", (0..80).map(f).collect::<String>());
-        assert_eq!(why(map, &rows(|k| format!("{k},{k},{}\n", k * k))), "");
-        assert!(why(map, "t,x,y\n0,0,0\n").contains("line 1, column u: is missing; the map names it, the header has t, x, y"));
-        assert!(why(map, "t,u,y\n0,0,0\n1,?,0\n").contains("line 3, column u: `?`"));
-        assert!(why(map, "t,u,y\n0,0,0\n").contains("1 rows; at least 60"));
-        assert!(why(map, &rows(|k| format!("{},{k},{k}\n", k % 40))).contains("line 42, column t: time does not increase"));
-        assert!(why(map, &rows(|k| format!("{k},5,{k}\n"))).contains("column u: stands at one value"));
+        assert_eq!(error(map, &rows(|k| format!("{k},{k},{}\n", k * k))), "");
+        assert!(error(map, "t,x,y\n0,0,0\n").contains("line 1, column u: is missing; the header names t, x, y"));
+        assert!(error(map, "t,u,y\n0,0,0\n1,?,0\n").contains("line 3, column u: `?`"));
+        assert!(error(map, "t,u,y\n0,0,0\n").contains("1 rows remain; at least 60"));
+        assert!(error(map, &rows(|k| format!("{},{k},{k}\n", k % 40))).contains("line 42, column t: 0 s does not come after 39 s"));
+        assert!(error(map, &rows(|k| format!("{k},5,{k}\n"))).contains("column u: is constant"));
+    }
+
+    #[test]
+    fn rows_with_missing_values_are_left_out() {
+        let map: MapFile = toml::from_str("input = \"u\"\noutput = [\"y\", \"z\"]\n").unwrap();
+        let names = names(&map);
+        let text: String = (0..80).map(|k| if k == 7 { "1,,2\n".to_owned() } else { format!("{k},3,4\n") }).collect();
+        let schema = Schema { required: &names, known: &|n| names.contains(&n), rows_min: 1 };
+        let table = Table::parse("x.csv", format!("u,y,z\n{text}").as_bytes(), &schema).unwrap();
+        let e = signals("x.csv", &table, &map).unwrap_err().to_string();
+        assert!(e.contains("y, z: is constant"), "the norm is 5 in every complete row: {e}");
     }
 }

@@ -1,0 +1,272 @@
+//! Reader of tables: CSV or gzip CSV with one header line, in which every column of interest holds numbers.
+//!
+//! An empty field or `nan` is a missing value and reads as NaN. Gzip is recognised by its first two bytes.
+
+use crate::log::error::ReadError;
+use flate2::read::MultiGzDecoder;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+
+/// First two bytes of a gzip file (RFC 1952).
+const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
+/// Largest deviation of a reference quaternion's norm from one: two printed decimals of each component.
+const UNIT_TOLERANCE: f64 = 0.02;
+
+/// What a table must contain.
+pub struct Schema<'a> {
+    /// Columns that the header must name.
+    pub required: &'a [&'a str],
+    /// Whether a column holds numbers; all other columns are ignored.
+    pub known: &'a dyn Fn(&str) -> bool,
+    /// Least number of rows.
+    pub rows_min: usize,
+}
+
+/// A table in columns.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    file: String,
+    header: Vec<String>,
+    /// Values of each column in header order; empty for ignored columns.
+    columns: Vec<Vec<f64>>,
+    lines: Vec<u64>,
+}
+
+impl Table {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`ReadError`] with file and, where there is one, line and column.
+    pub fn open(path: &Path, schema: &Schema<'_>) -> Result<Self, ReadError> {
+        let file = path.display().to_string();
+        let open = |source| ReadError::Open { file: file.clone(), source };
+        let mut reader = BufReader::new(File::open(path).map_err(open)?);
+        let gzip = reader.fill_buf().map_err(open)?.starts_with(&GZIP_MAGIC);
+        if gzip { Self::parse(&file, MultiGzDecoder::new(reader), schema) } else { Self::parse(&file, reader, schema) }
+    }
+
+    /// Reads CSV text; errors quote `file` as the name of the file.
+    ///
+    /// # Errors
+    /// [`ReadError`], as for [`Table::open`].
+    pub fn parse(file: &str, text: impl Read, schema: &Schema<'_>) -> Result<Self, ReadError> {
+        let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
+        let broken = |line, e: &csv::Error| ReadError::Broken { file: file.to_owned(), line, reason: e.to_string() };
+        let header: Vec<String> = reader.headers().map_err(|e| broken(1, &e))?.iter().map(str::to_owned).collect();
+        let mut table = Self { file: file.to_owned(), columns: vec![vec![]; header.len()], header, lines: vec![] };
+        if !table.header.is_empty() {
+            schema.required.iter().try_for_each(|name| table.position(name).map(|_| ()))?;
+        }
+        let known: Vec<bool> = table.header.iter().map(|name| (schema.known)(name)).collect();
+        let mut record = csv::StringRecord::new();
+        let mut line = 1;
+        while reader.read_record(&mut record).map_err(|e| broken(line + 1, &e))? {
+            line = record.position().map_or(line + 1, csv::Position::line);
+            table.push(line, &record, &known)?;
+        }
+        if table.rows() < schema.rows_min {
+            let rows = if table.rows() == 0 { "no".to_owned() } else { table.rows().to_string() };
+            return Err(ReadError::TooShort { file: file.to_owned(), rows, least: schema.rows_min });
+        }
+        Ok(table)
+    }
+
+    fn push(&mut self, line: u64, record: &csv::StringRecord, known: &[bool]) -> Result<(), ReadError> {
+        let (found, expected) = (record.len(), self.header.len());
+        if found != expected {
+            let column = self.header.get(found).or(self.header.last()).cloned().unwrap_or_default();
+            return Err(ReadError::Fields { file: self.file.clone(), line, column, found, expected });
+        }
+        self.lines.push(line);
+        for (k, field) in record.iter().enumerate().filter(|(k, _)| known[*k]) {
+            let value = if field.is_empty() { Ok(f64::NAN) } else { field.parse() };
+            match value {
+                Ok(value) if !f64::is_infinite(value) => self.columns[k].push(value),
+                _ => return Err(self.refuse(self.rows() - 1, &self.header[k], field, "a finite number")),
+            }
+        }
+        Ok(())
+    }
+
+    /// Number of rows.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.lines.len()
+    }
+
+    /// Names of the columns.
+    #[must_use]
+    pub fn header(&self) -> &[String] {
+        &self.header
+    }
+
+    fn position(&self, name: &str) -> Result<usize, ReadError> {
+        let missing = || ReadError::Missing { file: self.file.clone(), column: name.to_owned(), header: self.header.join(", ") };
+        self.header.iter().position(|h| h == name).ok_or_else(missing)
+    }
+
+    /// A column, if the header names it.
+    #[must_use]
+    pub fn column(&self, name: &str) -> Option<&[f64]> {
+        self.position(name).ok().map(|k| self.columns[k].as_slice())
+    }
+
+    /// A column that the header must name.
+    ///
+    /// # Errors
+    /// [`ReadError::Missing`].
+    pub fn required(&self, name: &str) -> Result<&[f64], ReadError> {
+        self.position(name).map(|k| self.columns[k].as_slice())
+    }
+
+    /// Several columns; `None` if the header names none of them.
+    ///
+    /// # Errors
+    /// [`ReadError::Missing`] if the header names only some of them.
+    pub fn group<const N: usize>(&self, names: [&str; N]) -> Result<Option<[&[f64]; N]>, ReadError> {
+        if names.iter().all(|n| self.column(n).is_none()) {
+            return Ok(None);
+        }
+        let mut out: [&[f64]; N] = [&[]; N];
+        for (column, name) in out.iter_mut().zip(names) {
+            *column = self.required(name)?;
+        }
+        Ok(Some(out))
+    }
+
+    /// Three columns as vectors; `None` if the header names none of them.
+    ///
+    /// # Errors
+    /// [`ReadError::Missing`] if the header names only some of them.
+    pub fn vectors(&self, names: [&str; 3]) -> Result<Option<Vec<Vector3<f64>>>, ReadError> {
+        let stacked = |[x, y, z]: [&[f64]; 3]| (0..self.rows()).map(|k| Vector3::new(x[k], y[k], z[k])).collect();
+        Ok(self.group(names)?.map(stacked))
+    }
+
+    /// Four columns `w`, `x`, `y`, `z` as unit quaternions; an element is `None` where a value is missing.
+    ///
+    /// # Errors
+    /// [`ReadError::Missing`] as for [`Table::vectors`], [`ReadError::Field`] if a norm is not one.
+    pub fn quaternions(&self, names: [&str; 4]) -> Result<Option<Vec<Option<UnitQuaternion<f64>>>>, ReadError> {
+        let Some([w, x, y, z]) = self.group(names)? else { return Ok(None) };
+        let one = |k: usize| {
+            let q = Quaternion::new(w[k], x[k], y[k], z[k]);
+            if q.norm().is_nan() {
+                return Ok(None);
+            }
+            if (q.norm() - 1.0).abs() > UNIT_TOLERANCE {
+                let value = format!("{} {} {} {}", w[k], x[k], y[k], z[k]);
+                return Err(self.refuse(k, names[0], &value, "a unit quaternion"));
+            }
+            Ok(Some(UnitQuaternion::from_quaternion(q)))
+        };
+        (0..self.rows()).map(one).collect::<Result<_, _>>().map(Some)
+    }
+
+    /// Refuses a column in which a value is missing.
+    ///
+    /// # Errors
+    /// [`ReadError::Field`] for the first missing value, [`ReadError::Missing`].
+    pub fn complete(&self, name: &str) -> Result<&[f64], ReadError> {
+        let values = self.required(name)?;
+        match values.iter().position(|v| v.is_nan()) {
+            Some(row) => Err(self.refuse(row, name, "", "a number; this column must not have gaps")),
+            None => Ok(values),
+        }
+    }
+
+    /// A complete column of strictly increasing times, s.
+    ///
+    /// # Errors
+    /// [`ReadError::Clock`] at the first row that is not later than the one before; as for [`Table::complete`].
+    pub fn clock(&self, name: &str) -> Result<&[f64], ReadError> {
+        let t = self.complete(name)?;
+        self.increasing(name, 0..self.rows())?;
+        Ok(t)
+    }
+
+    /// Refuses a column of times that does not strictly increase over `rows`, in which no value is missing.
+    ///
+    /// # Errors
+    /// [`ReadError::Clock`], [`ReadError::Missing`].
+    pub fn increasing(&self, name: &str, rows: impl IntoIterator<Item = usize>) -> Result<(), ReadError> {
+        let t = self.required(name)?;
+        let mut before_s = f64::NEG_INFINITY;
+        for row in rows {
+            if t[row] <= before_s {
+                let (file, column) = (self.file.clone(), name.to_owned());
+                return Err(ReadError::Clock { file, line: self.lines[row], column, now_s: t[row], before_s });
+            }
+            before_s = t[row];
+        }
+        Ok(())
+    }
+
+    /// The error for a value that its column does not allow; `row` counts from 0.
+    #[must_use]
+    pub fn refuse(&self, row: usize, column: &str, value: &str, expected: &str) -> ReadError {
+        let (file, line) = (self.file.clone(), self.lines[row]);
+        ReadError::Field { file, line, column: column.to_owned(), value: value.to_owned(), expected: expected.to_owned() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    const SCHEMA: Schema<'_> = Schema { required: &["t", "x"], known: &|name| name != "note", rows_min: 1 };
+
+    fn parse(text: &str) -> Result<Table, ReadError> {
+        Table::parse("folder/t.csv", text.as_bytes(), &SCHEMA)
+    }
+
+    fn error(text: &str) -> String {
+        parse(text).and_then(|t| t.clock("t").map(|_| ())).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn empty_and_nan_fields_are_missing_values_and_other_text_is_ignored_by_name() {
+        let t = parse("t, x ,note\n0,1,hello\n1,,\n2,nan,x\n").unwrap();
+        assert_eq!((t.rows(), t.clock("t").unwrap()), (3, &[0.0, 1.0, 2.0][..]));
+        assert!(t.column("x").unwrap()[1].is_nan() && t.column("x").unwrap()[2].is_nan());
+        assert!(t.column("y").is_none() && t.vectors(["a", "b", "c"]).unwrap().is_none());
+        assert!(t.vectors(["t", "x", "y"]).is_err(), "a vector needs all its components");
+    }
+
+    #[test]
+    fn errors_name_file_line_and_column() {
+        for (text, expected) in [
+            ("t,x\n", "folder/t.csv: has no rows"),
+            ("", "folder/t.csv: has no rows"),
+            ("t,y\n0,0\n", "folder/t.csv, line 1, column x: is missing; the header names t, y"),
+            ("t,x\n0\n", "folder/t.csv, line 2, column x: the line has 1 fields where the header has 2"),
+            ("t,x\n0,0,0\n", "line 2, column x: the line has 3 fields"),
+            ("t,x\n0,a\n", "folder/t.csv, line 2, column x: `a` is not a finite number"),
+            ("t,x\n0,inf\n", "line 2, column x: `inf`"),
+            ("t,x\n0,0\n,0\n", "line 3, column t: `` is not a number"),
+            ("t,x\n0,0\n0,0\n", "folder/t.csv, line 3, column t: 0 s does not come after 0 s"),
+        ] {
+            let message = error(text);
+            assert!(message.starts_with("folder/t.csv") && message.contains(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn gzip_is_recognised_by_its_bytes_and_a_truncated_file_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plain_name.csv");
+        let mut gz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        let rows: String = (0..5000).map(|k| format!("{k},{}\n", k * 7919 % 1000)).collect();
+        gz.write_all(format!("t,x\n{rows}").as_bytes()).unwrap();
+        let bytes = gz.finish().unwrap();
+        std::fs::write(&path, &bytes).unwrap();
+        assert_eq!(Table::open(&path, &SCHEMA).unwrap().rows(), 5000);
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        let message = Table::open(&path, &SCHEMA).unwrap_err().to_string();
+        assert!(message.contains("cut short") && message.contains("line "), "{message}");
+        assert!(matches!(Table::open(&folder.path().join("none.csv"), &SCHEMA), Err(ReadError::Open { .. })));
+    }
+}
