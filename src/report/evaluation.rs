@@ -1,21 +1,25 @@
-//! The evaluation as pictures: the paper's Figure 6 redrawn, and the closed loop beside it.
+//! An evaluation as charts, tables and a page: the paper's Figure 6 redrawn, with the closed loop beside it.
 //!
-//! Figure 6 shows measured against desired bend, mean over the directions with ± 1 σ: (a) no
-//! compensation and extension, (b) no compensation and extension with backlash, (c) the gains pass by
-//! pass. Here the way out is solid and the way back dashed, since the backlash lies between them.
+//! Figure 6 shows measured against desired bend, mean over the directions ± 1 σ: (a) no compensation and extension, (b) no
+//! compensation and extension with backlash, (c) the gains of each pass. The outward way is solid and the way back is
+//! dashed, because backlash separates them.
 
 use crate::experiment::arm::{ArmResult, Held};
-use crate::experiment::evaluation::{Arm, Evaluation};
-use crate::experiment::schedule::ANGLES_DEG;
+use crate::experiment::evaluation::{Arm, ChannelFigures, Evaluation};
+use crate::experiment::schedule::{ANGLES_DEG, HOLD_S};
+use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
 use crate::report::page::Page;
-use crate::report::svg::{Axis, Chart, Ink, Series, Stroke, sheet};
+use crate::report::svg::Ink;
 
-/// What the paper measured on its prototype: bend RMSE per open-loop arm, degrees.
+/// Bend RMSE of the open-loop arms on the paper's prototype, degrees.
 const PAPER_RMSE_DEG: [(Arm, f64); 3] = [(Arm::None, 36.96), (Arm::Extension, 8.04), (Arm::Backlash, 7.76)];
 
-/// Name of an arm as people say it.
-#[must_use]
-pub fn title(arm: Arm) -> &'static str {
+/// Columns of [`arm_rows`].
+pub const ARM_COLUMNS: [&str; 9] =
+    ["arm", "bend RMSE", "paper", "orientation RMSE", "estimation error", "median to 1°", "peak to peak", "states", "obstructed"];
+
+/// Name of an arm for people.
+fn title(arm: Arm) -> &'static str {
     match arm {
         Arm::None => "no compensation",
         Arm::Extension => "extension",
@@ -33,28 +37,33 @@ fn ink(arm: Arm) -> Ink {
     }
 }
 
+/// A chart with the caption that a page shows below it.
+type Figure = (Chart, &'static str);
+
+const OVER_DIRECTIONS: &str = "Mean over twelve directions, ± 1 σ shaded; solid on the way out, dashed on the way back; dotted: ideal.";
+
 /// The charts that this evaluation has data for.
-#[must_use]
-pub fn charts(e: &Evaluation) -> Vec<Chart> {
-    let pairs = [
-        ("(a) Extension compensation", vec![Arm::None, Arm::Extension]),
-        ("(b) Extension and backlash compensation", vec![Arm::None, Arm::Backlash]),
+fn figures(e: &Evaluation) -> Vec<Figure> {
+    let closed = e.arm(Arm::Closed);
+    let all = [
+        bends(e, "(a) Extension compensation", &[Arm::None, Arm::Extension]),
+        bends(e, "(b) Extension and backlash compensation", &[Arm::None, Arm::Backlash]),
+        convergence(e),
+        closed.and_then(|_| bends(e, "(d) Closed loop", &[Arm::Backlash, Arm::Closed])),
+        closed.map(errors),
+        settling(e),
     ];
-    let mut all: Vec<Chart> = pairs.iter().filter_map(|(t, arms)| bends(e, t, arms)).collect();
-    all.extend(convergence(e));
-    all.extend(e.arm(Arm::Closed).and_then(|_| bends(e, "(d) Closed loop", &[Arm::Backlash, Arm::Closed])));
-    all.extend(e.arm(Arm::Closed).map(errors));
-    all.extend(settling(e));
-    all
+    all.into_iter().flatten().collect()
 }
 
-/// The charts on one drawing.
+/// All charts on one drawing.
 #[must_use]
 pub fn svg(e: &Evaluation) -> String {
-    sheet(&charts(e), 3)
+    let charts: Vec<Chart> = figures(e).into_iter().map(|f| f.0).collect();
+    sheet("retroflex evaluate", &charts, 3)
 }
 
-/// Mean and standard deviation over the directions, at one desired angle and way.
+/// Mean and standard deviation over the directions, at one desired angle, on the way out or back.
 fn over_directions(held: &[Held], angle_deg: f64, outward: bool, f: impl Fn(&Held) -> f64) -> Option<(f64, f64)> {
     let values: Vec<f64> = held.iter().filter(|h| h.bend_deg == angle_deg && h.outward == outward).map(f).collect();
     let n = values.len() as f64;
@@ -63,7 +72,7 @@ fn over_directions(held: &[Held], angle_deg: f64, outward: bool, f: impl Fn(&Hel
     (!values.is_empty()).then_some((mean, variance.sqrt()))
 }
 
-/// Two bands and two lines: the way out and the way back.
+/// A band and a line for the way out, and for the way back.
 fn out_and_back(arm: &ArmResult, name: &str, ink: Ink, f: impl Fn(&Held) -> f64) -> Vec<Series> {
     [(true, Stroke::Solid, format!("{name}, out")), (false, Stroke::Dashed, "back".to_owned())]
         .into_iter()
@@ -76,7 +85,12 @@ fn out_and_back(arm: &ArmResult, name: &str, ink: Ink, f: impl Fn(&Held) -> f64)
         .collect()
 }
 
-fn bends(e: &Evaluation, title_text: &str, arms: &[Arm]) -> Option<Chart> {
+/// Desired bend of the held states.
+fn desired() -> Axis {
+    Axis::with_ticks("desired bend / °", 10.0, 80.0, &ANGLES_DEG)
+}
+
+fn bends(e: &Evaluation, heading: &str, arms: &[Arm]) -> Option<Figure> {
     let ran: Vec<_> = arms.iter().filter_map(|&a| e.arm(a).map(|r| (a, r))).collect();
     if ran.is_empty() {
         return None;
@@ -85,11 +99,11 @@ fn bends(e: &Evaluation, title_text: &str, arms: &[Arm]) -> Option<Chart> {
     for (arm, result) in ran {
         series.extend(out_and_back(result, title(arm), ink(arm), |h| h.bend_deg - h.bend_error_deg));
     }
-    let x = Axis { ticks: ANGLES_DEG.to_vec(), ..Axis::new("desired bend / °", 10.0, 80.0, 5) };
-    Some(Chart { title: title_text.to_owned(), x, y: Axis::new("measured bend / °", 0.0, 90.0, 6), series })
+    let chart = Chart { title: heading.to_owned(), x: desired(), y: Axis::new("measured bend / °", 0.0, 90.0, 6), series };
+    Some((chart, OVER_DIRECTIONS))
 }
 
-fn convergence(e: &Evaluation) -> Option<Chart> {
+fn convergence(e: &Evaluation) -> Option<Figure> {
     if e.history.len() < 2 {
         return None;
     }
@@ -103,65 +117,70 @@ fn convergence(e: &Evaluation) -> Option<Chart> {
         }
     }
     let values = e.history.iter().flatten().flatten().copied();
-    Some(Chart {
+    let chart = Chart {
         title: "(c) Algorithm 1, pass by pass".to_owned(),
         x: Axis::new("pass", 0.0, (e.history.len() - 1) as f64, e.history.len()),
         y: Axis::around("gain", values, &[0.0], 6),
         series,
-    })
+    };
+    Some((chart, "From zero; 120 measured states in each pass."))
 }
 
-/// The closed loop under the magnifying glass.
-fn errors(arm: &ArmResult) -> Chart {
+/// The error of every held state in the closed loop.
+fn errors(arm: &ArmResult) -> Figure {
     let mut series = out_and_back(arm, "mean ± σ", Ink::GREEN, |h| h.bend_error_deg);
     let dots = |h: &Held| (h.bend_deg + if h.outward { -1.2 } else { 1.2 }, h.bend_error_deg);
     series.push(Series::dots(Ink::GREEN, arm.held.iter().map(dots).collect()));
-    Chart {
+    let chart = Chart {
         title: "(e) Closed loop, error of every held state".to_owned(),
-        x: Axis { ticks: ANGLES_DEG.to_vec(), ..Axis::new("desired bend / °", 10.0, 80.0, 5) },
+        x: desired(),
         y: Axis::around("desired − measured bend / °", arm.held.iter().map(|h| h.bend_error_deg), &[-0.5, 0.5], 6),
         series,
-    }
+    };
+    (chart, "Dots: mean of each held state; left of its angle on the way out, right of it on the way back.")
 }
 
-/// Which share of the states has come within 1° for good after a time.
-fn settling(e: &Evaluation) -> Option<Chart> {
+/// Fraction of the states that have settled within 1° after a given time.
+fn settling(e: &Evaluation) -> Option<Figure> {
     let mut series = Vec::new();
     for arm in Arm::ALL {
         let Some(result) = e.arm(arm) else { continue };
-        let mut times: Vec<f64> = result.held.iter().map(|h| h.settle_s).filter(|&s| s < crate::experiment::schedule::HOLD_S).collect();
+        let mut times: Vec<f64> = result.held.iter().map(|h| h.settle_s).filter(|&s| s < HOLD_S).collect();
         times.sort_by(f64::total_cmp);
         let n = result.held.len().max(1) as f64;
         let mut steps = vec![(0.0, 0.0)];
         for (k, &t) in times.iter().enumerate() {
             steps.extend([(t, 100.0 * k as f64 / n), (t, 100.0 * (k + 1) as f64 / n)]);
         }
-        steps.push((crate::experiment::schedule::HOLD_S, 100.0 * times.len() as f64 / n));
+        steps.push((HOLD_S, 100.0 * times.len() as f64 / n));
         series.push(Series::line(title(arm), ink(arm), Stroke::Solid, steps));
     }
-    (!series.is_empty()).then(|| Chart {
-        title: "(f) States within 1° for good".to_owned(),
-        x: Axis::new("time since the command / s", 0.0, crate::experiment::schedule::HOLD_S, 6),
-        y: Axis::new("share of the 120 states / %", 0.0, 100.0, 5),
+    let chart = Chart {
+        title: "(f) States settled within 1°".to_owned(),
+        x: Axis::new("time since the command / s", 0.0, HOLD_S, 6),
+        y: Axis::new("fraction of the 120 states / %", 0.0, 100.0, 5),
         series,
-    })
+    };
+    let caption = "A state has settled once its bend error stays below 1°.";
+    (!chart.series.is_empty()).then_some((chart, caption))
 }
 
 /// The page.
 #[must_use]
 pub fn html(e: &Evaluation) -> String {
     let mut page = Page::new("retroflex evaluate");
-    page.text(&format!("Plant “{}”, seed {}. Twelve directions, 15 to 75° out and back: 120 held states of 1.5 s an arm. The bend error is desired less true bend over the last 0.3 s of each state.", e.plant, e.seed));
-    page.table(
-        &["arm", "bend RMSE", "paper", "orientation RMSE", "felt − true", "median to 1°", "moves at most", "states", "held by a wall"],
-        &arm_rows(e),
-    );
+    page.text(&format!(
+        "Plant “{}”, seed {}. Twelve directions, 15 to 75° out and back: 120 held states of 1.5 s in each arm. The bend error is \
+         desired minus true bend over the last 0.3 s of each state.",
+        e.plant, e.seed
+    ));
+    page.table(&ARM_COLUMNS, &arm_rows(e));
     page.heading("The paper's Figure 6, redrawn, and the closed loop");
-    let drawn: Vec<_> = charts(e).iter().map(|c| (c.svg(), caption(&c.title).to_owned())).collect();
+    let drawn: Vec<_> = figures(e).iter().map(|(chart, caption)| (chart.svg(), (*caption).to_owned())).collect();
     page.charts(&drawn);
     page.heading("Gains");
     page.text(&if e.iterations == 0 {
-        "Given by a calibration file.".to_owned()
+        "Taken from a calibration file.".to_owned()
     } else {
         let end = if e.converged { "converged to 2 %" } else { "did not converge to 2 %" };
         format!(
@@ -176,18 +195,20 @@ pub fn html(e: &Evaluation) -> String {
     page.html()
 }
 
-fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
+/// One row for each arm that ran, with the columns [`ARM_COLUMNS`].
+#[must_use]
+pub fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
+    let deg = |x: f64| format!("{x:.2}°");
     let row = |arm: Arm| {
         let a = e.arm(arm)?;
-        let paper = PAPER_RMSE_DEG.iter().find(|p| p.0 == arm).map_or("–".to_owned(), |p| format!("{:.2}°", p.1));
         Some(vec![
             title(arm).to_owned(),
-            format!("{:.2}°", a.bend_rmse_deg),
-            paper,
-            format!("{:.2}°", a.orientation_rmse_deg),
-            format!("{:.2}°", a.estimate_rmse_deg),
+            deg(a.bend_rmse_deg),
+            PAPER_RMSE_DEG.iter().find(|p| p.0 == arm).map_or("–".to_owned(), |p| deg(p.1)),
+            deg(a.orientation_rmse_deg),
+            deg(a.estimate_rmse_deg),
             format!("{:.2} s", a.settle_s_median),
-            format!("{:.2}°", a.peak_to_peak_max_deg),
+            deg(a.peak_to_peak_max_deg),
             a.states.to_string(),
             a.blocked.to_string(),
         ])
@@ -196,7 +217,7 @@ fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
 }
 
 fn gain_rows(e: &Evaluation) -> Vec<Vec<String>> {
-    let or_dash = |i: usize, f: fn(&crate::experiment::evaluation::ChannelFigures) -> String| e.identified.get(i).map_or("–".to_owned(), f);
+    let or_dash = |i: usize, f: fn(&ChannelFigures) -> String| e.identified.get(i).map_or("–".to_owned(), f);
     (0..3)
         .map(|i| {
             vec![
@@ -210,15 +231,4 @@ fn gain_rows(e: &Evaluation) -> Vec<Vec<String>> {
             ]
         })
         .collect()
-}
-
-fn caption(title: &str) -> &'static str {
-    match title.as_bytes().get(1) {
-        Some(b'a' | b'b' | b'd') => {
-            "Mean over twelve directions, ± 1 σ shaded; solid on the way out, dashed on the way back; dotted: perfect."
-        }
-        Some(b'c') => "From zero; 120 measured states a pass.",
-        Some(b'e') => "Dots: mean of each held state, way out left of its angle, way back right of it.",
-        _ => "A state counts from the moment after which its bend error stays below 1°.",
-    }
 }

@@ -1,6 +1,7 @@
-//! What people look at: charts as SVG, pages as one HTML file without scripts.
+//! Reports for people: charts as SVG, pages as single HTML files without scripts.
 
 pub mod bars;
+pub mod chart;
 pub mod evaluation;
 pub mod gap;
 pub mod page;

@@ -1,7 +1,7 @@
-//! The shell of a report: one HTML file, styled for screen and paper, no scripts, nothing fetched.
+//! An HTML report: one self-contained file, styled for screen and paper, without scripts or external resources.
 
 use crate::report::svg::escape;
-use std::fmt::Write;
+use std::fmt::{Display, Write};
 
 const STYLE: &str = "
 :root { color-scheme: light; }
@@ -25,17 +25,16 @@ pub struct Page {
 }
 
 impl Page {
-    /// A page with its heading.
+    /// An empty page with a title and a first-level heading.
     #[must_use]
     pub fn new(title: &str) -> Self {
         Self { body: format!("<h1>{}</h1>\n", escape(title)), title: title.to_owned() }
     }
-    /// A second-level heading.
+    /// Adds a second-level heading.
     pub fn heading(&mut self, text: &str) {
-        // writing to a String cannot fail
-        let _ = writeln!(self.body, "<h2>{}</h2>", escape(text));
+        self.line(format_args!("<h2>{}</h2>", escape(text)));
     }
-    /// A paragraph; what stands between two backticks is set as code.
+    /// Adds a paragraph; text between two backticks is set as code.
     pub fn text(&mut self, text: &str) {
         let parts = escape(text);
         let parts: Vec<String> = parts
@@ -43,37 +42,37 @@ impl Page {
             .enumerate()
             .map(|(k, part)| if k % 2 == 1 { format!("<code>{part}</code>") } else { part.to_owned() })
             .collect();
-        let _ = writeln!(self.body, "<p>{}</p>", parts.concat());
+        self.line(format_args!("<p>{}</p>", parts.concat()));
     }
-    /// A paragraph in the background.
+    /// Adds a paragraph in muted colour.
     pub fn quiet(&mut self, text: &str) {
-        let _ = writeln!(self.body, "<p class=\"quiet\">{}</p>", escape(text));
+        self.line(format_args!("<p class=\"quiet\">{}</p>", escape(text)));
     }
-    /// A table: the first column is text, the others are numbers.
+    /// Adds a table; the first column is text, the others are numbers.
     pub fn table<R: AsRef<[String]>>(&mut self, header: &[&str], rows: &[R]) {
-        self.body.push_str("<table><thead><tr>");
-        for h in header {
-            let _ = write!(self.body, "<th>{}</th>", escape(h));
-        }
-        self.body.push_str("</tr></thead><tbody>\n");
+        let cells =
+            |tag: &str, texts: &mut dyn Iterator<Item = &str>| texts.map(|t| format!("<{tag}>{}</{tag}>", escape(t))).collect::<String>();
+        let head = cells("th", &mut header.iter().copied());
+        self.line(format_args!("<table><thead><tr>{head}</tr></thead><tbody>"));
         for row in rows {
-            self.body.push_str("<tr>");
-            for cell in row.as_ref() {
-                let _ = write!(self.body, "<td>{}</td>", escape(cell));
-            }
-            self.body.push_str("</tr>\n");
+            let row = cells("td", &mut row.as_ref().iter().map(String::as_str));
+            self.line(format_args!("<tr>{row}</tr>"));
         }
-        self.body.push_str("</tbody></table>\n");
+        self.line("</tbody></table>");
     }
-    /// Drawings side by side, each with a caption.
+    /// Adds drawings side by side: (SVG, caption).
     pub fn charts(&mut self, drawings: &[(String, String)]) {
-        self.body.push_str("<div class=\"charts\">\n");
+        self.line("<div class=\"charts\">");
         for (svg, caption) in drawings {
-            let _ = writeln!(self.body, "<figure>{svg}<figcaption>{}</figcaption></figure>", escape(caption));
+            self.line(format_args!("<figure>{svg}<figcaption>{}</figcaption></figure>", escape(caption)));
         }
-        self.body.push_str("</div>\n");
+        self.line("</div>");
     }
-    /// The whole file.
+    fn line(&mut self, markup: impl Display) {
+        // writing to a `String` cannot fail
+        let _ = writeln!(self.body, "{markup}");
+    }
+    /// The complete file.
     #[must_use]
     pub fn html(&self) -> String {
         format!(
@@ -90,14 +89,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn backticks_make_code() {
+    fn text_between_backticks_is_code() {
         let mut page = Page::new("x");
         page.text("run `a <b>` now");
         assert!(page.html().contains("<p>run <code>a &lt;b&gt;</code> now</p>"));
     }
 
     #[test]
-    fn text_cannot_break_out() {
+    fn text_is_escaped() {
         let mut page = Page::new("<x>");
         page.text("<script>alert(1)</script>");
         page.table(&["a"], &[["1 & 2".to_owned()]]);

@@ -6,10 +6,11 @@ pub mod words;
 
 use crate::diagnosis::diagnose::Diagnosis;
 use crate::report::bars::{self, Bar};
+use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::gap::evidence::{Evidence, Trace};
 use crate::report::page::Page;
 use crate::report::polar::Polar;
-use crate::report::svg::{Axis, Chart, Ink, Series, Stroke};
+use crate::report::svg::Ink;
 
 /// Effects in the ranking's drawings.
 const RANKED: usize = 10;
