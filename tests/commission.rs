@@ -6,6 +6,7 @@ mod common;
 use common::plant;
 use nalgebra::{UnitQuaternion, Vector3};
 use retroflex::estimation::fusion::health::ImuReading;
+use retroflex::motion::lines::Inputs;
 use retroflex::primitives::units::{Seconds, Steps};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::plant::PlantConfig;
@@ -13,7 +14,7 @@ use retroflex::simulation::sim::Sim;
 use retroflex::supervisor::commission::homing::{self, Homed, HomingConfig, HomingError};
 use retroflex::supervisor::commission::manual_motion::{Hand, HandError};
 use retroflex::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
-use retroflex::supervisor::machine::{Inputs, Machine, Sensed};
+use retroflex::supervisor::machine::{Machine, Sensed};
 use retroflex::supervisor::machine::{MachineError, MachineInfo};
 
 /// A simulated machine whose lines reach other bellows, whose motors turn the wrong way, whose sensor is

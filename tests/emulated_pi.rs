@@ -5,6 +5,7 @@
 #[path = "emulated_pi/closed.rs"]
 mod closed;
 mod common;
+mod fake_imu;
 #[path = "emulated_pi/fuse.rs"]
 mod fuse;
 #[path = "emulated_pi/gpio.rs"]

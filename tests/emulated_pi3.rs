@@ -9,6 +9,7 @@
 #[path = "emulated_pi3/chips.rs"]
 mod chips;
 mod common;
+mod fake_imu;
 #[path = "emulated_pi3/guest.rs"]
 mod guest;
 #[path = "emulated_pi3/flight.rs"]

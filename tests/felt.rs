@@ -4,6 +4,7 @@
 //! `cargo test --release --test felt -- --nocapture` prints the tables of `docs/fusion.md`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod fake_imu;
 mod tip;
 
 use nalgebra::Vector3;

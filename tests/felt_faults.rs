@@ -4,8 +4,10 @@
 //! `cargo test --release --test felt_faults -- --nocapture` prints the table.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod fake_imu;
 mod tip;
 
+use fake_imu::{FakeBus, FakeIcm20948};
 use nalgebra::Vector3;
 use retroflex::config::assemble;
 use retroflex::config::board::Board;
@@ -13,7 +15,6 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::health::{HealthAction, HealthCause, ImuReading};
-use retroflex::hardware::imu::fake::{FakeBus, FakeIcm20948};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::{ImuRecovery, RecoveryConfig};
 use retroflex::model::bend::Bend;

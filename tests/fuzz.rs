@@ -212,7 +212,7 @@ fn tapes() {
             base_imu: None,
             counted: Steps([k; 3]),
             energised: true,
-            inputs: retroflex::supervisor::machine::Inputs::default(),
+            inputs: retroflex::motion::lines::Inputs::default(),
             alarm: None,
             truth: None,
         };

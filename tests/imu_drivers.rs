@@ -3,13 +3,15 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod fake_imu;
+
 use embedded_hal::i2c::{ErrorKind, NoAcknowledgeSource};
 use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
+use fake_imu::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, Motion, Noise};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use retroflex::estimation::fusion::health::{FieldReference, Health, HealthCause, HealthState, ReadFault, TimedReading};
 use retroflex::estimation::imu_calibration::{self, CalibrationLimits, Correction, ImuCalibration, Pedigree};
-use retroflex::hardware::imu::fake::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, Motion, Noise};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
 use retroflex::hardware::imu::{Axes, Axis, Imu, ImuConfig, ImuError, Part, RawImu, STANDARD_GRAVITY_M_S2, open, outcome};

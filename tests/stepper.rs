@@ -11,10 +11,11 @@ use retroflex::hardware::pins::mock::{Edge, LineName, edges};
 use retroflex::hardware::pins::{InputPin, MockPins, PinsConfig, Pull};
 use retroflex::hardware::stepper::{Stepper, Sync};
 use retroflex::motion::config::EmergencyStop;
+use retroflex::motion::lines::Inputs;
 use retroflex::motion::lines::{Levels, PulseTiming};
 use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::TimedSegment;
-use retroflex::motion::report::{StepperFault, StepperInputs, StepperMode, StepperOrder};
+use retroflex::motion::report::{StepperFault, StepperMode, StepperOrder};
 use retroflex::motion::{ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, Segment, StepperConfig};
 use std::collections::VecDeque;
 
@@ -388,11 +389,11 @@ fn a_fault_holds_until_cleared_and_then_motion_goes_on_from_the_count() {
 
 #[test]
 fn the_emergency_stop_releases_at_once_or_brakes_and_holds() {
-    let pressed = StepperInputs { emergency_stop: true, ..StepperInputs::default() };
+    let pressed = Inputs { emergency_stop: true, ..Inputs::default() };
     let (mut m, _) = on_the_way(&StepperConfig::default());
     m.core.observe(pressed);
     assert_eq!(m.core.mode(), StepperMode::Following, "one reading may be a disturbance");
-    m.core.observe(StepperInputs::default());
+    m.core.observe(Inputs::default());
     m.core.observe(pressed);
     assert_eq!(m.core.mode(), StepperMode::Following);
     m.core.observe(pressed);
@@ -402,7 +403,7 @@ fn the_emergency_stop_releases_at_once_or_brakes_and_holds() {
     assert_eq!((m.core.mode(), m.levels.enable, after - before), (StepperMode::Faulted(StepperFault::EmergencyStop), false, 0));
     m.core.order(StepperOrder::Clear);
     assert_eq!(m.core.mode(), StepperMode::Faulted(StepperFault::EmergencyStop), "still pressed");
-    m.core.observe(StepperInputs::default());
+    m.core.observe(Inputs::default());
     m.core.order(StepperOrder::Clear);
     assert_eq!(m.core.mode(), StepperMode::Resting);
 
@@ -423,7 +424,7 @@ fn a_segment_that_jumps_is_refused_before_it_moves_anything() {
         let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
         m.feed(0, START_NS + 4_000_000, &[Segment::holding([0.0, bad, 0.0], 2e-3)]);
         m.run_until(START_NS + 20_000_000);
-        assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Torn { channel: 1, .. })), "{:?}", m.core.mode());
+        assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Discontinuity { channel: 1, .. })), "{:?}", m.core.mode());
         assert!(m.record.is_empty());
     }
     let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
@@ -431,7 +432,7 @@ fn a_segment_that_jumps_is_refused_before_it_moves_anything() {
     fast.channels[2] = fast.channels[2].ending(MotionState::rest(3.0));
     m.feed(0, START_NS + 4_000_000, &[fast]);
     m.run_until(START_NS + 20_000_000);
-    assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Torn { channel: 2, gap_mm }) if gap_mm == 3.0));
+    assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Discontinuity { channel: 2, jump_mm }) if jump_mm == 3.0));
 }
 
 #[test]

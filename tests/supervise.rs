@@ -327,7 +327,7 @@ fn an_alarm_that_comes_again_ends_the_way_back() {
 
 #[test]
 fn nothing_is_led_back_while_the_emergency_stop_is_pressed() {
-    let mut bench = stopped_by(Alarm::Starved);
+    let mut bench = stopped_by(Alarm::Underrun);
     bench.runner.machine.pressed = true;
     bench.run(0.1).unwrap();
     assert_eq!(bench.turn(Some(Order::Relax)).unwrap().answer, Some(Err(Refusal::StillThere)));

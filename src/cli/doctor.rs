@@ -5,7 +5,7 @@ use crate::cli::{CommandOutcome, output};
 use crate::config::board::Board;
 use crate::config::source;
 use crate::hardware::machine::Sensor;
-use crate::hardware::rt::{self, Grant, RtWish};
+use crate::hardware::rt::{self, Grant, RtRequest};
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
 use std::io::Write;
@@ -173,7 +173,7 @@ fn bus_speed(bus: &str) -> Option<Finding> {
 
 /// What the kernel grants, asked for in a thread of its own that gives it back by ending.
 fn real_time(board: &Board) -> Vec<Finding> {
-    let wish = RtWish { priority: board.service.priority, cpu: board.service.cpu };
+    let wish = RtRequest { priority: board.service.priority, cpu: board.service.cpu };
     let asked = std::thread::spawn(move || rt::enter(&wish).0);
     let Ok(status) = asked.join() else { return vec![Finding::new("real time", Verdict::Fail, "could not be asked", "")] };
     let line = |(name, grant): (&'static str, &Grant)| match grant {

@@ -7,6 +7,7 @@ use crate::config::supervisor::assemble;
 use crate::control::tick::{Command, RestartState};
 use crate::estimation::fusion::health::{ImuReading, ReadFault as BusFault};
 use crate::model::bend::Bend;
+use crate::motion::lines::Inputs;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::units::{Mm, Seconds, Steps};
 use crate::simulation::lockstep::Lockstep;
@@ -15,7 +16,7 @@ use crate::simulation::sim::Sim;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::cycle::runner::Runner;
 use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
-use crate::supervisor::machine::{Alarm, Inputs, Machine, Sensed};
+use crate::supervisor::machine::{Alarm, Machine, Sensed};
 use crate::supervisor::machine::{MachineError, MachineInfo};
 
 /// A machine that can be broken from outside its plant.

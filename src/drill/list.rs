@@ -196,8 +196,8 @@ pub fn specs() -> Vec<Spec> {
         ),
         row("emergency_stop", Strike::Press, Notice::Trip(&[gate::TripCause::EmergencyStop]), Promise::Freezes, FAULT, true),
         row(
-            "step_thread_starved",
-            Strike::Alarm(Alarm::Starved),
+            "step_thread_underrun",
+            Strike::Alarm(Alarm::Underrun),
             Notice::Trip(&[gate::TripCause::StepGenerator]),
             Promise::Holds,
             FAULT,

@@ -6,14 +6,14 @@
 //! of every interval between steps. The loop's part, planning and queueing a tick, is timed as well.
 
 use crate::hardware::pins::{PinError, Pins};
-use crate::hardware::rt::{self, RtStatus, RtWish};
+use crate::hardware::rt::{self, RtRequest, RtStatus};
 use crate::hardware::stepper::{StartError, Stepper, Sync};
 use crate::motion::Motion;
 use crate::motion::config::{MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::MotionLimits;
-use crate::motion::lines::Levels;
-use crate::motion::report::{StepperFault, StepperInputs, StepperMode};
+use crate::motion::lines::{Inputs, Levels};
+use crate::motion::report::{StepperFault, StepperMode};
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
 use crate::report::svg::Ink;
 use comfy_table::{CellAlignment, Table};
@@ -81,7 +81,7 @@ impl<P: Pins> Pins for NoCurrent<P> {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
         self.0.write(&Levels { enable: false, ..*levels })
     }
-    fn read(&mut self) -> Result<StepperInputs, PinError> {
+    fn read(&mut self) -> Result<Inputs, PinError> {
         self.0.read()
     }
 }
@@ -110,7 +110,7 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
     let status = stepper.status().clone();
     let begun_ns = rt::monotonic_ns();
     // The loop runs below the step thread, as in the service.
-    let wish = RtWish { priority: (config.stepper.priority - 10).max(0), cpu: None };
+    let wish = RtRequest { priority: (config.stepper.priority - 10).max(0), cpu: None };
     let tick = std::thread::scope(|scope| {
         let control = scope.spawn(|| {
             let (_status, _guard) = rt::enter(&wish);

@@ -148,7 +148,7 @@ impl RtStatus {
 
 /// What a thread wishes for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct RtWish {
+pub struct RtRequest {
     /// SCHED_FIFO priority 1 to 99; 0 does not ask.
     pub priority: i32,
     /// Processor to stay on.
@@ -163,7 +163,7 @@ pub struct IdleGuard {
 
 /// Makes the calling thread as real-time as the kernel allows. Keep the guard.
 #[must_use]
-pub fn enter(wish: &RtWish) -> (RtStatus, IdleGuard) {
+pub fn enter(wish: &RtRequest) -> (RtStatus, IdleGuard) {
     let asked = wish.priority > 0;
     let (idle_states, guard) = if asked { stay_awake() } else { (Grant::NotAsked, IdleGuard { _open: None }) };
     let status = RtStatus {
@@ -273,7 +273,7 @@ mod tests {
 
     #[test]
     fn nothing_asked_nothing_changed() {
-        let (status, _guard) = enter(&RtWish::default());
+        let (status, _guard) = enter(&RtRequest::default());
         assert_eq!((status.scheduling, status.memory, status.affinity), (Grant::NotAsked, Grant::NotAsked, Grant::NotAsked));
     }
 }

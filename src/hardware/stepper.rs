@@ -12,7 +12,7 @@
 //! on the core with a clock of the test's own, and this file only with real time.
 
 use crate::hardware::pins::{PinError, Pins};
-use crate::hardware::rt::{self, Clock, Monotonic, RtStatus, RtWish};
+use crate::hardware::rt::{self, Clock, Monotonic, RtRequest, RtStatus};
 use crate::motion::config::{ConfigError, MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::MotionLimits;
@@ -89,7 +89,7 @@ struct Key {
     epoch: u32,
     counted: [i32; 3],
     energised: bool,
-    inputs: crate::motion::report::StepperInputs,
+    inputs: crate::motion::lines::Inputs,
 }
 
 impl<P: Pins, C: Clock> Shell<P, C> {
@@ -240,7 +240,7 @@ impl<P: Pins + 'static> Stepper<P> {
             words: words.clone(),
             enabled: energised,
         };
-        let wish = RtWish { priority: config.priority, cpu: config.cpu };
+        let wish = RtRequest { priority: config.priority, cpu: config.cpu };
         let (tell, told) = std::sync::mpsc::channel();
         let thread = std::thread::Builder::new().name("steps".into()).spawn(move || {
             let (status, _guard) = rt::enter(&wish);

@@ -19,6 +19,15 @@ pub struct Levels {
     pub enable: bool,
 }
 
+/// Logic levels of all input lines, polarity applied: true means pressed or closed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Inputs {
+    /// The emergency stop is pressed.
+    pub emergency_stop: bool,
+    /// The home switches of channels 1 to 3 are closed.
+    pub home: [bool; 3],
+}
+
 /// [`StepperConfig`] in nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PulseTiming {

@@ -1,6 +1,7 @@
 //! The words the step thread and the loop speak: faults, modes, orders, inputs, reports.
 
 use crate::motion::histogram::Histogram;
+use crate::motion::lines::Inputs;
 use crate::primitives::units::Steps;
 
 /// Why the core does not move any more.
@@ -15,12 +16,12 @@ pub enum StepperFault {
         late_ns: u64,
     },
     /// A segment does not start where the last one ended, is faster than the limits or no number.
-    #[error("the motion handed to channel {} jumps by {gap_mm} mm", .channel + 1)]
-    Torn {
+    #[error("the motion handed to channel {} jumps by {jump_mm} mm", .channel + 1)]
+    Discontinuity {
         /// Channel, from 0.
         channel: usize,
         /// The jump, mm.
-        gap_mm: f64,
+        jump_mm: f64,
     },
     /// The pins refused a write or a read.
     #[error("the pins refused to be written or read")]
@@ -60,15 +61,6 @@ pub enum StepperOrder {
     Finish,
 }
 
-/// What the input lines say, polarity already taken care of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct StepperInputs {
-    /// Home switches of channels 1 to 3 are closed.
-    pub home: [bool; 3],
-    /// The emergency stop is pressed.
-    pub emergency_stop: bool,
-}
-
 /// Everything the core tells the loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepperReport {
@@ -85,7 +77,7 @@ pub struct StepperReport {
     /// The drivers are energised.
     pub energised: bool,
     /// Input lines.
-    pub inputs: StepperInputs,
+    pub inputs: Inputs,
     /// How often the queue ran dry in motion.
     pub dry: u32,
     /// Segments refused: of an old epoch, or too late to be begun.

@@ -29,7 +29,7 @@ pub mod tape;
 use crate::config::board::Board;
 use crate::config::gains::Gains;
 use crate::config::service::ServiceSection;
-use crate::hardware::rt::{self, RtWish};
+use crate::hardware::rt::{self, RtRequest};
 use crate::service::hub::Hub;
 use crate::service::memory::{Memory, MemoryError, Recall, Store};
 use crate::service::notify::Notifier;
@@ -125,7 +125,7 @@ pub fn serve(setup: Setup) -> Result<(), ServiceError> {
         fast: setup.fast,
         feed: notifier.watchdog(),
     };
-    let wish = RtWish { priority: setup.service.priority, cpu: setup.service.cpu };
+    let wish = RtRequest { priority: setup.service.priority, cpu: setup.service.cpu };
     let (tell, told) = channel();
     let thread = std::thread::Builder::new().name("loop".into()).spawn(move || {
         let (status, _guard) = rt::enter(&wish);

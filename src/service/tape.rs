@@ -8,11 +8,12 @@ use crate::control::tick::{Command, RestartState};
 use crate::estimation::fusion::health::{ImuReading, Quality, ReadFault};
 use crate::model::bend::Bend;
 use crate::model::transmission::Line;
+use crate::motion::lines::Inputs;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Mm, Seconds, Steps};
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::machine::{Alarm, Inputs, Sensed};
+use crate::supervisor::machine::{Alarm, Sensed};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -130,8 +131,8 @@ impl Writer<'_> {
         let (tag, x) = match alarm {
             None => (0, 0.0),
             Some(Alarm::Late { late_s }) => (1, late_s),
-            Some(Alarm::Starved) => (2, 0.0),
-            Some(Alarm::Torn { gap_mm }) => (3, gap_mm),
+            Some(Alarm::Underrun) => (2, 0.0),
+            Some(Alarm::Discontinuity { jump_mm }) => (3, jump_mm),
             Some(Alarm::Pins) => (4, 0.0),
             Some(Alarm::Dead) => (5, 0.0),
         };
@@ -246,8 +247,8 @@ impl<'a> Reader<'a> {
         Some(match tag {
             0 => None,
             1 => Some(Alarm::Late { late_s: x }),
-            2 => Some(Alarm::Starved),
-            3 => Some(Alarm::Torn { gap_mm: x }),
+            2 => Some(Alarm::Underrun),
+            3 => Some(Alarm::Discontinuity { jump_mm: x }),
             4 => Some(Alarm::Pins),
             5 => Some(Alarm::Dead),
             _ => return None,
@@ -291,8 +292,8 @@ mod tests {
         let alarms = [
             None,
             Some(Alarm::Late { late_s: 0.5 }),
-            Some(Alarm::Starved),
-            Some(Alarm::Torn { gap_mm: 1.0 }),
+            Some(Alarm::Underrun),
+            Some(Alarm::Discontinuity { jump_mm: 1.0 }),
             Some(Alarm::Pins),
             Some(Alarm::Dead),
         ];

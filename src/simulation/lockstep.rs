@@ -1,9 +1,10 @@
 //! Any [`World`] as a [`Machine`].
 
 use crate::estimation::fusion::health::ImuReading;
+use crate::motion::lines::Inputs;
 use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::world::World;
-use crate::supervisor::machine::{Inputs, Machine, MachineError, MachineInfo, Sensed};
+use crate::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Turns of a world that one turn of a late loop may catch up on at most.
 const CATCH_UP_MAX: u32 = 2000;

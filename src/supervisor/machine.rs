@@ -15,6 +15,7 @@
 //! hardware are interchangeable.
 
 use crate::estimation::fusion::health::ImuReading;
+use crate::motion::lines::Inputs;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
@@ -41,15 +42,6 @@ pub struct Sensed {
     pub truth: Option<Rotation<Base, Tip>>,
 }
 
-/// Input lines, polarity already taken care of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Inputs {
-    /// The emergency stop is pressed.
-    pub emergency_stop: bool,
-    /// Home switches of channels 1 to 3 are closed.
-    pub home: [bool; 3],
-}
-
 /// What a step generator complains of.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Alarm {
@@ -59,11 +51,11 @@ pub enum Alarm {
         late_s: f64,
     },
     /// It ran out of motion while moving and braked.
-    Starved,
+    Underrun,
     /// What it was handed jumps, mm.
-    Torn {
+    Discontinuity {
         /// The jump, mm.
-        gap_mm: f64,
+        jump_mm: f64,
     },
     /// Its pins cannot be written or read.
     Pins,
@@ -75,8 +67,8 @@ impl std::fmt::Display for Alarm {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Late { late_s } => write!(f, "a step came {:.1} ms late", late_s * 1e3),
-            Self::Starved => f.write_str("the step thread ran out of motion and braked"),
-            Self::Torn { gap_mm } => write!(f, "the motion handed to the step thread jumps by {gap_mm:.3} mm"),
+            Self::Underrun => f.write_str("the step thread ran out of motion and braked"),
+            Self::Discontinuity { jump_mm } => write!(f, "the motion handed to the step thread jumps by {jump_mm:.3} mm"),
             Self::Pins => f.write_str("the pins cannot be written or read"),
             Self::Dead => f.write_str("the step thread is gone"),
         }

@@ -4,7 +4,7 @@
 //! Two stores to one register between two looks are seen as one, so this counts slow lines only.
 #![allow(unsafe_code)]
 
-use retroflex::hardware::rt::{self, RtWish};
+use retroflex::hardware::rt::{self, RtRequest};
 use std::fs::File;
 use std::os::fd::AsRawFd;
 use std::path::Path;
@@ -43,7 +43,7 @@ impl Registers {
         let stop = Arc::new(AtomicBool::new(false));
         let end = stop.clone();
         let thread = std::thread::spawn(move || {
-            let _guard = rt::enter(&RtWish { priority: 91, cpu: None });
+            let _guard = rt::enter(&RtRequest { priority: 91, cpu: None });
             look(&file, &end)
         });
         Self { stop, thread }

@@ -67,7 +67,7 @@ impl Rig {
         let (end, shared) = (connection.clone(), world.clone());
         std::thread::spawn(move || {
             // above every thread it serves, or they would wait for themselves
-            let _guard = retroflex::hardware::rt::enter(&retroflex::hardware::rt::RtWish { priority: 90, cpu: None });
+            let _guard = retroflex::hardware::rt::enter(&retroflex::hardware::rt::RtRequest { priority: 90, cpu: None });
             fuse::serve(&end, &shared);
         });
         mount(Path::new("tmpfs"), &dev, "tmpfs", 0).map_err(at("a /dev of its own"))?;

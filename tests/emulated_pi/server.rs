@@ -3,11 +3,11 @@
 //! Pulses move the plant, the plant moves the sensor's registers. Time is the real one: at every
 //! transfer and every look from outside the plant is brought up to the present, a millisecond at a time.
 
+use crate::fake_imu::{Device, FakeIcm20948, Motion, Noise};
 use crate::fuse::{Answer, Files, Ioctl};
 use crate::gpio::{Chip, HANDLES};
 use crate::i2c::Bus;
 use retroflex::config::board::{Board, PlantSection};
-use retroflex::hardware::imu::fake::{Device, FakeIcm20948, Motion, Noise};
 use retroflex::hardware::rt::monotonic_ns;
 use retroflex::primitives::units::Steps;
 use retroflex::simulation::plant::{Plant, Truth};

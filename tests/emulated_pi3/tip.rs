@@ -1,11 +1,11 @@
 //! The tip on the host: pulses of the trace move the built-in plant in real time, and the plant's motion goes
 //! down the serial line to the sensor in the guest.
 
+use crate::fake_imu::Motion;
 use crate::guest::Guest;
 use crate::trace::Lines;
 use crate::wire;
 use retroflex::config::board::Board;
-use retroflex::hardware::imu::fake::Motion;
 use retroflex::hardware::rt::monotonic_ns;
 use retroflex::model::bend::Bend;
 use retroflex::primitives::units::Steps;

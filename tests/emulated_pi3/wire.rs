@@ -4,7 +4,7 @@
 //! 0.01 µT, all in the sensor's axes, little-endian) and the sum of the numbers' bytes. What does not add up
 //! is skipped up to the next mark.
 
-use retroflex::hardware::imu::fake::Motion;
+use crate::fake_imu::Motion;
 
 const MARKS: [u8; 2] = [0xA5, 0x5A];
 /// Bytes of a frame.

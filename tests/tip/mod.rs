@@ -2,11 +2,11 @@
 //! a field that may lie, and a nine-axis sensor. Everything can be changed while it runs.
 #![allow(dead_code, reason = "every test takes its own part of this")]
 
+use crate::fake_imu::Motion;
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
-use retroflex::hardware::imu::fake::Motion;
 use retroflex::model::arc::Geometry;
 use retroflex::model::bend::Bend;
 use retroflex::model::drive::Drive;

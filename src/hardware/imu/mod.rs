@@ -14,7 +14,9 @@
 //! [`fake`] holds register-level twins of the parts, for tests and for the emulated bus.
 
 mod error;
-pub mod fake;
+#[cfg(test)]
+#[path = "../../../tests/fake_imu/mod.rs"]
+pub(crate) mod fake;
 pub mod icm20948;
 #[cfg(feature = "hw")]
 pub mod linux;
@@ -22,11 +24,11 @@ pub mod lis2mdl;
 pub mod lsm6dso;
 mod port;
 mod raw;
-mod supervisor;
+mod recovery;
 
 pub use error::{ConfigError, ImuError};
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
-pub use supervisor::{ImuRecovery, RecoveryConfig};
+pub use recovery::{ImuRecovery, RecoveryConfig};
 
 use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::imu_calibration::Correction;

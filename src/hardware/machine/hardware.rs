@@ -4,10 +4,11 @@ use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::machine::{Drive, DriveState, HardwareError, MachineConfig, Sensor};
 use crate::hardware::pins;
 use crate::hardware::rt::monotonic_ns;
+use crate::motion::lines::Inputs;
 use crate::motion::report::StepperFault;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
-use crate::supervisor::machine::{Alarm, Inputs, Machine, Sensed};
+use crate::supervisor::machine::{Alarm, Machine, Sensed};
 use crate::supervisor::machine::{MachineError, MachineInfo};
 
 /// A queue that runs dry once is braked within the limits and taken up again: no step is lost and nothing
@@ -59,10 +60,10 @@ impl Hardware {
     fn alarm(&self) -> Option<Alarm> {
         match self.drive.state() {
             DriveState::Faulted(StepperFault::Late { late_ns, .. }) => Some(Alarm::Late { late_s: late_ns as f64 * 1e-9 }),
-            DriveState::Faulted(StepperFault::Torn { gap_mm, .. }) => Some(Alarm::Torn { gap_mm }),
+            DriveState::Faulted(StepperFault::Discontinuity { jump_mm, .. }) => Some(Alarm::Discontinuity { jump_mm }),
             DriveState::Faulted(StepperFault::Pins) => Some(Alarm::Pins),
             DriveState::Dead => Some(Alarm::Dead),
-            _ if self.starved => Some(Alarm::Starved),
+            _ if self.starved => Some(Alarm::Underrun),
             _ => None,
         }
     }
@@ -107,8 +108,7 @@ impl Machine for Hardware {
             base_imu,
             counted: report.map_or(Steps::default(), |r| r.counted),
             energised: self.drive.stepper().is_energised(),
-            inputs: report
-                .map_or(Inputs::default(), |r| Inputs { emergency_stop: r.inputs.emergency_stop || pressed, home: r.inputs.home }),
+            inputs: report.map_or(Inputs::default(), |r| Inputs { emergency_stop: r.inputs.emergency_stop || pressed, ..r.inputs }),
             alarm: self.alarm(),
             truth: None,
         })

@@ -8,7 +8,7 @@ use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::imu_calibration::{Correction, ImuCalibration};
 use crate::hardware::imu::{self, Identity, Imu, ImuConfig, ImuError};
 use crate::hardware::machine::HardwareError;
-use crate::hardware::rt::{self, RtStatus, RtWish};
+use crate::hardware::rt::{self, RtRequest, RtStatus};
 use crate::primitives::units::Seconds;
 use embedded_hal::delay::DelayNs;
 use nalgebra::UnitQuaternion;
@@ -152,7 +152,7 @@ struct Reader {
 
 impl Reader {
     fn run(&mut self, tell: &Sender<Started>) {
-        let wish = RtWish { priority: self.config.priority, cpu: None };
+        let wish = RtRequest { priority: self.config.priority, cpu: None };
         let begun = open(&self.config).and_then(|mut chip| {
             let identity = chip.init(&mut Sleep).map_err(|source| HardwareError::Imu { path: self.config.bus.clone(), source })?;
             Ok((chip, identity))

@@ -10,8 +10,8 @@ use crate::hardware::pins::config::Pull;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::uapi::Uapi;
 use crate::hardware::pins::{PinError, Pins};
+use crate::motion::lines::Inputs;
 use crate::motion::lines::Levels;
-use crate::motion::report::StepperInputs;
 use std::io;
 
 /// Most lines in one request.
@@ -139,8 +139,8 @@ impl<K: Kernel> Pins for CdevPins<K> {
         self.map.compare_enable(self.bits, found)
     }
 
-    fn read(&mut self) -> Result<StepperInputs, PinError> {
-        let Some(lines) = &self.inputs else { return Ok(StepperInputs::default()) };
+    fn read(&mut self) -> Result<Inputs, PinError> {
+        let Some(lines) = &self.inputs else { return Ok(Inputs::default()) };
         let mask = (1_u64 << self.map.inputs().len()) - 1;
         let bits = self.kernel.get(lines, mask).map_err(|source| PinError::Io { what: "read", source })?;
         Ok(self.map.meaning(bits))
@@ -237,7 +237,7 @@ mod tests {
         pins.write(&l).unwrap();
         let log = log.lock().unwrap();
         assert!(log[0].contains("[17, 23, 5, 27, 24, 22, 25]") && log[0].contains("Outputs(4)"), "{}", log[0]);
-        assert!(log[1].contains("[26]") && log[1].contains("StepperInputs([Up])"), "{}", log[1]);
+        assert!(log[1].contains("[26]") && log[1].contains("Inputs([Up])"), "{}", log[1]);
         assert_eq!(log[2..], ["set 1000110 1000010", "set 0101001 1101011"]);
         assert!(pins.read().unwrap().emergency_stop, "low is pressed");
     }

@@ -2,8 +2,8 @@
 
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{PinError, Pins};
+use crate::motion::lines::Inputs;
 use crate::motion::lines::Levels;
-use crate::motion::report::StepperInputs;
 use embedded_hal::digital::{InputPin, OutputPin, PinState};
 
 /// One `embedded-hal` pin a line, in the order of the [`LineMap`].
@@ -71,7 +71,7 @@ impl<O: OutputPin + Send, I: InputPin + Send> Pins for HalPins<O, I> {
         self.map.compare_enable(self.bits, found)
     }
 
-    fn read(&mut self) -> Result<StepperInputs, PinError> {
+    fn read(&mut self) -> Result<Inputs, PinError> {
         let mut bits = 0;
         for (i, pin) in self.inputs.iter_mut().enumerate() {
             let high = pin.is_high().map_err(|e| PinError::Pin { what: "read", why: format!("{e:?}") })?;

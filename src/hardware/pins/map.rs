@@ -7,8 +7,8 @@
 use crate::hardware::pins::PinError;
 use crate::hardware::pins::config::{InputPin, PinsConfig, Pull};
 use crate::motion::ConfigError;
+use crate::motion::lines::Inputs;
 use crate::motion::lines::Levels;
-use crate::motion::report::StepperInputs;
 
 /// Lines and their meaning.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -133,9 +133,9 @@ impl LineMap {
     /// Meaning of the voltages of all inputs.
     #[inline]
     #[must_use]
-    pub fn meaning(&self, bits: u64) -> StepperInputs {
+    pub fn meaning(&self, bits: u64) -> Inputs {
         let active = bits ^ self.inputs_inverted;
-        StepperInputs { home: self.home.map(|bit| active & bit != 0), emergency_stop: active & self.emergency_stop != 0 }
+        Inputs { home: self.home.map(|bit| active & bit != 0), emergency_stop: active & self.emergency_stop != 0 }
     }
 }
 
@@ -198,8 +198,8 @@ mod tests {
     fn inputs_mean_what_their_polarity_says() {
         let map = LineMap::new(&config(), 16).unwrap();
         assert_eq!(map.inputs(), [(16, Pull::Up), (26, Pull::Down)]);
-        assert_eq!(map.meaning(0b01), StepperInputs::default());
-        assert_eq!(map.meaning(0b10), StepperInputs { home: [false, true, false], emergency_stop: true });
+        assert_eq!(map.meaning(0b01), Inputs::default());
+        assert_eq!(map.meaning(0b10), Inputs { home: [false, true, false], emergency_stop: true });
     }
 
     #[test]

@@ -4,8 +4,8 @@
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::monotonic_ns;
+use crate::motion::lines::Inputs;
 use crate::motion::lines::Levels;
-use crate::motion::report::StepperInputs;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -141,7 +141,7 @@ impl Pins for MockPins {
         self.found_energised
     }
 
-    fn read(&mut self) -> Result<StepperInputs, PinError> {
+    fn read(&mut self) -> Result<Inputs, PinError> {
         Ok(self.map.meaning(self.inputs.0.load(Ordering::Relaxed)))
     }
 }

@@ -21,8 +21,8 @@ mod uapi;
 pub use config::{Backend, ChannelPins, InputPin, PinsConfig, Pull};
 pub use mock::MockPins;
 
+use crate::motion::lines::Inputs;
 use crate::motion::lines::Levels;
-use crate::motion::report::StepperInputs;
 
 /// Why the pins cannot be had, or not be used. All of these are exit code 3.
 #[derive(Debug, thiserror::Error)]
@@ -131,7 +131,7 @@ pub trait Pins: Send {
     ///
     /// # Errors
     /// [`PinError::Io`] or [`PinError::Pin`].
-    fn read(&mut self) -> Result<StepperInputs, PinError>;
+    fn read(&mut self) -> Result<Inputs, PinError>;
 }
 
 impl Pins for Box<dyn Pins> {
@@ -144,7 +144,7 @@ impl Pins for Box<dyn Pins> {
     fn check_enable(&mut self) -> Result<(), PinError> {
         (**self).check_enable()
     }
-    fn read(&mut self) -> Result<StepperInputs, PinError> {
+    fn read(&mut self) -> Result<Inputs, PinError> {
         (**self).read()
     }
 }

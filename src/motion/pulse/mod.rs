@@ -21,9 +21,9 @@ mod modes;
 use crate::motion::config::EmergencyStop;
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::MotionLimits;
-use crate::motion::lines::{Levels, OutputLine, PulseTiming};
+use crate::motion::lines::{Inputs, Levels, OutputLine, PulseTiming};
 use crate::motion::queue::{Source, TimedSegment};
-use crate::motion::report::{StepperFault, StepperInputs, StepperMode, StepperOrder, StepperReport};
+use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
 use crate::motion::state::MotionState;
 use crate::motion::steps::StepStream;
 use crate::primitives::units::Steps;
@@ -57,7 +57,7 @@ pub struct StepCore {
     counted: [i32; 3],
     epoch: u32,
     after_stop: AfterStop,
-    inputs: StepperInputs,
+    inputs: Inputs,
     pressed: u8,
     dry: u32,
     refused: u32,
@@ -101,7 +101,7 @@ impl StepCore {
             counted: [0; 3],
             epoch: 0,
             after_stop: AfterStop::Rest,
-            inputs: StepperInputs::default(),
+            inputs: Inputs::default(),
             pressed: 0,
             dry: 0,
             refused: 0,
@@ -170,7 +170,7 @@ impl StepCore {
     }
 
     /// The input lines as just read.
-    pub fn observe(&mut self, inputs: StepperInputs) {
+    pub fn observe(&mut self, inputs: Inputs) {
         self.pressed = if inputs.emergency_stop { self.pressed.saturating_add(1) } else { 0 };
         self.inputs = inputs;
         if self.pressed < PRESSED_READINGS {
@@ -253,7 +253,7 @@ impl StepCore {
 
     /// Input lines as last read.
     #[must_use]
-    pub fn inputs(&self) -> StepperInputs {
+    pub fn inputs(&self) -> Inputs {
         self.inputs
     }
 

@@ -81,7 +81,7 @@ impl StepCore {
             if gap_mm.abs() <= 1e-6 && way_mm.abs() <= longest_mm {
                 None
             } else {
-                Some(StepperFault::Torn { channel, gap_mm: if gap_mm.abs() <= 1e-6 { way_mm } else { gap_mm } })
+                Some(StepperFault::Discontinuity { channel, jump_mm: if gap_mm.abs() <= 1e-6 { way_mm } else { gap_mm } })
             }
         })
     }

@@ -98,7 +98,7 @@ impl<'a> Hand<'a> {
         }
         match sensed.alarm {
             // a hand that starves only stands still for a moment
-            None | Some(Alarm::Starved) => Ok(sensed),
+            None | Some(Alarm::Underrun) => Ok(sensed),
             Some(alarm) => {
                 let words = self.machine.remarks().into_iter().find_map(|r| r.strip_prefix("pins: ").map(str::to_owned));
                 Err(HandError::Alarm { alarm, words })

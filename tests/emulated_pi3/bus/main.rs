@@ -4,6 +4,8 @@
 //! `emulated-pi3-bus /dev/ttyS1`, as root, with `cuse` loaded and no other `/dev/i2c-1`.
 #![allow(unsafe_code, clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code)]
 
+#[path = "../../fake_imu/mod.rs"]
+mod fake_imu;
 #[path = "../../emulated_pi/fuse.rs"]
 mod fuse;
 #[path = "../../emulated_pi/i2c.rs"]
@@ -13,7 +15,7 @@ mod wire;
 
 use fuse::{Answer, Files, Ioctl};
 use i2c::Bus;
-use retroflex::hardware::imu::fake::FakeIcm20948;
+use fake_imu::FakeIcm20948;
 use retroflex::hardware::rt::monotonic_ns;
 use std::fs::File;
 use std::io::Read;

@@ -1,8 +1,8 @@
 //! Register machine of the LSM6DSO (DS12140): power-down until a rate is set, reset, new-data bits.
 
 use super::{Analog, Device, Motion, Noise, Quirks, Ticker};
-use crate::hardware::imu::Axes;
-use crate::hardware::imu::lsm6dso::{RATES_HZ, WHO_AM_I, reg, scale};
+use retroflex::hardware::imu::Axes;
+use retroflex::hardware::imu::lsm6dso::{RATES_HZ, WHO_AM_I, reg, scale};
 
 const STATUS_ACC: u8 = 0x01;
 const STATUS_GYRO: u8 = 0x02;

@@ -1,8 +1,8 @@
 //! Register machine of the AK09916 (DS-000189 rev. 1.3, p. 77-80), as met on the internal bus.
 
 use super::{Analog, Ticker};
-use crate::hardware::imu::Axes;
-use crate::hardware::imu::icm20948::{AK_WHO_AM_I, reg};
+use retroflex::hardware::imu::Axes;
+use retroflex::hardware::imu::icm20948::{AK_WHO_AM_I, reg};
 
 const UT_PER_LSB: f64 = 0.15;
 const HXL: u8 = 0x11;

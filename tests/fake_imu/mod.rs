@@ -8,6 +8,7 @@
 //!
 //! Filters are not modelled (a conversion is the motion of that instant plus white noise), nor is
 //! the time a transfer takes; [`Machine::bus_time_s`] says what it would be.
+#![allow(dead_code, unused_imports, reason = "every test uses its own part of this")]
 
 mod ak09916;
 mod icm20948;

@@ -2,8 +2,8 @@
 //! runs round the six data bytes.
 
 use super::{Analog, Device, Motion, Noise, Quirks, Ticker};
-use crate::hardware::imu::Axes;
-use crate::hardware::imu::lis2mdl::{ADDRESS, UT_PER_LSB, WHO_AM_I, reg};
+use retroflex::hardware::imu::Axes;
+use retroflex::hardware::imu::lis2mdl::{ADDRESS, UT_PER_LSB, WHO_AM_I, reg};
 
 const STATUS_NEW: u8 = 0x0F;
 const STATUS_OVERRUN: u8 = 0xF0;

@@ -2,7 +2,7 @@
 //! bus master with its four cyclic slaves and the one-shot slave 4, and the AK09916 behind it.
 
 use super::{Analog, Device, FakeAk09916, Motion, Noise, Quirks, Ticker};
-use crate::hardware::imu::icm20948::{AK_ADDRESS, BASE_RATE_HZ, WHO_AM_I, reg, scale};
+use retroflex::hardware::imu::icm20948::{AK_ADDRESS, BASE_RATE_HZ, WHO_AM_I, reg, scale};
 
 const RESET_TIME_S: f64 = 0.5e-3;
 const EXT_BYTES: usize = 24;
