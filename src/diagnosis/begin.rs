@@ -69,17 +69,17 @@ fn event(params: &[Param], which: usize) -> Option<(usize, [usize; 3])> {
 /// Times and offsets of the events that explain most of what is left, the largest first.
 fn scan(log: &Observed, base_fit: &BaseFit<'_>, to: &Model<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
     let params = added.params();
-    event(&params, 1)?;
+    event(params, 1)?;
     let (bounds, all) = (bounds(to), vec![1.0; log.bins.len()]);
     let mut fresh: Vec<f64> = params.iter().map(|p| p.start).collect();
     // quick events: a slow one has a start of its own
-    for (value, p) in fresh.iter_mut().zip(&params) {
+    for (value, p) in fresh.iter_mut().zip(params) {
         if p.name.starts_with("lasting") {
             *value = 0.5;
         }
     }
     for which in 1..=2 {
-        let (time, offsets) = event(&params, which)?;
+        let (time, offsets) = event(params, which)?;
         let residuals =
             |fresh: &[f64]| Point::new(log, to, &bounds, extend(&base_fit.model, &base_fit.point.theta, to, fresh), &all).residual;
         let mut early = fresh.clone();

@@ -119,7 +119,7 @@ fn second_counts(found: &Found, single: &Candidate, pair: &Candidate, floor: f64
 
 /// Whether two effects are easily taken for each other.
 fn confusable(names: &[&str]) -> bool {
-    let taken = |a: &str, b: &str| by_name(a).is_some_and(|e| e.confused_with().contains(&b));
+    let taken = |a: &str, b: &str| by_name(a).is_some_and(|e| e.info().confused_with.contains(&b));
     matches!(names, [a, b] if taken(a, b) || taken(b, a))
 }
 

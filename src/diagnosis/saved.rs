@@ -119,7 +119,7 @@ impl SavedModel {
         }
         let mut out: Vec<String> = self.effect.iter().map(|e| e.name.clone()).collect();
         for e in self.effect.iter().filter_map(|s| crate::model::effects::by_name(&s.name)) {
-            out.extend(e.confused_with().iter().map(|n| (*n).to_owned()));
+            out.extend(e.info().confused_with.iter().map(|n| (*n).to_owned()));
         }
         out
     }

@@ -63,8 +63,8 @@ mod tests {
             let r = Rival::drawn(e, &mut rng);
             assert_eq!(r.points.len(), DRAWS);
             for point in &r.points {
-                assert!(point.iter().zip(&params).all(|(v, p)| (p.low..=p.high).contains(v)), "{}", r.effect.name());
-                assert!(point.iter().zip(&params).any(|(v, p)| (v - p.start).abs() > 0.2 * p.scale), "{}", r.effect.name());
+                assert!(point.iter().zip(params).all(|(v, p)| (p.low..=p.high).contains(v)), "{}", r.effect.name());
+                assert!(point.iter().zip(params).any(|(v, p)| (v - p.start).abs() > 0.2 * p.scale), "{}", r.effect.name());
             }
         }
     }

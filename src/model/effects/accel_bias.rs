@@ -13,31 +13,27 @@
 //! `gravity` (the tip really sags), a tilted base and `mount_misalignment` (turns the other sensors
 //! too). Many attitudes separate it.
 
-use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Offset of the specific force.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct AccelBias;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "accel_bias",
+    stage: Stage::Sensor,
+    signature: "an offset of the accelerometer alone; its norm depends on the pose",
+    confused_with: &["gravity", "mount_misalignment", "base_motion"],
+    separated_by: "many attitudes",
+    is_event: false,
+    params: &Param::new("", "m/s²", 0.0, 0.3, (-3.0, 3.0)).named(["x", "y", "z"]),
+};
+
 impl Effect for AccelBias {
-    fn name(&self) -> &'static str {
-        "accel_bias"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Sensor
-    }
-    fn signature(&self) -> &'static str {
-        "an offset of the accelerometer alone; its norm depends on the pose"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["gravity", "mount_misalignment", "base_motion"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "many attitudes"
-    }
-    fn params(&self) -> Vec<Param> {
-        Param::new("", "m/s²", 0.0, 0.3, (-3.0, 3.0)).named(["x", "y", "z"]).to_vec()
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.02; 3]]

@@ -16,7 +16,7 @@
 //! offset of length, which moves the corner away, separate it.
 
 use crate::model::effects::smooth::magnitude;
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Rounding of the corner, mm.
@@ -26,24 +26,20 @@ const EDGE_MM: f64 = 0.3;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Asymmetry;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "asymmetry",
+    stage: Stage::Bellows,
+    signature: "slope of a channel changes at zero",
+    confused_with: &["gas_compression", "crosstalk"],
+    separated_by: "amplitudes of both signs, with the length offset",
+    is_event: false,
+    params: &Param::new("difference", "", 0.0, 0.1, (-0.6, 0.6)).each(),
+};
+
 impl Effect for Asymmetry {
-    fn name(&self) -> &'static str {
-        "asymmetry"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Bellows
-    }
-    fn signature(&self) -> &'static str {
-        "slope of a channel changes at zero"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["gas_compression", "crosstalk"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "amplitudes of both signs, with the length offset"
-    }
-    fn params(&self) -> Vec<Param> {
-        Vec::from(Param::new("difference", "", 0.0, 0.1, (-0.6, 0.6)).each())
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.02; 3]]

@@ -18,39 +18,36 @@
 //! The error surface is flat in an event's time but for the event itself: a fit has to search `t1_s`
 //! and `t2_s`.
 
+use crate::model::effects::param::join;
 use crate::model::effects::smooth::smoothstep;
-use crate::model::effects::{Effect, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Moment, Param, Stage, Starts};
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Turns of the base at up to two times.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct BaseMotion;
 
+/// Parameters of one turn: its beginning, its duration and its rotation vector.
+const fn turn(start_s: f64, [begin, lasting, x, y, z]: [&'static str; 5]) -> [Param; 5] {
+    let angle = Param::new("", "rad", 0.0, 0.08, (-0.8, 0.8));
+    let [x, y, z] = angle.named([x, y, z]);
+    [Param::new(begin, "s", start_s, 100.0, (0.0, 36_000.0)), Param::new(lasting, "s", 2.0, 40.0, (0.1, 900.0)), x, y, z]
+}
+
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "base_motion",
+    stage: Stage::Base,
+    signature: "all sensors turn together and no piston explains it",
+    confused_with: &["missed_steps", "thermal_drift", "gyro_bias"],
+    separated_by: "an IMU on the base; returning to a known pose",
+    is_event: true,
+    params: &join::<10>(&[&turn(60.0, ["t1_s", "lasting1", "x1", "y1", "z1"]), &turn(150.0, ["t2_s", "lasting2", "x2", "y2", "z2"])]),
+};
+
 impl Effect for BaseMotion {
-    fn name(&self) -> &'static str {
-        "base_motion"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Base
-    }
-    fn signature(&self) -> &'static str {
-        "all sensors turn together and no piston explains it"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["missed_steps", "thermal_drift", "gyro_bias"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "an IMU on the base; returning to a known pose"
-    }
-    fn params(&self) -> Vec<Param> {
-        let event = |time, lasting, turn: [&'static str; 3], start_s| {
-            let mut out = vec![Param::new(time, "s", start_s, 100.0, (0.0, 36_000.0)), Param::new(lasting, "s", 2.0, 40.0, (0.1, 900.0))];
-            out.extend(Param::new("", "rad", 0.0, 0.08, (-0.8, 0.8)).named(turn));
-            out
-        };
-        let mut out = event("t1_s", "lasting1", ["x1", "y1", "z1"], 60.0);
-        out.extend(event("t2_s", "lasting2", ["x2", "y2", "z2"], 150.0));
-        out
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     /// One slow turn from the beginning, then knocks at several times.
     fn starts(&self) -> Starts {

@@ -17,7 +17,7 @@
 //! Signature: two-fold in the direction δ. Easily confused with unequal k_ε (whose common-mode length
 //! leaks into bend), `crosstalk` and `clocking`. Length changes separate it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Pose, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
 use nalgebra::Matrix2;
 
 /// Bend at which x is 1: 75°, rad.
@@ -27,24 +27,20 @@ const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct CableStiffness;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "cable_stiffness",
+    stage: Stage::Shape,
+    signature: "gain of the bend is two-fold in the direction",
+    confused_with: &["crosstalk", "clocking", "stiffening"],
+    separated_by: "length changes at several directions",
+    is_event: false,
+    params: &Param::new("", "", 0.0, 0.1, (-0.5, 0.5)).named(["along", "aslant", "along_grow", "aslant_grow"]),
+};
+
 impl Effect for CableStiffness {
-    fn name(&self) -> &'static str {
-        "cable_stiffness"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Shape
-    }
-    fn signature(&self) -> &'static str {
-        "gain of the bend is two-fold in the direction"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["crosstalk", "clocking", "stiffening"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "length changes at several directions"
-    }
-    fn params(&self) -> Vec<Param> {
-        ["along", "aslant", "along_grow", "aslant_grow"].map(|name| Param::new(name, "", 0.0, 0.1, (-0.5, 0.5))).to_vec()
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.02; 4]]

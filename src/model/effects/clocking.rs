@@ -13,7 +13,7 @@
 //! base frame is refitted. Also confused with `crosstalk`. A full circle of δ separates it; a reference
 //! separates the common turn.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Pose, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
 use nalgebra::{Matrix2x3, Matrix3, Vector3};
 use std::f64::consts::TAU;
 
@@ -21,24 +21,20 @@ use std::f64::consts::TAU;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Clocking;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "clocking",
+    stage: Stage::Shape,
+    signature: "an error periodic in the bend direction that rotates the bend plane",
+    confused_with: &["mount_misalignment", "crosstalk", "cable_stiffness"],
+    separated_by: "a full circle of directions; a reference for a turn of all three",
+    is_event: false,
+    params: &Param::new("angle", "rad", 0.0, 0.1, (-0.5, 0.5)).each(),
+};
+
 impl Effect for Clocking {
-    fn name(&self) -> &'static str {
-        "clocking"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Shape
-    }
-    fn signature(&self) -> &'static str {
-        "an error periodic in the bend direction that rotates the bend plane"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["mount_misalignment", "crosstalk", "cable_stiffness"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "a full circle of directions; a reference for a turn of all three"
-    }
-    fn params(&self) -> Vec<Param> {
-        Vec::from(Param::new("angle", "rad", 0.0, 0.1, (-0.5, 0.5)).each())
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.01; 3]]

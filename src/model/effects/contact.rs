@@ -22,7 +22,7 @@
 //! same bend from another side separates it.
 
 use crate::model::effects::smooth::overshoot;
-use crate::model::effects::{Effect, Memory, Moment, Param, Pose, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
 use nalgebra::Vector2;
 use std::f64::consts::{FRAC_PI_4, TAU};
 
@@ -33,30 +33,26 @@ const EDGE_RAD: f64 = 0.01;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Contact;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "contact",
+    stage: Stage::Shape,
+    signature: "an error only beyond a line in the bend plane",
+    confused_with: &["missed_steps", "cable_stiffness", "stiffening"],
+    separated_by: "coming to the same bend from another side",
+    is_event: false,
+    params: &[
+        Param::new("direction", "rad", 0.0, 2.0, (-TAU, TAU)),
+        Param::new("distance", "rad", 0.7, 0.3, (0.1, 1.8)),
+        Param::new("stiffness", "", 0.0, 0.4, (0.0, 1.0)),
+        Param::new("give", "rad", 0.02, 0.06, (0.002, 0.6)),
+        Param::new("friction", "", 0.0, 0.2, (0.0, 1.5)),
+    ],
+};
+
 impl Effect for Contact {
-    fn name(&self) -> &'static str {
-        "contact"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Shape
-    }
-    fn signature(&self) -> &'static str {
-        "an error only beyond a line in the bend plane"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["missed_steps", "cable_stiffness", "stiffening"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "coming to the same bend from another side"
-    }
-    fn params(&self) -> Vec<Param> {
-        vec![
-            Param::new("direction", "rad", 0.0, 2.0, (-TAU, TAU)),
-            Param::new("distance", "rad", 0.7, 0.3, (0.1, 1.8)),
-            Param::new("stiffness", "", 0.0, 0.4, (0.0, 1.0)),
-            Param::new("give", "rad", 0.02, 0.06, (0.002, 0.6)),
-            Param::new("friction", "", 0.0, 0.2, (0.0, 1.5)),
-        ]
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     /// Eight directions: a wall that nothing touches has no slope towards where it should be.
     fn starts(&self) -> Starts {

@@ -17,7 +17,7 @@
 //! `thermal_drift` (follows the clock) and `hysteresis`. Hold, return, hold separates it.
 
 use crate::model::effects::smooth::share;
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Time constant of the slow element over that of the fast one.
@@ -27,25 +27,24 @@ const DECADE: f64 = 12.0;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Creep;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "creep",
+    stage: Stage::Bellows,
+    signature: "drift in holds that grows the motion and recovers after the return",
+    confused_with: &["leak", "line_lag", "thermal_drift", "hysteresis"],
+    separated_by: "hold, return, hold",
+    is_event: false,
+    params: &[
+        Param::new("fast", "", 0.0, 0.08, (0.0, 0.8)),
+        Param::new("slow", "", 0.0, 0.08, (0.0, 0.8)),
+        Param::new("tau", "s", 2.0, 2.0, (0.3, 20.0)),
+    ],
+};
+
 impl Effect for Creep {
-    fn name(&self) -> &'static str {
-        "creep"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Bellows
-    }
-    fn signature(&self) -> &'static str {
-        "drift in holds that grows the motion and recovers after the return"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["leak", "line_lag", "thermal_drift", "hysteresis"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "hold, return, hold"
-    }
-    fn params(&self) -> Vec<Param> {
-        let amount = |name| Param::new(name, "", 0.0, 0.08, (0.0, 0.8));
-        vec![amount("fast"), amount("slow"), Param::new("tau", "s", 2.0, 2.0, (0.3, 20.0))]
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         [1.0, 6.0].map(|tau| vec![0.04, 0.04, tau]).to_vec()

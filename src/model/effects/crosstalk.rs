@@ -16,44 +16,40 @@
 //! signs of pressure alike). Single-channel moves and the common-mode length separate it.
 
 use crate::model::effects::smooth::positive;
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Slack over which the wall begins to bulge, mm.
 const EDGE_MM: f64 = 0.2;
 
-/// Couplings: name, from line, into line.
-const PAIRS: [(&str, usize, usize); 6] = [("c12", 0, 1), ("c13", 0, 2), ("c21", 1, 0), ("c23", 1, 2), ("c31", 2, 0), ("c32", 2, 1)];
+/// Couplings in the order of the parameters: from which line into which, counted from 0.
+const PAIRS: [(usize, usize); 6] = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)];
 
 /// Coupling of pressurised lines into their neighbours.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Crosstalk;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "crosstalk",
+    stage: Stage::Transmission,
+    signature: "other channels move when one is pressurised, not when it is evacuated",
+    confused_with: &["asymmetry", "clocking", "cable_stiffness", "gas_compression"],
+    separated_by: "single-channel moves of both signs; common-mode length",
+    is_event: false,
+    params: &Param::new("", "", 0.0, 0.1, (-0.2, 0.6)).named(["c12", "c13", "c21", "c23", "c31", "c32"]),
+};
+
 impl Effect for Crosstalk {
-    fn name(&self) -> &'static str {
-        "crosstalk"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Transmission
-    }
-    fn signature(&self) -> &'static str {
-        "other channels move when one is pressurised, not when it is evacuated"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["asymmetry", "clocking", "cable_stiffness", "gas_compression"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "single-channel moves of both signs; common-mode length"
-    }
-    fn params(&self) -> Vec<Param> {
-        PAIRS.iter().map(|(name, _, _)| Param::new(name, "", 0.0, 0.1, (-0.2, 0.6))).collect()
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.05; PAIRS.len()]]
     }
     fn play_output(&self, p: &[f64], _m: &mut Memory, _at: &Moment, w_mm: &mut Vector3<f64>) {
         let pressed = w_mm.map(|w| positive(w, EDGE_MM));
-        for ((_, from, to), c) in PAIRS.iter().zip(p) {
+        for ((from, to), c) in PAIRS.iter().zip(p) {
             w_mm[*to] += c * pressed[*from];
         }
     }

@@ -16,7 +16,7 @@
 //! Signature: an isotropic function of β. Easily confused with `stiffening` (depends on the length of
 //! each bellow, too) and `gravity`. Length changes or a shape sensor separate it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Pose, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
 
 /// Bend at which x is 1: 75°, rad.
 const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
@@ -25,24 +25,20 @@ const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Curvature;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "curvature",
+    stage: Stage::Shape,
+    signature: "bend is off by a function of the bend angle, alike in all directions",
+    confused_with: &["stiffening", "gravity"],
+    separated_by: "the same bends at another length; a shape sensor",
+    is_event: false,
+    params: &[Param::new("bow", "", 0.0, 0.1, (-0.8, 0.8)), Param::new("curl", "", 0.0, 0.2, (-1.0, 1.0))],
+};
+
 impl Effect for Curvature {
-    fn name(&self) -> &'static str {
-        "curvature"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Shape
-    }
-    fn signature(&self) -> &'static str {
-        "bend is off by a function of the bend angle, alike in all directions"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["stiffening", "gravity"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "the same bends at another length; a shape sensor"
-    }
-    fn params(&self) -> Vec<Param> {
-        vec![Param::new("bow", "", 0.0, 0.1, (-0.8, 0.8)), Param::new("curl", "", 0.0, 0.2, (-1.0, 1.0))]
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.03, 0.0]]

@@ -17,31 +17,27 @@
 //! three channels, without a corner. Easily confused with `asymmetry` (a corner at zero, each bellow its
 //! own) and `stiffening` (odd). A pressure signal or common-mode length changes separate it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Boyle's law in place of a linear air spring.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct GasCompression;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "gas_compression",
+    stage: Stage::Transmission,
+    signature: "gain grows with pressure and falls under vacuum: an even-order curve without a corner",
+    confused_with: &["asymmetry", "stiffening", "crosstalk"],
+    separated_by: "a pressure signal; common-mode length changes",
+    is_event: false,
+    params: &[Param::new("boyle", "1/mm", 0.0, 0.04, (-0.05, 0.25))],
+};
+
 impl Effect for GasCompression {
-    fn name(&self) -> &'static str {
-        "gas_compression"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Transmission
-    }
-    fn signature(&self) -> &'static str {
-        "gain grows with pressure and falls under vacuum: an even-order curve without a corner"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["asymmetry", "stiffening", "crosstalk"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "a pressure signal; common-mode length changes"
-    }
-    fn params(&self) -> Vec<Param> {
-        vec![Param::new("boyle", "1/mm", 0.0, 0.04, (-0.05, 0.25))]
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn play_output(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {

@@ -16,7 +16,8 @@
 //! disturbance periodic in time, `hysteresis` of small loops and `motor_field` (which follows the
 //! motors too, but in the magnetometer alone). Two speeds separate it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::param::join;
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 
@@ -24,28 +25,24 @@ use std::f64::consts::{PI, TAU};
 #[derive(Debug, Clone, Copy, Default)]
 pub struct GearPeriodic;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "gear_periodic",
+    stage: Stage::Drive,
+    signature: "an error periodic in piston position, not in time",
+    confused_with: &["hysteresis", "motor_field"],
+    separated_by: "the same travel at two speeds",
+    is_event: false,
+    params: &join::<7>(&[
+        &Param::new("sin", "mm", 0.0, 0.15, (-0.7, 0.7)).each(),
+        &Param::new("cos", "mm", 0.0, 0.15, (-0.7, 0.7)).each(),
+        &[Param::new("pitch", "mm", PI, 0.1, (1.4, 6.5))],
+    ]),
+};
+
 impl Effect for GearPeriodic {
-    fn name(&self) -> &'static str {
-        "gear_periodic"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Drive
-    }
-    fn signature(&self) -> &'static str {
-        "an error periodic in piston position, not in time"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["hysteresis", "motor_field"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "the same travel at two speeds"
-    }
-    fn params(&self) -> Vec<Param> {
-        let size = |name| Param::new(name, "mm", 0.0, 0.15, (-0.7, 0.7)).each();
-        let mut out = Vec::from(size("sin"));
-        out.extend(size("cos"));
-        out.push(Param::new("pitch", "mm", PI, 0.1, (1.4, 6.5)));
-        out
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     /// Modules 1 and 0.5: from one pitch the fit does not find another.
     fn starts(&self) -> Starts {

@@ -21,7 +21,7 @@
 
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
-use crate::model::effects::{Effect, Memory, Moment, Param, Pose, Stage};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
 use crate::primitives::units::Mm;
 use nalgebra::{Vector2, Vector3};
 
@@ -29,24 +29,20 @@ use nalgebra::{Vector2, Vector3};
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Gravity;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "gravity",
+    stage: Stage::Shape,
+    signature: "an error of the bend that follows the world's vertical",
+    confused_with: &["accel_bias", "curvature", "base_motion"],
+    separated_by: "another attitude of the base",
+    is_event: false,
+    params: &[Param::new("sag", "rad", 0.0, 0.06, (0.0, 0.5)), Param::new("lever", "", 0.5, 0.3, (0.0, 1.0))],
+};
+
 impl Effect for Gravity {
-    fn name(&self) -> &'static str {
-        "gravity"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Shape
-    }
-    fn signature(&self) -> &'static str {
-        "an error of the bend that follows the world's vertical"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["accel_bias", "curvature", "base_motion"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "another attitude of the base"
-    }
-    fn params(&self) -> Vec<Param> {
-        vec![Param::new("sag", "rad", 0.0, 0.06, (0.0, 0.5)), Param::new("lever", "", 0.5, 0.3, (0.0, 1.0))]
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn shape(&self, p: &[f64], _m: &mut Memory, at: &Moment, pose: &mut Pose) {
         pose.bend -= lift(&pose.bend, &at.up_base, p[1]) * p[0];

@@ -14,7 +14,7 @@
 //! Signature: in the gyroscope only; the other sensors see no motion. Easily confused with
 //! `thermal_drift` and `base_motion`, which the accelerometer sees. Still holds separate it.
 
-use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Times of the knots after the first, s.
@@ -29,24 +29,20 @@ const NAMES: [&str; 39] = [
 #[derive(Debug, Clone, Copy, Default)]
 pub struct GyroBias;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "gyro_bias",
+    stage: Stage::Sensor,
+    signature: "a slow drift of the gyroscope alone; the other sensors see no motion",
+    confused_with: &["thermal_drift", "base_motion"],
+    separated_by: "still holds, early and late",
+    is_event: false,
+    params: &Param::new("", "rad/s", 0.0, 0.02, (-0.3, 0.3)).named(NAMES),
+};
+
 impl Effect for GyroBias {
-    fn name(&self) -> &'static str {
-        "gyro_bias"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Sensor
-    }
-    fn signature(&self) -> &'static str {
-        "a slow drift of the gyroscope alone; the other sensors see no motion"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["thermal_drift", "base_motion"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "still holds, early and late"
-    }
-    fn params(&self) -> Vec<Param> {
-        NAMES.iter().map(|name| Param::new(name, "rad/s", 0.0, 0.02, (-0.3, 0.3))).collect()
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![1e-4; NAMES.len()]]

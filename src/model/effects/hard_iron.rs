@@ -12,31 +12,27 @@
 //! Signature: in the magnetometer only, fixed to the body. Easily confused with `motor_field` (fixed
 //! in the world, follows the motors) and `torsion`. A tumble with the motors off separates it.
 
-use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Field of magnetised parts on the tip.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct HardIron;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "hard_iron",
+    stage: Stage::Sensor,
+    signature: "an offset of the magnetometer alone, fixed to the body",
+    confused_with: &["motor_field", "torsion", "mount_misalignment"],
+    separated_by: "many attitudes with the motors off",
+    is_event: false,
+    params: &Param::new("", "µT", 0.0, 10.0, (-120.0, 120.0)).named(["x", "y", "z"]),
+};
+
 impl Effect for HardIron {
-    fn name(&self) -> &'static str {
-        "hard_iron"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Sensor
-    }
-    fn signature(&self) -> &'static str {
-        "an offset of the magnetometer alone, fixed to the body"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["motor_field", "torsion", "mount_misalignment"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "many attitudes with the motors off"
-    }
-    fn params(&self) -> Vec<Param> {
-        Param::new("", "µT", 0.0, 10.0, (-120.0, 120.0)).named(["x", "y", "z"]).to_vec()
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![1.0; 3]]

@@ -22,7 +22,8 @@
 //! Easily confused with a wrong k_λ (one radius only), `creep` and `line_lag` (both depend on
 //! speed). Nested loops, slow and fast, separate it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::param::join;
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Half-widths of the plays, mm of bellow length; two share a weight.
@@ -35,29 +36,24 @@ const SIDE_MM: f64 = 3.0;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Hysteresis;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "hysteresis",
+    stage: Stage::Bellows,
+    signature: "loops that do not depend on speed, with minor loops and return points that are wiped out",
+    confused_with: &["creep", "line_lag", "gear_periodic"],
+    separated_by: "nested loops, slow and fast",
+    is_event: false,
+    params: &join::<7>(&[
+        &Param::new("", "", 0.0, 0.15, (0.0, 1.5)).named(["small", "middle", "large"]),
+        &[Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)), Param::new("waist", "", 0.0, 0.2, (-0.9, 0.9))],
+        &[Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(2), Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(3)],
+    ]),
+};
+
 impl Effect for Hysteresis {
-    fn name(&self) -> &'static str {
-        "hysteresis"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Bellows
-    }
-    fn signature(&self) -> &'static str {
-        "loops that do not depend on speed, with minor loops and return points that are wiped out"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["creep", "line_lag", "gear_periodic"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "nested loops, slow and fast"
-    }
-    fn params(&self) -> Vec<Param> {
-        let mut out = Param::new("", "", 0.0, 0.15, (0.0, 1.5)).named(["small", "middle", "large"]).to_vec();
-        out.push(Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)));
-        out.push(Param::new("waist", "", 0.0, 0.2, (-0.9, 0.9)));
-        let excess = Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5));
-        out.extend([excess.on(2), excess.on(3)]);
-        out
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.05, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0]]

@@ -17,8 +17,9 @@
 //! confused with `creep` (opposite sign, recovers) and `thermal_drift` (follows the clock). Long holds
 //! at two pressures and a return to zero separate it.
 
+use crate::model::effects::param::join;
 use crate::model::effects::smooth::{share, sign};
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Slack over which pressure turns into vacuum, mm.
@@ -28,26 +29,23 @@ const EDGE_MM: f64 = 0.5;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Leak;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "leak",
+    stage: Stage::Transmission,
+    signature: "decay towards rest in holds, in proportion to pressure, then an offset the other way",
+    confused_with: &["creep", "thermal_drift", "missed_steps"],
+    separated_by: "long holds at two pressures, then a return to zero",
+    is_event: false,
+    params: &join::<4>(&[
+        &Param::new("rate", "1/s", 0.0, 0.01, (0.0, 0.3)).each(),
+        &[Param::new("vacuum_ratio", "", 1.0, 0.5, (0.0, 4.0))],
+    ]),
+};
+
 impl Effect for Leak {
-    fn name(&self) -> &'static str {
-        "leak"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Transmission
-    }
-    fn signature(&self) -> &'static str {
-        "decay towards rest in holds, in proportion to pressure, then an offset the other way"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["creep", "thermal_drift", "missed_steps"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "long holds at two pressures, then a return to zero"
-    }
-    fn params(&self) -> Vec<Param> {
-        let mut out = Vec::from(Param::new("rate", "1/s", 0.0, 0.01, (0.0, 0.3)).each());
-        out.push(Param::new("vacuum_ratio", "", 1.0, 0.5, (0.0, 4.0)));
-        out
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         [0.003, 0.03].map(|rate| vec![rate, rate, rate, 1.0]).to_vec()

@@ -15,8 +15,9 @@
 //! Signature: error in proportion to speed, gone in holds within seconds. Easily confused with
 //! `transport_delay` (no rounding), play and `creep` (slower). Steps and a chirp separate it.
 
+use crate::model::effects::param::join;
 use crate::model::effects::smooth::sign;
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Gap over which filling turns into draining, mm.
@@ -26,26 +27,20 @@ const EDGE_MM: f64 = 0.05;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct LineLag;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "line_lag",
+    stage: Stage::Transmission,
+    signature: "error in proportion to speed that rounds off steps and is gone within seconds of a hold",
+    confused_with: &["transport_delay", "sensor_latency", "creep", "hysteresis"],
+    separated_by: "steps and a chirp",
+    is_event: false,
+    params: &join::<4>(&[&Param::new("tau", "s", 0.0, 0.2, (0.0, 3.0)).each(), &[Param::new("fill_drain", "", 0.0, 0.3, (-0.9, 0.9))]]),
+};
+
 impl Effect for LineLag {
-    fn name(&self) -> &'static str {
-        "line_lag"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Transmission
-    }
-    fn signature(&self) -> &'static str {
-        "error in proportion to speed that rounds off steps and is gone within seconds of a hold"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["transport_delay", "sensor_latency", "creep", "hysteresis"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "steps and a chirp"
-    }
-    fn params(&self) -> Vec<Param> {
-        let mut out = Vec::from(Param::new("tau", "s", 0.0, 0.2, (0.0, 3.0)).each());
-        out.push(Param::new("fill_drain", "", 0.0, 0.3, (-0.9, 0.9)));
-        out
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         [0.08, 0.4].map(|tau| vec![tau, tau, tau, 0.0]).to_vec()

@@ -21,7 +21,7 @@
 //! answer among those that look the same is the one with the fewest channels, and that one is reported.
 
 use crate::model::effects::smooth::onset;
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// How long an event takes, 10 to 90 %, s.
@@ -31,33 +31,34 @@ const RISE_S: f64 = 0.05;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct MissedSteps;
 
+/// Offset of one channel at one event.
+const fn offset(name: &'static str, channel: u8) -> Param {
+    Param::new(name, "mm", 0.0, 2.0, (-24.0, 24.0)).on(channel)
+}
+
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "missed_steps",
+    stage: Stage::Drive,
+    signature: "a persistent jump of one channel, at high acceleration",
+    confused_with: &["base_motion", "thermal_drift", "contact"],
+    separated_by: "returning to a known pose; a sweep of acceleration",
+    is_event: true,
+    params: &[
+        Param::new("t1_s", "s", 60.0, 100.0, (0.0, 36_000.0)),
+        offset("d1_1", 1),
+        offset("d1_2", 2),
+        offset("d1_3", 3),
+        Param::new("t2_s", "s", 150.0, 100.0, (0.0, 36_000.0)),
+        offset("d2_1", 1),
+        offset("d2_2", 2),
+        offset("d2_3", 3),
+    ],
+};
+
 impl Effect for MissedSteps {
-    fn name(&self) -> &'static str {
-        "missed_steps"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Drive
-    }
-    fn signature(&self) -> &'static str {
-        "a persistent jump of one channel, at high acceleration"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["base_motion", "thermal_drift", "contact"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "returning to a known pose; a sweep of acceleration"
-    }
-    fn params(&self) -> Vec<Param> {
-        let time = |name, start_s| Param::new(name, "s", start_s, 100.0, (0.0, 36_000.0));
-        let offset = |names: [&'static str; 3]| {
-            let [a, b, c] = Param::new("", "mm", 0.0, 2.0, (-24.0, 24.0)).named(names);
-            [a.on(1), b.on(2), c.on(3)]
-        };
-        let mut out = vec![time("t1_s", 60.0)];
-        out.extend(offset(["d1_1", "d1_2", "d1_3"]));
-        out.push(time("t2_s", 150.0));
-        out.extend(offset(["d2_1", "d2_2", "d2_3"]));
-        out
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         let at = |first: f64, second: f64| vec![first, 0.2, 0.0, -0.2, second, 0.0, 0.0, 0.0];

@@ -97,6 +97,26 @@ pub struct Param {
     pub high: f64,
 }
 
+/// What an effect is: constant data, written once in the effect's own file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EffectInfo {
+    /// Name in files and reports.
+    pub name: &'static str,
+    /// Stage of the chain that the effect acts in.
+    pub stage: Stage,
+    /// The signature it leaves in a log, one sentence.
+    pub signature: &'static str,
+    /// Names of the effects with a similar signature.
+    pub confused_with: &'static [&'static str],
+    /// The manoeuvre that separates it from those.
+    pub separated_by: &'static str,
+    /// True for an effect that happens once, at a time of its own, and therefore cannot be predicted
+    /// from another log.
+    pub is_event: bool,
+    /// Parameters, in the order of the slices that the methods of [`Effect`] take.
+    pub params: &'static [Param],
+}
+
 /// Starting points for a fit: several, where the error surface has several valleys.
 pub type Starts = Vec<Vec<f64>>;
 
@@ -155,18 +175,20 @@ pub struct ImuPrediction {
 
 /// One physical cause.
 pub trait Effect: Send + Sync {
-    /// Name, as in files and reports.
-    fn name(&self) -> &'static str;
-    /// Where it lives.
-    fn stage(&self) -> Stage;
-    /// One sentence: the signature it leaves.
-    fn signature(&self) -> &'static str;
-    /// Names of the effects it is easily taken for.
-    fn confused_with(&self) -> &'static [&'static str];
-    /// The manoeuvre that separates it from them.
-    fn separated_by(&self) -> &'static str;
-    /// Its parameters.
-    fn params(&self) -> Vec<Param>;
+    /// The catalogue entry.
+    fn info(&self) -> &'static EffectInfo;
+    /// [`EffectInfo::name`].
+    fn name(&self) -> &'static str {
+        self.info().name
+    }
+    /// [`EffectInfo::stage`].
+    fn stage(&self) -> Stage {
+        self.info().stage
+    }
+    /// [`EffectInfo::params`].
+    fn params(&self) -> &'static [Param] {
+        self.info().params
+    }
     /// Points a fit should start from; by default one, half a scale from nothing in each parameter.
     fn starts(&self) -> Starts {
         vec![self.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect()]
@@ -255,16 +277,16 @@ pub fn by_name(name: &str) -> Option<Box<dyn Effect>> {
 pub fn describe() -> String {
     let mut out = String::from("| effect | stage | signature | confused with | separated by | parameters |\n|---|---|---|---|---|---|\n");
     for e in catalogue() {
-        let confused = e.confused_with().iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
+        let confused = e.info().confused_with.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
         // writing to a String cannot fail
         let _ = writeln!(
             out,
             "| `{}` | {} | {} | {confused} | {} | {} |",
             e.name(),
             e.stage().name(),
-            e.signature(),
-            e.separated_by(),
-            param::summary(&e.params()),
+            e.info().signature,
+            e.info().separated_by,
+            param::summary(e.params()),
         );
     }
     out
@@ -317,11 +339,11 @@ mod tests {
     #[test]
     fn an_effect_is_only_taken_for_others_of_the_catalogue() {
         for e in catalogue() {
-            assert!(!e.confused_with().is_empty(), "{}", e.name());
-            for other in e.confused_with() {
+            assert!(!e.info().confused_with.is_empty(), "{}", e.name());
+            for other in e.info().confused_with {
                 assert!(by_name(other).is_some() && *other != e.name(), "{} / {other}", e.name());
             }
-            assert!(e.signature().len() > 20 && e.separated_by().len() > 10, "{}", e.name());
+            assert!(e.info().signature.len() > 20 && e.info().separated_by.len() > 10, "{}", e.name());
         }
     }
 

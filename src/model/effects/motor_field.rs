@@ -19,7 +19,8 @@
 //! to the body, blind to the motors) and `gear_periodic` (moves the tip). Motors on and off while still separate it.
 
 use crate::model::drive::Drive;
-use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::param::join;
+use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
@@ -41,28 +42,28 @@ impl Default for MotorField {
     }
 }
 
+/// One component of a coil's field.
+const COIL: Param = Param::new("", "µT", 0.0, 3.0, (-40.0, 40.0));
+
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "motor_field",
+    stage: Stage::Sensor,
+    signature: "a disturbance of the magnetometer alone that follows the motors' microstep phase",
+    confused_with: &["hard_iron", "gear_periodic"],
+    separated_by: "motors on and off while the tip is still",
+    is_event: false,
+    params: &join::<20>(&[
+        &COIL.on(1).named(NAMES),
+        &COIL.on(2).named(NAMES),
+        &COIL.on(3).named(NAMES),
+        &[Param::new("idle", "", 0.5, 0.3, (0.0, 1.0)), Param::new("idle_after", "s", 0.5, 0.5, (0.1, 10.0))],
+    ]),
+};
+
 impl Effect for MotorField {
-    fn name(&self) -> &'static str {
-        "motor_field"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Sensor
-    }
-    fn signature(&self) -> &'static str {
-        "a disturbance of the magnetometer alone that follows the motors' microstep phase"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["hard_iron", "gear_periodic"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "motors on and off while the tip is still"
-    }
-    fn params(&self) -> Vec<Param> {
-        let motor = |m| NAMES.map(|name| Param::new(name, "µT", 0.0, 3.0, (-40.0, 40.0)).on(m));
-        let mut out: Vec<Param> = (1..=3).flat_map(motor).collect();
-        out.push(Param::new("idle", "", 0.5, 0.3, (0.0, 1.0)));
-        out.push(Param::new("idle_after", "s", 0.5, 0.5, (0.1, 10.0)));
-        out
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     /// A current that falls early, later, and as good as never: from too early a fall there is no way back.
     fn starts(&self) -> Starts {

@@ -13,31 +13,27 @@
 //! `clocking` (in the IMU alone a turn of all bellows is the turn about z), a tilted base and `accel_bias`. A known
 //! rotation of the base separates it.
 
-use crate::model::effects::{Effect, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Param, Stage, Starts};
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Constant turn from sensor to tip.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct MountMisalignment;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "mount_misalignment",
+    stage: Stage::Sensor,
+    signature: "a constant rotation of all sensors in their own frame",
+    confused_with: &["clocking", "accel_bias", "hard_iron"],
+    separated_by: "a known rotation of the base; a reference",
+    is_event: false,
+    params: &Param::new("", "rad", 0.0, 0.1, (-0.6, 0.6)).named(["x", "y", "z"]),
+};
+
 impl Effect for MountMisalignment {
-    fn name(&self) -> &'static str {
-        "mount_misalignment"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Sensor
-    }
-    fn signature(&self) -> &'static str {
-        "a constant rotation of all sensors in their own frame"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["clocking", "accel_bias", "hard_iron"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "a known rotation of the base; a reference"
-    }
-    fn params(&self) -> Vec<Param> {
-        Param::new("", "rad", 0.0, 0.1, (-0.6, 0.6)).named(["x", "y", "z"]).to_vec()
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.01; 3]]

@@ -21,10 +21,15 @@ impl Param {
     pub const fn each(self) -> [Self; 3] {
         [self.on(1), self.on(2), self.on(3)]
     }
-    /// The same for the three axes or other parts named.
+    /// The same under each of `names`.
     #[must_use]
-    pub fn named(self, names: [&'static str; 3]) -> [Self; 3] {
-        names.map(|name| Self { name, ..self })
+    pub const fn named<const N: usize>(self, names: [&'static str; N]) -> [Self; N] {
+        let (mut out, mut k) = ([self; N], 0);
+        while k < N {
+            out[k].name = names[k];
+            k += 1;
+        }
+        out
     }
     /// A value of this parameter as files and reports show it, with its unit: degrees for radians.
     #[must_use]
@@ -35,6 +40,24 @@ impl Param {
             unit => (value, unit),
         }
     }
+}
+
+/// All parameters of `parts` in one array of `N`; a wrong `N` is a compile error where the result is a
+/// constant.
+#[must_use]
+pub const fn join<const N: usize>(parts: &[&[Param]]) -> [Param; N] {
+    let mut out = [Param::new("", "", 0.0, 1.0, (0.0, 0.0)); N];
+    let (mut part, mut at) = (0, 0);
+    while part < parts.len() {
+        let mut k = 0;
+        while k < parts[part].len() {
+            out[at] = parts[part][k];
+            (k, at) = (k + 1, at + 1);
+        }
+        part += 1;
+    }
+    assert!(at == N, "N is not the number of parameters");
+    out
 }
 
 /// Parameters in one cell of a table: `rate ×3 (1/s), vacuum_ratio`.

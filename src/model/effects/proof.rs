@@ -4,7 +4,7 @@
 //! constant curvature → sensor, at 100 Hz.
 
 use crate::model::arc::Geometry;
-use crate::model::effects::{Effect, ImuPrediction, Memory, Moment, Param, Pose, by_name};
+use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Pose, Stage, by_name};
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector2, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use std::time::Instant;
@@ -131,7 +131,7 @@ fn well_written(e: &dyn Effect) {
     assert!(!e.starts().is_empty(), "{}", e.name());
     for s in e.starts() {
         assert_eq!(s.len(), params.len(), "{}", e.name());
-        let inside = s.iter().zip(&params).all(|(v, p)| (p.low..=p.high).contains(v));
+        let inside = s.iter().zip(params).all(|(v, p)| (p.low..=p.high).contains(v));
         assert!(inside, "{}: start {s:?} outside its range", e.name());
     }
     assert!(by_name(e.name()).is_some_and(|own| own.params() == params));
@@ -141,23 +141,16 @@ fn well_written(e: &dyn Effect) {
 struct Absent;
 
 impl Effect for Absent {
-    fn name(&self) -> &'static str {
-        "absent"
-    }
-    fn stage(&self) -> crate::model::effects::Stage {
-        crate::model::effects::Stage::Base
-    }
-    fn signature(&self) -> &'static str {
-        ""
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &[]
-    }
-    fn separated_by(&self) -> &'static str {
-        ""
-    }
-    fn params(&self) -> Vec<Param> {
-        Vec::new()
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
+            name: "absent",
+            stage: Stage::Base,
+            signature: "",
+            confused_with: &[],
+            separated_by: "",
+            is_event: false,
+            params: &[],
+        }
     }
 }
 

@@ -11,30 +11,26 @@
 //! Signature: the sensors come late together; the tip itself is on time. Easily confused with
 //! `transport_delay` (tip and sensors late) and `line_lag` (rounds). An outside reference separates it.
 
-use crate::model::effects::{Effect, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Param, Stage, Starts};
 
 /// Dead time after the tip.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SensorLatency;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "sensor_latency",
+    stage: Stage::Timing,
+    signature: "all sensors come late by a constant time while the tip itself is on time",
+    confused_with: &["transport_delay", "line_lag"],
+    separated_by: "an outside reference; a chirp",
+    is_event: false,
+    params: &[Param::new("latency", "s", 0.0, 0.08, (0.0, 0.5))],
+};
+
 impl Effect for SensorLatency {
-    fn name(&self) -> &'static str {
-        "sensor_latency"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Timing
-    }
-    fn signature(&self) -> &'static str {
-        "all sensors come late by a constant time while the tip itself is on time"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["transport_delay", "line_lag"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "an outside reference; a chirp"
-    }
-    fn params(&self) -> Vec<Param> {
-        vec![Param::new("latency", "s", 0.0, 0.08, (0.0, 0.5))]
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.03], vec![0.15]]

@@ -24,39 +24,37 @@
 //! `stiffening` (does not depend on the past), `thermal_drift` and `creep` (go on inside the past
 //! maximum). A rising amplitude that is then repeated separates it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::param::join;
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Damage by the largest stretch so far, the same law for each bellow.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Softening;
 
-impl Effect for Softening {
-    fn name(&self) -> &'static str {
-        "softening"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Bellows
-    }
-    fn signature(&self) -> &'static str {
-        "gain changes only beyond the largest past stretch, and for good"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["stiffening", "creep", "thermal_drift"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "a rising amplitude, then the same again"
-    }
-    fn params(&self) -> Vec<Param> {
-        let mut out = Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)).each().to_vec();
-        out.extend([
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "softening",
+    stage: Stage::Bellows,
+    signature: "gain changes only beyond the largest past stretch, and for good",
+    confused_with: &["stiffening", "creep", "thermal_drift"],
+    separated_by: "a rising amplitude, then the same again",
+    is_event: false,
+    params: &join::<8>(&[
+        &Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)).each(),
+        &[
             Param::new("reach", "mm", 2.0, 1.5, (0.3, 12.0)),
             Param::new("rejoin", "", 0.0, 0.4, (0.0, 1.0)),
             Param::new("tiring", "mm/mm", 0.0, 0.02, (0.0, 0.3)),
             Param::new("contracted", "", 1.0, 0.4, (0.0, 1.5)),
             Param::new("toe", "mm", 0.0, 0.4, (0.0, 4.0)),
-        ]);
-        out
+        ],
+    ]),
+};
+
+impl Effect for Softening {
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)].map(|(reach, rejoin)| vec![0.15, 0.15, 0.15, reach, rejoin, 0.005, 0.8, 0.1]).to_vec()

@@ -16,7 +16,7 @@
 //! `curvature` of third order. Also confused with `gas_compression` (even). An amplitude ladder at two
 //! lengths separates it.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Length change at which `extra` is the extra stiffness, mm.
@@ -28,24 +28,20 @@ const STEPS: usize = 5;
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Stiffening;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "stiffening",
+    stage: Stage::Bellows,
+    signature: "an odd static curve of each channel: large moves fall short, both ways alike",
+    confused_with: &["curvature", "gas_compression", "softening"],
+    separated_by: "an amplitude ladder at two lengths",
+    is_event: false,
+    params: &Param::new("extra", "", 0.0, 0.15, (0.0, 1.5)).each(),
+};
+
 impl Effect for Stiffening {
-    fn name(&self) -> &'static str {
-        "stiffening"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Bellows
-    }
-    fn signature(&self) -> &'static str {
-        "an odd static curve of each channel: large moves fall short, both ways alike"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["curvature", "gas_compression", "softening"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "an amplitude ladder at two lengths"
-    }
-    fn params(&self) -> Vec<Param> {
-        Vec::from(Param::new("extra", "", 0.0, 0.15, (0.0, 1.5)).each())
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn bellows(&self, p: &[f64], _m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         for i in 0..3 {

@@ -16,33 +16,28 @@
 //! `base_motion`. An idle hold and a repeated pose separate it. Orientation does not see the part that
 //! lengthens all bellows alike, sizes in proportion to 1 + k_ε: there the prior decides.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::param::join;
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
 /// Warming of the three lines towards a steady state.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ThermalDrift;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "thermal_drift",
+    stage: Stage::Transmission,
+    signature: "a slow offset that follows the time since the start, not the command",
+    confused_with: &["creep", "leak", "gyro_bias", "base_motion"],
+    separated_by: "an idle hold; a pose repeated late",
+    is_event: false,
+    params: &join::<4>(&[&Param::new("size", "mm", 0.0, 0.8, (-6.0, 6.0)).each(), &[Param::new("tau", "s", 60.0, 60.0, (5.0, 900.0))]]),
+};
+
 impl Effect for ThermalDrift {
-    fn name(&self) -> &'static str {
-        "thermal_drift"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Transmission
-    }
-    fn signature(&self) -> &'static str {
-        "a slow offset that follows the time since the start, not the command"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["creep", "leak", "gyro_bias", "base_motion"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "an idle hold; a pose repeated late"
-    }
-    fn params(&self) -> Vec<Param> {
-        let mut out = Vec::from(Param::new("size", "mm", 0.0, 0.8, (-6.0, 6.0)).each());
-        out.push(Param::new("tau", "s", 60.0, 60.0, (5.0, 900.0)));
-        out
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         [30.0, 120.0].map(|tau| vec![0.1, 0.0, -0.1, tau]).to_vec()

@@ -15,30 +15,26 @@
 //! the magnetometer, `hard_iron` and `mount_misalignment` (whose turn does not grow). A reference or a clean field
 //! separates it; in the accelerometer it shows as a turn of the in-plane part.
 
-use crate::model::effects::{Effect, Memory, Moment, Param, Pose, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
 
 /// Turn about the tip's axis that grows with bend.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Torsion;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "torsion",
+    stage: Stage::Shape,
+    signature: "yaw of the tip grows with bend while the tip's axis stays right",
+    confused_with: &["hard_iron", "mount_misalignment", "clocking"],
+    separated_by: "a reference or a clean magnetic field",
+    is_event: false,
+    params: &[Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)), Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4))],
+};
+
 impl Effect for Torsion {
-    fn name(&self) -> &'static str {
-        "torsion"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Shape
-    }
-    fn signature(&self) -> &'static str {
-        "yaw of the tip grows with bend while the tip's axis stays right"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["hard_iron", "mount_misalignment", "clocking"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "a reference or a clean magnetic field"
-    }
-    fn params(&self) -> Vec<Param> {
-        vec![Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)), Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4))]
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.02, 0.0]]

@@ -11,30 +11,26 @@
 //! `sensor_latency` (the same but for what the reference or a body-fixed disturbance sees) and
 //! `line_lag` (rounds). A chirp separates it from the lag; an outside reference from the latency.
 
-use crate::model::effects::{Effect, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Param, Stage, Starts};
 
 /// Dead time before the pistons.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct TransportDelay;
 
+/// The catalogue entry.
+const INFO: EffectInfo = EffectInfo {
+    name: "transport_delay",
+    stage: Stage::Timing,
+    signature: "motion comes late by a constant time: phase grows with frequency, without rounding",
+    confused_with: &["sensor_latency", "line_lag"],
+    separated_by: "a chirp; an outside reference",
+    is_event: false,
+    params: &[Param::new("delay", "s", 0.0, 0.08, (0.0, 0.5))],
+};
+
 impl Effect for TransportDelay {
-    fn name(&self) -> &'static str {
-        "transport_delay"
-    }
-    fn stage(&self) -> Stage {
-        Stage::Timing
-    }
-    fn signature(&self) -> &'static str {
-        "motion comes late by a constant time: phase grows with frequency, without rounding"
-    }
-    fn confused_with(&self) -> &'static [&'static str] {
-        &["sensor_latency", "line_lag"]
-    }
-    fn separated_by(&self) -> &'static str {
-        "a chirp; an outside reference"
-    }
-    fn params(&self) -> Vec<Param> {
-        vec![Param::new("delay", "s", 0.0, 0.08, (0.0, 0.5))]
+    fn info(&self) -> &'static EffectInfo {
+        &INFO
     }
     fn starts(&self) -> Starts {
         vec![vec![0.03], vec![0.15]]

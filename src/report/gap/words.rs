@@ -122,7 +122,7 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
     let design = "`retroflex gap diagnose LOG --save model.toml`, then `retroflex gap excite --like model.toml --out schedule.csv` designs a schedule for it";
     let mut out = Vec::new();
     for g in &d.verdict.equivalent {
-        let mut how: Vec<&str> = g.iter().filter_map(|n| by_name(n)).map(|e| e.separated_by()).collect();
+        let mut how: Vec<&str> = g.iter().filter_map(|n| by_name(n)).map(|e| e.info().separated_by).collect();
         how.dedup();
         out.push(format!("To tell {} apart: {}; {design}.", listed(g, "from"), how.join("; or ")));
     }
@@ -140,7 +140,12 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
     }
     for name in &d.verdict.names {
         if let Some(e) = by_name(name).filter(|_| group(d, name).is_none() && entry(d, name).is_some_and(|e| e.probability < 0.9)) {
-            out.push(format!("{} is taken for {} at times: {}.", capital(&plain(name)), listed(e.confused_with(), "or"), e.separated_by()));
+            out.push(format!(
+                "{} is taken for {} at times: {}.",
+                capital(&plain(name)),
+                listed(e.info().confused_with, "or"),
+                e.info().separated_by
+            ));
         }
     }
     out
