@@ -1,4 +1,4 @@
-//! `retroflex bench rt`: how late this machine is, beside `cyclictest` where it is installed.
+//! `retroflex bench rt`: timing of the step thread on this machine, compared with `cyclictest` where it is installed.
 
 use crate::cli::{CommandOutcome, Unreachable, output};
 use crate::config::board::Board;
@@ -11,35 +11,34 @@ use crate::hardware::stepper::StartError;
 use crate::motion::StepperConfig;
 use clap::{Args, Subcommand};
 use miette::{IntoDiagnostic, Result, miette};
-use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Measurements of this machine.
 #[derive(Debug, Subcommand)]
 pub enum Bench {
-    /// Lateness of the step thread: wake-up, step and interval, as a table and a histogram.
+    /// Measure the lateness of the step thread: wake-up, step and interval.
     Rt(Rt),
 }
 
 /// Arguments of `bench rt`.
 #[derive(Debug, Args)]
 pub struct Rt {
-    /// Pulse through the pins of this board, drivers without current; without it through the mock.
+    /// Pulse the pins of this board, with the drivers disabled; the default is a mock.
     #[arg(long)]
     board: Option<PathBuf>,
-    /// Steps a second on each of the three channels.
+    /// Steps per second on each of the three channels.
     #[arg(long, default_value_t = 4000.0)]
     rate: f64,
-    /// How long, s.
+    /// Duration, s.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
-    /// Threads that keep processors busy meanwhile.
+    /// Number of threads that load the processors meanwhile.
     #[arg(long, default_value_t = 0)]
     load: usize,
-    /// Write the histograms as one SVG drawing.
+    /// Write the histograms as one SVG drawing (`-`: standard output).
     #[arg(long)]
     svg: Option<PathBuf>,
-    /// Do not run `cyclictest` afterwards.
+    /// Skip the comparison with `cyclictest`.
     #[arg(long)]
     alone: bool,
 }
@@ -47,15 +46,14 @@ pub struct Rt {
 /// Runs the command.
 ///
 /// # Errors
-/// A report that says what was wrong with the input, or that the pins cannot be had.
+/// A report that says what is wrong with the input, or that the pins are not available.
 pub fn run(command: &Bench) -> Result<CommandOutcome> {
     let Bench::Rt(args) = command;
     if !(10.0..=20_000.0).contains(&args.rate) || !(0.2..=3600.0).contains(&args.seconds) {
         return Err(miette!("--rate {} --seconds {}: give 10 to 20000 steps a second and 0.2 to 3600 s", args.rate, args.seconds));
     }
-    if let Some(path) = &args.svg {
-        output::check(path)?;
-    }
+    let inputs: Vec<&Path> = args.board.iter().map(PathBuf::as_path).collect();
+    output::check(&[("--svg", args.svg.as_deref())], &inputs)?;
     let base = RtBenchConfig { rate_hz: args.rate, duration_s: args.seconds, load_threads: args.load, ..RtBenchConfig::default() };
     let (bench, through) = match &args.board {
         Some(path) => on_board(path, base)?,
@@ -65,8 +63,7 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
         }
     };
     let text = format!("through {through}\n{}\n", bench.table());
-    // a reader that has gone away is no failure of the bench
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    output::print(&text);
     if let Some(path) = &args.svg {
         output::write(path, &bench.svg())?;
     }
@@ -76,14 +73,14 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
     Ok(if bench.is_good() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
 }
 
-fn on_board(path: &std::path::Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
+fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     let board: Board = source::read(path)?;
     let Some(wiring) = &board.pins else {
-        return Err(miette!("{}: has no [pins] table, so there is nothing to pulse; leave --board out to use the mock", path.display()));
+        return Err(miette!("{}: there is no [pins] table, so there is nothing to pulse; omit --board to use the mock", path.display()));
     };
     if wiring.channels.iter().any(|c| c.enable.is_none()) {
         return Err(miette!(
-            "{}: a channel's EN is hard-wired, so its motor would run; wire EN to a line and name it in pins.channels",
+            "{}: the EN input of a channel is hard-wired, so its motor would run; wire EN to a line and name it in pins.channels",
             path.display()
         ));
     }
@@ -91,7 +88,7 @@ fn on_board(path: &std::path::Path, base: RtBenchConfig) -> Result<(RtBench, Str
         OpenError::Config(e) => miette!("{}: {e}", path.display()),
         OpenError::Pin(e) => Unreachable { what: "the GPIO".to_owned(), why: e.to_string() }.into(),
     })?;
-    // no motor turns, so steps may come as close as the clock wants them, with room to catch up
+    // no motor turns, so only the pulse widths limit the rate; a fifth of the period leaves room to catch up
     let least_us = board.stepper.pulse_high_us + board.stepper.pulse_low_us;
     let close_us = (0.2e6 / base.rate_hz).clamp(least_us, board.stepper.step_interval_min_us.max(least_us));
     let config = RtBenchConfig { stepper: StepperConfig { step_interval_min_us: close_us, ..board.stepper }, ..base };
@@ -107,13 +104,13 @@ fn measure<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<RtBench
     }
 }
 
-/// The kernel's own latency at the same priority, and the ratio.
+/// Prints the latency that `cyclictest` measures at the same priority, and the ratio.
 fn compare(bench: &RtBench) {
     let text = match cyclictest::run(bench.config.stepper.priority, bench.config.rate_hz, 10.0, bench.config.load_threads) {
         Ok(theirs) => {
             let ours = bench.wake.quantile_ns(0.999) as f64 * 1e-3;
             format!(
-                "cyclictest, same priority, right after: p99.9 {:.0} µs, longest {:.0} µs; wake-up lateness p99.9 here {ours:.1} µs: ratio {:.2}\n",
+                "cyclictest at the same priority: p99.9 {:.0} µs, maximum {:.0} µs; p99.9 of the wake-up lateness {ours:.1} µs, ratio {:.2}\n",
                 theirs.p999_us,
                 theirs.max_us,
                 ours / theirs.p999_us.max(1.0)
@@ -121,5 +118,5 @@ fn compare(bench: &RtBench) {
         }
         Err(why) => format!("cyclictest: {why}\n"),
     };
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    output::print(&text);
 }

@@ -6,7 +6,6 @@ use crate::config::source;
 use crate::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
 use crate::supervisor::commission::wiring::Wiring;
 use miette::{IntoDiagnostic, Result, miette};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `commission`.
@@ -43,8 +42,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         })
     })?;
     drop(machine);
-    // a reader that has gone away is no failure of the procedure
-    let _ = std::io::stdout().write_all(findings.words().as_bytes());
+    output::print(&findings.words());
     if let (true, Some(wiring)) = (args.write, &findings.wiring) {
         write_back(&args.board, &board, wiring)?;
     }

@@ -1,14 +1,12 @@
 //! `retroflex doctor`: the board file against the machine, line by line: pass, warn or fail, each with
 //! the mend.
 
-use crate::cli::{CommandOutcome, output};
+use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::board::Board;
-use crate::config::source;
 use crate::hardware::machine::Sensor;
 use crate::hardware::rt::{self, Grant, RtRequest};
-use miette::{IntoDiagnostic, Result};
+use miette::Result;
 use serde::Serialize;
-use std::io::Write;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -61,14 +59,11 @@ impl Finding {
 /// # Errors
 /// A report for a board file that is not one.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let board: Board = match &args.board {
-        Some(path) => source::read(path)?,
-        None => source::parse("boards/sim.toml", include_str!("../../boards/sim.toml"))?,
-    };
+    let files: Vec<&Path> = args.board.iter().map(PathBuf::as_path).collect();
+    output::check(&[("--json", args.json.as_deref())], &files)?;
+    let board = inputs::board(args.board.as_deref())?;
     let findings = examine(&board);
-    if let Some(path) = &args.json {
-        output::write(path, &(serde_json::to_string_pretty(&findings).into_diagnostic()? + "\n"))?;
-    }
+    output::json(args.json.as_deref(), &findings)?;
     let mut text = String::new();
     for f in &findings {
         let mark = match f.verdict {
@@ -79,8 +74,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let mend = if f.mend.is_empty() { String::new() } else { format!("\n      → {}", f.mend) };
         text.push_str(&format!("{mark}  {:<18} {}{mend}\n", f.what, f.found));
     }
-    // a reader that has gone away is no failure of the doctor
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    output::show(&text, args.json.as_deref());
     let failed = findings.iter().any(|f| f.verdict == Verdict::Fail);
     Ok(if failed { CommandOutcome::NotGoodEnough } else { CommandOutcome::Good })
 }

@@ -13,7 +13,6 @@ use crate::service::memory::Store;
 use comfy_table::{CellAlignment, ColumnConstraint, Table, Width, presets};
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::json;
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Arguments of `drill`.
@@ -64,9 +63,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let Some(folder) = &args.recall {
         return recall(folder);
     }
-    if let Some(path) = &args.json {
-        output::check(path)?;
-    }
+    output::check(&[("--json", args.json.as_deref())], &[])?;
     if let Some(hours) = args.soak {
         return soak_for(args, &make, hours);
     }
@@ -74,10 +71,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if rows.is_empty() {
         return Err(miette!("--only {}: no fault has that in its name", args.only.as_deref().unwrap_or("")));
     }
-    if let Some(path) = &args.json {
-        output::write(path, &(serde_json::to_string_pretty(&json!({ "rows": rows })).into_diagnostic()? + "\n"))?;
-    }
-    show(&rows);
+    output::json(args.json.as_deref(), &json!({ "rows": rows }))?;
+    show(&rows, args.json.as_deref());
     Ok(if rows.iter().all(|r| r.ok) { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
 }
 
@@ -146,15 +141,11 @@ fn soak_for(args: &Args, make: &Make, hours: f64) -> Result<CommandOutcome> {
     let result = soak::run(make, hours, args.seed, &mut |h| bar.set_position((1000.0 * h / hours) as u64));
     bar.finish_and_clear();
     let soak = result.into_diagnostic()?;
-    let text = serde_json::to_string_pretty(&soak).into_diagnostic()? + "\n";
-    match &args.json {
-        Some(path) => output::write(path, &text)?,
-        None => print!("{text}"),
-    }
+    output::json(args.json.as_deref().or(Some(std::path::Path::new("-"))), &soak)?;
     Ok(if soak.ok { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
 }
 
-fn show(rows: &[Row]) {
+fn show(rows: &[Row], json: Option<&std::path::Path>) {
     let mut table = Table::new();
     table.load_style(presets::UTF8_HORIZONTAL_ONLY);
     table.set_header(["fault", "noticed", "steps after", "state", "error during", "after", "ok", "said"]);
@@ -181,6 +172,5 @@ fn show(rows: &[Row]) {
     }
     let bad = rows.iter().filter(|r| !r.ok).count();
     let text = format!("{table}\n{} faults, {bad} not survived as promised\n", rows.len());
-    // a reader that has gone away is no failure of the drill
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    output::show(&text, json);
 }

@@ -54,9 +54,7 @@ struct Document<'a> {
 /// # Errors
 /// A report if a file cannot be written.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    if let Some(path) = &args.json {
-        output::check(path)?;
-    }
+    output::check(&[("--json", args.json.as_deref())], &[])?;
     let questions: Vec<Question> = paper(args.seed, args.rounds.max(1)).into_iter().step_by(args.every.max(1)).collect();
     eprintln!("seed {}, {} logs", args.seed, questions.len());
     let bar = output::bar(questions.len() as u64, "{pos} of {len} logs, {eta} left,");
@@ -64,10 +62,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     bar.finish_and_clear();
     let sheet = mark(args.seed, &questions, &answers);
     eprintln!("{}", summary(&sheet));
-    if let Some(path) = &args.json {
-        let document = Document { sheet: &sheet, logs: questions.iter().zip(&answers).map(line).collect() };
-        output::write(path, &(serde_json::to_string(&document).into_diagnostic()? + "\n"))?;
-    }
+    output::json(args.json.as_deref(), &Document { sheet: &sheet, logs: questions.iter().zip(&answers).map(line).collect() })?;
     Ok(CommandOutcome::Good)
 }
 

@@ -3,7 +3,7 @@
 use crate::cli::CommandOutcome;
 use crate::cli::gap_diagnose::{self, DiagnoseArgs};
 use crate::cli::gap_excite::{self, ExciteArgs};
-use crate::cli::output::{self, write};
+use crate::cli::output;
 use crate::config::source;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::saved::SavedModel;
@@ -80,28 +80,11 @@ pub fn saved(path: &Path) -> Result<SavedModel> {
     }
 }
 
-/// Refuses, before anything is run, result files that could not be written or that are one and the same.
-///
-/// # Errors
-/// A report that names the file and what is in the way.
-pub fn check_results(files: &[Option<&Path>]) -> Result<()> {
-    let files: Vec<&Path> = files.iter().copied().flatten().collect();
-    for (n, path) in files.iter().enumerate() {
-        output::check(path)?;
-        if files[..n].contains(path) {
-            return Err(miette!("{}: named for two results at once; give each its own file", path.display()));
-        }
-    }
-    Ok(())
-}
-
 fn run_check(args: &CheckArgs) -> Result<CommandOutcome> {
-    check_results(&[args.json.as_deref()])?;
+    output::check(&[("--json", args.json.as_deref())], &[&args.model, &args.log])?;
     let model = saved(&args.model)?;
     let checked = model.check_on(&observe(&args.log)?, &catalogue());
     eprintln!("before {:.2}°, after {:.2}°, closed {:.0} %", checked.before_deg, checked.after_deg, checked.closed * 100.0);
-    if let Some(path) = &args.json {
-        write(path, &(serde_json::to_string(&checked).into_diagnostic()? + "\n"))?;
-    }
+    output::json(args.json.as_deref(), &checked)?;
     Ok(CommandOutcome::Good)
 }

@@ -1,9 +1,9 @@
 //! `retroflex gap diagnose`: a log in, an answer in words, and the files that hold it.
 
 use crate::cli::CommandOutcome;
-use crate::cli::gap::{PAPER, check_results, observe};
+use crate::cli::gap::{PAPER, observe};
 use crate::cli::gap_map;
-use crate::cli::output::write;
+use crate::cli::output::{self, write};
 use crate::config::calib::Calibration;
 use crate::config::source;
 use crate::diagnosis::diagnose::{Diagnosed, Diagnosis, diagnose};
@@ -49,7 +49,10 @@ pub struct DiagnoseArgs {
 /// # Errors
 /// A report that names what is wrong with the input.
 pub fn run(args: &DiagnoseArgs) -> Result<CommandOutcome> {
-    check_results(&[args.json.as_deref(), args.html.as_deref(), args.save.as_deref()])?;
+    let results = [("--json", args.json.as_deref()), ("--html", args.html.as_deref()), ("--save", args.save.as_deref())];
+    let mut inputs = vec![args.log.as_path()];
+    inputs.extend(args.fresh.iter().chain(&args.map).chain(&args.calib).map(PathBuf::as_path));
+    output::check(&results, &inputs)?;
     if let Some(map) = &args.map {
         return gap_map::run(&args.log, map, &args.fresh, args.json.as_deref(), args.seed);
     }
@@ -57,7 +60,7 @@ pub fn run(args: &DiagnoseArgs) -> Result<CommandOutcome> {
     let lines = calibration.map_or(PAPER, |c| c.lines());
     let observed = observe(&args.log)?;
     let done = diagnose(&observed, &catalogue(), &lines, args.seed);
-    for (path, text) in results(args, &observed, &done)? {
+    for (path, text) in files(args, &observed, &done)? {
         write(path, &text)?;
     }
     eprintln!("{}", summary(&done.document));
@@ -65,7 +68,7 @@ pub fn run(args: &DiagnoseArgs) -> Result<CommandOutcome> {
 }
 
 /// Every file that was asked for, with its text.
-fn results<'a>(args: &'a DiagnoseArgs, observed: &Observed, done: &Diagnosed) -> Result<Vec<(&'a Path, String)>> {
+fn files<'a>(args: &'a DiagnoseArgs, observed: &Observed, done: &Diagnosed) -> Result<Vec<(&'a Path, String)>> {
     let mut out: Vec<(&Path, String)> = Vec::new();
     if let Some(path) = &args.json {
         out.push((path, json(&done.document)?));

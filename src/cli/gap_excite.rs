@@ -52,7 +52,8 @@ pub fn run(args: &ExciteArgs) -> Result<CommandOutcome> {
     let mut checker = Checker::default();
     args.check(&mut checker);
     checker.done().map_err(|e| miette!("{}: {}: {}", e.key, e.problem, e.mend))?;
-    output::check(&args.out)?;
+    let like: Vec<&std::path::Path> = args.like.iter().map(PathBuf::as_path).collect();
+    output::check(&[("--out", Some(&args.out))], &like)?;
     let like = args.like.as_deref().map(saved).transpose()?;
     let lines = like.as_ref().map_or(PAPER, |m| lines(&m.with_effects));
     let wanted = Wanted { lines, like, tracker: args.tracker, seed: args.seed, rounds: args.rounds };

@@ -1,7 +1,7 @@
 //! `retroflex gap diagnose --map`: the bench log of another rig.
 
 use crate::cli::CommandOutcome;
-use crate::cli::output::write;
+use crate::cli::output;
 use crate::config::source;
 use crate::diagnosis::map::document::Document;
 use crate::diagnosis::map::file::MapFile;
@@ -20,9 +20,7 @@ pub fn run(log: &Path, map: &Path, fresh: &[PathBuf], json: Option<&Path>, seed:
     let name = |p: &PathBuf| p.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let others = fresh.iter().map(|p| table::read(p, &map).map(|s| (name(p), s)).into_diagnostic()).collect::<Result<Vec<_>>>()?;
     let document = diagnose(&map, &signals, &others, seed);
-    if let Some(path) = json {
-        write(path, &(serde_json::to_string_pretty(&document).into_diagnostic()? + "\n"))?;
-    }
+    output::json(json, &document)?;
     eprintln!("{}", summary(&document));
     Ok(CommandOutcome::Good)
 }

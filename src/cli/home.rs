@@ -1,12 +1,12 @@
 //! `retroflex home`: zero by home switches, or by a person who brings the pistons to rest.
 
-use crate::cli::{CommandOutcome, manual_motion};
+use crate::cli::{CommandOutcome, manual_motion, output};
 use crate::config::board::Board;
 use crate::config::hardware::HomingMethod;
 use crate::config::source;
 use crate::supervisor::commission::homing::{self, HomingConfig};
 use miette::{Result, miette};
-use std::io::{BufRead, Write};
+use std::io::BufRead;
 use std::path::PathBuf;
 
 /// Arguments of `home`.
@@ -34,8 +34,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         HomingMethod::Switches => by_switches(args, &board)?,
         HomingMethod::Operator => by_operator(args)?,
     };
-    // a reader that has gone away is no failure of the homing
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    output::print(&text);
     Ok(CommandOutcome::Good)
 }
 

@@ -1,15 +1,15 @@
-//! `retroflex imu score`: an orientation filter against a recording with a reference.
+//! `retroflex imu score`: orientation filters against recordings with a reference.
 
 use crate::cli::{CommandOutcome, output};
 use crate::estimation::fusion::FilterName;
 use crate::estimation::score;
 use miette::{IntoDiagnostic, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Subcommands of `imu`.
 #[derive(Debug, clap::Subcommand)]
 pub enum Imu {
-    /// Run a filter over recordings and print total, heading and inclination RMSE.
+    /// Run filters over recordings and print the RMSE of the rotation, its heading and its inclination.
     Score(ScoreArgs),
 }
 
@@ -19,14 +19,14 @@ pub struct ScoreArgs {
     /// Recordings, *.csv or *.csv.gz.
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// Filter to run; without it the best one.
+    /// Filter to run; the default is the most accurate one.
     #[arg(long, conflicts_with = "all")]
     filter: Option<FilterName>,
-    /// Every filter over every file.
+    /// Run every filter on every file.
     #[arg(long)]
     all: bool,
-    /// Write the rows as JSON.
-    #[arg(long)]
+    /// Write the rows as JSON to this file (`-`: standard output).
+    #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
 
@@ -36,10 +36,10 @@ pub struct ScoreArgs {
 /// A report that names what is wrong with the input.
 pub fn run(command: &Imu) -> Result<CommandOutcome> {
     let Imu::Score(args) = command;
+    let inputs: Vec<&Path> = args.files.iter().map(PathBuf::as_path).collect();
+    output::check(&[("--json", args.json.as_deref())], &inputs)?;
     let rows = score::run(&args.files, args.filter, args.all).into_diagnostic()?;
     eprintln!("{}", score::table(&rows));
-    if let Some(path) = &args.json {
-        output::write(path, &(serde_json::to_string_pretty(&rows).into_diagnostic()? + "\n"))?;
-    }
+    output::json(args.json.as_deref(), &rows)?;
     Ok(CommandOutcome::Good)
 }

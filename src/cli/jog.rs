@@ -1,9 +1,8 @@
 //! `retroflex jog`: one piston, slowly, a little; and back, for pressure must not be left on a motor
 //! without current.
 
-use crate::cli::{CommandOutcome, manual_motion};
+use crate::cli::{CommandOutcome, manual_motion, output};
 use miette::{Result, miette};
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Farthest that a jog goes, mm.
@@ -84,7 +83,6 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         out / step_mm,
         back / step_mm
     );
-    // a reader that has gone away is no failure of the move
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    output::print(&text);
     Ok(CommandOutcome::Good)
 }

@@ -17,6 +17,7 @@ pub mod gap_excite;
 pub mod gap_map;
 pub mod home;
 pub mod imu;
+pub mod inputs;
 pub mod jog;
 pub mod logging;
 pub mod manual_motion;

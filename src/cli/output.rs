@@ -1,12 +1,18 @@
-//! What every command shows alike: results on disk, whole or not at all, and progress.
+//! What every command writes: result files, standard output, tables and progress.
+//!
+//! A result option takes a file name, or `-` for standard output.
 
+use comfy_table::{CellAlignment, Row, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
-use miette::{Result, miette};
-use std::io::Write;
-use std::path::Path;
+use miette::{IntoDiagnostic, Result, miette};
+use serde::Serialize;
+use std::io::{Read, Write};
+use std::ops::Range;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
 
-/// Progress of long work, on stderr, and only where that is a terminal: a bar if its length is known, then `text`
-/// (a template of `indicatif`) and the time.
+/// Progress of long work on standard error, shown only on a terminal: a bar if the length is known, else a spinner, followed by
+/// `text` (an `indicatif` template) and the elapsed time.
 #[must_use]
 pub fn bar(length: u64, text: &str) -> ProgressBar {
     let (bar, shape) = if length > 0 { (ProgressBar::new(length), "{bar:40}") } else { (ProgressBar::new_spinner(), "{spinner}") };
@@ -16,43 +22,144 @@ pub fn bar(length: u64, text: &str) -> ProgressBar {
     bar
 }
 
-/// Refuses early a result file that could not be written at the end.
+/// A table for the terminal; the columns `numbers` are aligned to the right.
+pub fn table<R: Into<Row>>(header: &[&str], numbers: Range<usize>, rows: impl IntoIterator<Item = R>) -> Table {
+    let mut table = Table::new();
+    table.load_style(presets::UTF8_HORIZONTAL_ONLY);
+    table.set_header(header.to_vec());
+    for row in rows {
+        table.add_row(row);
+    }
+    for column in table.column_iter_mut().skip(numbers.start).take(numbers.len()) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table
+}
+
+/// Prints on standard output. A reader that has closed its end, such as `head`, is not an error.
+pub fn print(text: &str) {
+    let mut out = std::io::stdout();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}
+
+/// Prints text for people on standard output, or on standard error if `json` occupies standard output.
+pub fn show(text: &str, json: Option<&Path>) {
+    if json.is_some_and(is_stdout) {
+        eprint!("{text}");
+    } else {
+        print(text);
+    }
+}
+
+/// Checks, before any work starts, that every result can be written and that none replaces an input.
+///
+/// `results` are pairs of option and path. A result is refused if its folder does not exist, if another result has the same path, if it
+/// is one of the `inputs` (links included), or if it would replace a file of another kind. The last case protects recordings from
+/// `--json *.csv`, which the shell expands so that the first recording becomes the result.
 ///
 /// # Errors
-/// A report that names the file and what is in the way.
-pub fn check(path: &Path) -> Result<()> {
-    let folder = folder_of(path);
-    if path.is_dir() {
-        return Err(miette!("{}: is a folder; give the name of a file", path.display()));
-    }
-    if !folder.is_dir() {
-        return Err(miette!("{}: the folder {} does not exist; make it first", path.display(), folder.display()));
+/// A report that names the option, the file and the obstacle.
+pub fn check(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> Result<()> {
+    let results: Vec<(&str, &Path)> = results.iter().filter_map(|&(option, path)| Some((option, path?))).collect();
+    for (n, &(option, path)) in results.iter().enumerate() {
+        if let Some((other, _)) = results[..n].iter().find(|r| r.1 == path) {
+            return Err(miette!("{}: both {other} and {option} name this file; give each result its own file", path.display()));
+        }
+        if is_stdout(path) {
+            continue;
+        }
+        let folder = folder_of(path);
+        if path.is_dir() {
+            return Err(miette!("{option} {}: this is a folder; give the name of a file", path.display()));
+        }
+        if !folder.is_dir() {
+            return Err(miette!("{option} {}: the folder {} does not exist; create it first", path.display(), folder.display()));
+        }
+        if let Some(input) = inputs.iter().find(|input| same_file(path, input)) {
+            let input = input.display();
+            return Err(miette!("{option} {} would overwrite the input file {input}; give the result another name", path.display()));
+        }
+        check_kind(option, path, inputs)?;
     }
     Ok(())
 }
 
-/// Writes beside the file and renames, so that a reader sees the old text or the new one, never half.
+/// Refuses to replace a file whose content is not what the option writes.
+fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
+    let begins: &[u8] = match option {
+        "--json" => b"{[",
+        "--html" | "--svg" => b"<",
+        _ => return Ok(()),
+    };
+    // opening a pipe could block
+    if !path.is_file() {
+        return Ok(());
+    }
+    let old = head(path).map_err(|e| miette!("{option} {}: {e}", path.display()))?;
+    match old.iter().find(|b| !b.is_ascii_whitespace()) {
+        Some(first) if !begins.contains(first) => {
+            let inputs: Vec<String> = inputs.iter().map(|p| p.display().to_string()).collect();
+            let beside = if inputs.is_empty() { String::new() } else { format!(" beside {}", inputs.join(", ")) };
+            Err(miette!(
+                "{option} {} would overwrite an existing file of another kind, perhaps an input{beside}; give the result another name",
+                path.display()
+            ))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn head(path: &Path) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    std::fs::File::open(path)?.take(64).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+fn same_file(a: &Path, b: &Path) -> bool {
+    let (Ok(a), Ok(b)) = (std::fs::metadata(a), std::fs::metadata(b)) else { return false };
+    a.is_file() && (a.dev(), a.ino()) == (b.dev(), b.ino())
+}
+
+/// Writes a value as indented JSON, if a path is given.
+///
+/// # Errors
+/// As [`write`].
+pub fn json(path: Option<&Path>, value: &impl Serialize) -> Result<()> {
+    let Some(path) = path else { return Ok(()) };
+    write(path, &(serde_json::to_string_pretty(value).into_diagnostic()? + "\n"))
+}
+
+/// Writes a file atomically: to a temporary file in the same folder, which then replaces the old one.
 ///
 /// # Errors
 /// A report that names the file and the system's reason.
 pub fn write(path: &Path, text: &str) -> Result<()> {
-    // where the result is a pipe or a device there is nothing to replace
+    if is_stdout(path) {
+        print(text);
+        return Ok(());
+    }
+    // pipes and devices are written in place
     if path.exists() && !path.is_file() {
         return std::fs::write(path, text).map_err(|e| miette!("{}: {e}", path.display()));
     }
     let name = path.file_name().map_or_else(Default::default, |n| n.to_string_lossy().into_owned());
     let beside = folder_of(path).join(format!(".{name}.{}.part", std::process::id()));
-    let all = || -> std::io::Result<()> {
-        let mut file = std::fs::File::create(&beside)?;
-        file.write_all(text.as_bytes())?;
-        file.sync_all()?;
-        std::fs::rename(&beside, path)
-    };
-    all().map_err(|e| {
-        // the part may not exist; then there is nothing to clear away
+    replace(path, &beside, text).map_err(|e| {
+        // the temporary file may not exist
         let _ = std::fs::remove_file(&beside);
         miette!("{}: {e}", path.display())
     })
+}
+
+fn replace(path: &Path, beside: &PathBuf, text: &str) -> std::io::Result<()> {
+    let mut file = std::fs::File::create(beside)?;
+    file.write_all(text.as_bytes())?;
+    file.sync_all()?;
+    std::fs::rename(beside, path)
+}
+
+fn is_stdout(path: &Path) -> bool {
+    path == Path::new("-")
 }
 
 fn folder_of(path: &Path) -> &Path {
@@ -67,7 +174,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn replaces_whole_files_and_leaves_nothing_beside() {
+    fn write_replaces_whole_files_and_leaves_nothing_beside() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("r.json");
         write(&path, "one").unwrap();
@@ -76,12 +183,34 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
+    fn refusal(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> String {
+        check(results, inputs).unwrap_err().to_string()
+    }
+
     #[test]
-    fn names_what_is_in_the_way() {
+    fn check_names_the_obstacle() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(check(folder.path()).unwrap_err().to_string().contains("is a folder"));
+        assert!(refusal(&[("--json", Some(folder.path()))], &[]).contains("is a folder"));
         let lost = folder.path().join("no/r.json");
-        assert!(check(&lost).unwrap_err().to_string().contains("does not exist"));
+        assert!(refusal(&[("--json", Some(&lost))], &[]).contains("does not exist"));
         assert!(write(&lost, "").is_err());
+        let one = Path::new("r.out");
+        assert!(refusal(&[("--json", Some(one)), ("--html", Some(one))], &[]).contains("both --json and --html"));
+        assert!(check(&[("--json", Some(Path::new("-"))), ("--html", None)], &[]).is_ok());
+    }
+
+    #[test]
+    fn check_protects_inputs() {
+        let folder = tempfile::tempdir().unwrap();
+        let [input, link, old] = ["a.csv", "b.csv", "old.json"].map(|n| folder.path().join(n));
+        std::fs::write(&input, "time_s,piston1_mm\n").unwrap();
+        std::os::unix::fs::symlink(&input, &link).unwrap();
+        for result in [&input, &link] {
+            let text = refusal(&[("--out", Some(result))], &[&input]);
+            assert!(text.contains("would overwrite the input file") && text.contains("a.csv"), "{text}");
+        }
+        assert!(refusal(&[("--json", Some(&input))], &[]).contains("another kind"));
+        std::fs::write(&old, "[]\n").unwrap();
+        assert!(check(&[("--json", Some(&old))], &[&input]).is_ok());
     }
 }
