@@ -18,7 +18,7 @@
 //! | [`report`] | SVG and HTML | nothing |
 //! | [`hardware`] | IMU drivers, pins, step thread, clock, real-time set-up | devices |
 //! | [`config`] | TOML in, validated domain types out | files |
-//! | [`service`] | loop thread, hub, sockets, memory, recordings, heartbeat | threads |
+//! | [`service`] | loop thread, hub, sockets, memory, recordings, heartbeat | threads, files, sockets |
 //! | [`drill`] | every fault that the project claims to survive | processes |
 //! | [`cli`] | one file a command | everything |
 
