@@ -141,7 +141,7 @@ fn a_weak_line_is_made_good_and_not_taken_for_a_wall() {
     f.runner.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.6 });
     let t = f.run(5.0);
     let off = (t.frame.estimate.unwrap().bend.0 - t.frame.target.bend.0).norm().to_degrees();
-    assert!(!t.frame.blocked && t.frame.spent == Saturation::No && off < 1.0, "{off}° off, {:?}", t.frame.spent);
+    assert!(!t.frame.blocked && t.frame.saturation == Saturation::No && off < 1.0, "{off}° off, {:?}", t.frame.saturation);
 }
 
 #[test]
@@ -157,13 +157,13 @@ fn a_controller_that_has_done_what_it_may_says_so() {
     f.run(2.5);
     f.runner.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.7 });
     let t = f.run(5.0);
-    assert_eq!((t.frame.spent, t.mode), (Saturation::Feedback, Mode::Holding), "{:?}", t.tripped);
+    assert_eq!((t.frame.saturation, t.mode), (Saturation::Feedback, Mode::Holding), "{:?}", t.tripped);
     let words = status::short(&t.frame).unwrap();
     assert!(status::blocked(&t.frame) && words.contains("integral_max_deg"), "{words}");
     // and takes it back where it can come
     f.bend(10.0, 70.0);
     let t = f.run(4.0);
-    assert!(!status::blocked(&t.frame) && status::short(&t.frame).is_none(), "{:?}", t.frame.spent);
+    assert!(!status::blocked(&t.frame) && status::short(&t.frame).is_none(), "{:?}", t.frame.saturation);
 }
 
 #[test]

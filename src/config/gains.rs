@@ -172,13 +172,13 @@ impl Gains {
             integral_max_rad: o.integral_max_deg.to_radians(),
             lead: o.lead,
             learn_dynamics: o.learn_dynamics,
-            rest: StandstillConfig {
+            standstill: StandstillConfig {
                 close_rad: r.close_deg.to_radians(),
                 close_after_s: r.close_after_s,
                 open_rad: r.open_deg.to_radians(),
                 smooth_s: r.smooth_s,
             },
-            wall: ObstructionConfig { push_rad: w.push_deg.to_radians(), follow_min: w.follow_min, error_rad: w.error_deg.to_radians() },
+            obstruction: ObstructionConfig { push_rad: w.push_deg.to_radians(), follow_min: w.follow_min, error_rad: w.error_deg.to_radians() },
         }
     }
 }

@@ -3,7 +3,7 @@
 use crate::control::limits;
 use crate::control::tick::LoopConfig;
 use crate::primitives::check::Checker;
-use crate::supervisor::cycle::proof::RestartCheckConfig;
+use crate::supervisor::cycle::restart_check::RestartCheckConfig;
 use crate::supervisor::gate::{GateLimits, SafeStates};
 use crate::supervisor::residual_monitor::ResidualConfig;
 use serde::Deserialize;

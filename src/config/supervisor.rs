@@ -15,5 +15,5 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, info: &
     tick.drive = Drive { step_mm: info.step_mm };
     tick.geometry.rest_length_mm = info.rest_length_mm;
     let gate = board.safety.gate(&tick, &tick.limits, info.period_s);
-    SupervisorConfig { gate, explain: board.safety.explain, proof: board.safety.proof, dead_man_s: board.service.dead_man_s, tick }
+    SupervisorConfig { gate, residual: board.safety.explain, restart_check: board.safety.proof, dead_man_s: board.service.dead_man_s, tick }
 }

@@ -99,7 +99,7 @@ impl Round {
         let half_s = 0.5 * dt_s; // sums of periods meet their bounds to within rounding
         self.pushes.follow(piston_mm);
         self.since_s += dt_s;
-        self.rested_s = if frame.mode == TickPhase::Holding { self.rested_s + dt_s } else { 0.0 };
+        self.rested_s = if frame.phase == TickPhase::Holding { self.rested_s + dt_s } else { 0.0 };
         if let Some(estimate) = frame.estimate {
             self.bank.step(frame.bend_from_pistons.0, estimate.bend.0, dt_s);
             if self.since_s > HOLD_S - SCORED_S + half_s && self.rested_s > RESTED_S + half_s {

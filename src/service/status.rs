@@ -34,7 +34,7 @@ pub fn name(cause: TripCause) -> String {
 /// The tip will not get any nearer to its target.
 #[must_use]
 pub fn blocked(f: &Frame) -> bool {
-    f.blocked || f.spent != Saturation::No
+    f.blocked || f.saturation != Saturation::No
 }
 
 /// What is known of a base that turned, in words.
@@ -49,7 +49,7 @@ pub fn base(f: &Frame) -> Option<&'static str> {
 #[must_use]
 pub fn short(f: &Frame) -> Option<&'static str> {
     let held = "the tip is pushed and does not come: something holds it; move it away, or give another target";
-    f.spent.words().or_else(|| f.blocked.then_some(held))
+    f.saturation.words().or_else(|| f.blocked.then_some(held))
 }
 
 /// What the turn says of tip and pistons.

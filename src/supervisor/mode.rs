@@ -1,7 +1,7 @@
-//! The modes of the service and every way between them, as one table.
+//! The modes of the service, and one table of all transitions.
 //!
-//! ARCHITECTURE.md draws [`TABLE`] as a state diagram, and a test holds the drawing against it. The
-//! mode changes through [`Modes::take`] alone, so what the table does not say does not happen.
+//! ARCHITECTURE.md shows [`TABLE`] as a state diagram; `tests/modes.rs` compares the two. The supervisor changes its mode
+//! only through [`Mode::after`].
 
 use serde::{Deserialize, Serialize};
 
@@ -9,60 +9,56 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
-    /// Devices are being opened.
+    /// The devices are being opened.
     Boot,
-    /// Waiting for a still tip; the pistons stand.
+    /// Waits for a still tip to find the rest pose; the pistons stand.
     Aligning,
-    /// Aligned, drivers off or about to be; nothing moves.
+    /// Aligned; the drivers accept no motion.
     Disarmed,
-    /// Energised, the set-point rests.
+    /// Energised; the set-point rests.
     Holding,
-    /// Energised, the set-point moves.
+    /// Energised; the set-point moves.
     Tracking,
-    /// On the way back to rest, open loop and slowly.
+    /// Returns to rest, slowly and in open loop.
     Relaxing,
-    /// A calibration leads the set-point, open loop.
+    /// A calibration moves the set-point in open loop.
     Calibrating,
-    /// The gate has tripped; it holds, relaxes or has released, as the board file says for the cause.
+    /// The gate has tripped. It holds, relaxes or has released the drivers, as the board file states for the cause.
     Faulted,
-    /// Restarted, and what is felt is not what was remembered: nothing moves before `zero` or `relax`.
+    /// The position of the pistons is unknown; only `zero` and `relax` lead on.
     Lost,
 }
 
 impl Mode {
-    /// Every mode.
-    pub const ALL: [Self; 9] = [
-        Self::Boot,
-        Self::Aligning,
-        Self::Disarmed,
-        Self::Holding,
-        Self::Tracking,
-        Self::Relaxing,
-        Self::Calibrating,
-        Self::Faulted,
-        Self::Lost,
+    /// All modes with their names in status lines and files.
+    pub const NAMES: [(Self, &'static str); 9] = [
+        (Self::Boot, "boot"),
+        (Self::Aligning, "aligning"),
+        (Self::Disarmed, "disarmed"),
+        (Self::Holding, "holding"),
+        (Self::Tracking, "tracking"),
+        (Self::Relaxing, "relaxing"),
+        (Self::Calibrating, "calibrating"),
+        (Self::Faulted, "faulted"),
+        (Self::Lost, "lost"),
     ];
 
-    /// Name as in status lines and files.
+    /// Name in status lines and files.
     #[must_use]
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Boot => "boot",
-            Self::Aligning => "aligning",
-            Self::Disarmed => "disarmed",
-            Self::Holding => "holding",
-            Self::Tracking => "tracking",
-            Self::Relaxing => "relaxing",
-            Self::Calibrating => "calibrating",
-            Self::Faulted => "faulted",
-            Self::Lost => "lost",
-        }
+        Self::NAMES.iter().find(|(mode, _)| *mode == self).map_or("", |(_, name)| name)
     }
 
-    /// The controller may move the pistons.
+    /// True if the controller may move the pistons.
     #[must_use]
     pub fn moves(self) -> bool {
         matches!(self, Self::Holding | Self::Tracking | Self::Calibrating)
+    }
+
+    /// The mode that follows on `event`; `None` if the event has no effect in this mode.
+    #[must_use]
+    pub fn after(self, event: Event) -> Option<Self> {
+        TABLE.iter().find(|(from, on, _)| *from == self && *on == event).map(|(_, _, to)| *to)
     }
 }
 
@@ -75,28 +71,28 @@ impl std::fmt::Display for Mode {
 /// What can change the mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Event {
-    /// All devices answer.
+    /// All devices respond.
     Opened,
-    /// A still stretch was found; where the tip stood was proved, if there was anything to prove.
+    /// The rest pose was found, and the remembered pose, if any, agrees with it.
     Aligned,
-    /// Where the pistons stand is not known: what is felt contradicts what was remembered, the drivers
-    /// were released under pressure, or a way back without a known rest was stopped.
+    /// The position of the pistons is unknown: the measured pose contradicts the remembered one, the drivers were released
+    /// under pressure, or a return without a known rest pose was stopped.
     Doubted,
     /// Command `arm`.
     Arm,
     /// Command `disarm`.
     Disarm,
-    /// Command `bend`, or a streamed set-point.
+    /// Command `bend`, or a set-point of a stream.
     Bend,
-    /// The set-point has arrived, or a calibration is over.
+    /// The set-point has arrived, or a calibration has ended.
     Settled,
-    /// Command `stop` or `hold`, or the dead-man of a stream.
+    /// Command `stop`, or a stream that has fallen silent.
     Stop,
     /// Command `relax`, or the end of the service.
     Relax,
     /// The pistons are back at zero.
     Rested,
-    /// The pistons are back at zero, and the rest is not known any more.
+    /// The pistons are back at zero, and the rest pose is no longer known.
     RestedUnaligned,
     /// Command `calibrate transmission`.
     Calibrate,
@@ -104,58 +100,35 @@ pub enum Event {
     Zero,
     /// The gate has tripped.
     Trip,
-    /// Command `reset-fault`, with the rest still known.
+    /// Command `reset-fault` with a known rest pose.
     Reset,
-    /// Command `reset-fault`, with the rest not known.
+    /// Command `reset-fault` without a known rest pose.
     ResetUnaligned,
 }
 
 impl Event {
-    /// Every event.
-    pub const ALL: [Self; 16] = [
-        Self::Opened,
-        Self::Aligned,
-        Self::Doubted,
-        Self::Arm,
-        Self::Disarm,
-        Self::Bend,
-        Self::Settled,
-        Self::Stop,
-        Self::Relax,
-        Self::Rested,
-        Self::RestedUnaligned,
-        Self::Calibrate,
-        Self::Zero,
-        Self::Trip,
-        Self::Reset,
-        Self::ResetUnaligned,
+    /// All events with their names in the state diagram.
+    pub const NAMES: [(Self, &'static str); 16] = [
+        (Self::Opened, "opened"),
+        (Self::Aligned, "aligned"),
+        (Self::Doubted, "doubted"),
+        (Self::Arm, "arm"),
+        (Self::Disarm, "disarm"),
+        (Self::Bend, "bend"),
+        (Self::Settled, "settled"),
+        (Self::Stop, "stop"),
+        (Self::Relax, "relax"),
+        (Self::Rested, "rested"),
+        (Self::RestedUnaligned, "rested unaligned"),
+        (Self::Calibrate, "calibrate"),
+        (Self::Zero, "zero"),
+        (Self::Trip, "trip"),
+        (Self::Reset, "reset"),
+        (Self::ResetUnaligned, "reset unaligned"),
     ];
-
-    /// Name as in the drawing.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Opened => "opened",
-            Self::Aligned => "aligned",
-            Self::Doubted => "doubted",
-            Self::Arm => "arm",
-            Self::Disarm => "disarm",
-            Self::Bend => "bend",
-            Self::Settled => "settled",
-            Self::Stop => "stop",
-            Self::Relax => "relax",
-            Self::Rested => "rested",
-            Self::RestedUnaligned => "rested unaligned",
-            Self::Calibrate => "calibrate",
-            Self::Zero => "zero",
-            Self::Trip => "trip",
-            Self::Reset => "reset",
-            Self::ResetUnaligned => "reset unaligned",
-        }
-    }
 }
 
-/// Every transition there is.
+/// All transitions: mode, event, next mode.
 pub const TABLE: &[(Mode, Event, Mode)] = &[
     (Mode::Boot, Event::Opened, Mode::Aligning),
     (Mode::Aligning, Event::Aligned, Mode::Disarmed),
@@ -191,40 +164,3 @@ pub const TABLE: &[(Mode, Event, Mode)] = &[
     (Mode::Lost, Event::Relax, Mode::Relaxing),
     (Mode::Lost, Event::Trip, Mode::Faulted),
 ];
-
-/// The mode, changed by the table alone.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Modes {
-    now: Mode,
-}
-
-impl Default for Modes {
-    fn default() -> Self {
-        Self { now: Mode::Boot }
-    }
-}
-
-impl Modes {
-    /// The mode.
-    #[must_use]
-    pub fn now(&self) -> Mode {
-        self.now
-    }
-
-    /// Where an event leads from here, if anywhere.
-    #[must_use]
-    pub fn leads(&self, event: Event) -> Option<Mode> {
-        TABLE.iter().find(|(from, on, _)| *from == self.now && *on == event).map(|(_, _, to)| *to)
-    }
-
-    /// Takes an event; false when it means nothing in this mode.
-    pub fn take(&mut self, event: Event) -> bool {
-        match self.leads(event) {
-            Some(to) => {
-                self.now = to;
-                true
-            }
-            None => false,
-        }
-    }
-}

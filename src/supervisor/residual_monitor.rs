@@ -60,7 +60,7 @@ pub enum SuspicionKind {
     /// A piston turns the wrong way.
     Inverted,
     /// A line does not answer its piston.
-    Deaf,
+    NoResponse,
     /// Something holds or pushes the tip.
     Contact,
     /// Steps were lost, or the drive slipped.
@@ -92,7 +92,7 @@ impl std::fmt::Display for Suspicion {
                 write!(f, "{line} gives {percent:.0} % more than it did: calibrate again, or something pushes the tip")
             }
             SuspicionKind::Inverted => write!(f, "{line} moves the wrong way: check the motor's plug and `invert_dir`"),
-            SuspicionKind::Deaf => write!(f, "{line} does not answer its piston: driver off, kinked line or end stop"),
+            SuspicionKind::NoResponse => write!(f, "{line} does not answer its piston: driver off, kinked line or end stop"),
             SuspicionKind::Contact => write!(f, "{line} is held or pushed by {:.0}° by something outside", self.deg),
             SuspicionKind::LostSteps => {
                 write!(f, "{line} is off by a constant {:.1}°: its motor lost steps; `relax`, then `zero`", self.deg)
@@ -311,7 +311,7 @@ impl ResidualMonitor {
         // along one spoke it is one line, whatever the controller makes of it
         let of_one_line = along[j].abs() > 0.9 * u.norm();
         if led && of_one_line && share < -0.7 {
-            return of(if share < -1.5 { SuspicionKind::Inverted } else { SuspicionKind::Deaf }, share);
+            return of(if share < -1.5 { SuspicionKind::Inverted } else { SuspicionKind::NoResponse }, share);
         }
         if self.settled && of_one_line && all_mm.abs() > 0.5 && x_mm / all_mm < LOST {
             return of(SuspicionKind::Burst, x_mm / all_mm);
@@ -321,7 +321,7 @@ impl ResidualMonitor {
         }
         if led {
             return match share {
-                s if s < -0.7 => of(SuspicionKind::Deaf, s),
+                s if s < -0.7 => of(SuspicionKind::NoResponse, s),
                 s if s < 0.0 => of(SuspicionKind::Weak, s),
                 s => of(SuspicionKind::Strong, s),
             };

@@ -1,75 +1,87 @@
-//! The command path: bend command → bellow lengths → transmission inverse → limits → paced pistons.
+//! The command path of the tick: bend command → bellow lengths → transmission inverse → limits → paced pistons.
 
-use super::{LoopConfig, LoopState};
+use super::state::{Hold, LoopState};
+use super::types::LoopConfig;
 use crate::control::backlash_adaptation::Patience;
 use crate::control::limits::Cut;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
-use crate::model::transmission::Wanted;
-use crate::primitives::units::Mm;
-use nalgebra::{Vector1, Vector2, Vector3};
+use crate::model::transmission::{Wanted, realised};
+use crate::primitives::units::{Mm, Steps};
+use nalgebra::{Vector1, Vector3};
 
-/// Time constant with which targets leave a hold, s.
+/// Time constant with which the offset after a hold decays, s.
 const EASE_S: f64 = 0.15;
+/// Time for a piston to cross a backlash of 2 × 0.85 mm from rest with 600 mm/s² up to 30 mm/s, s.
+const CROSSING_S: f64 = 0.08;
 
-/// What the command path of one tick came to.
+/// Result of the command path.
 pub(super) struct PistonOutput {
-    pub(super) error: Vector2<f64>,
+    pub(super) command: Bend,
     pub(super) bellow_mm: Vector3<f64>,
     pub(super) piston_target_mm: Vector3<f64>,
     pub(super) cut: Cut,
 }
 
 impl PistonOutput {
+    /// The pistons stay where they are.
     pub(super) fn resting(state: &LoopState) -> Self {
-        Self {
-            error: Vector2::zeros(),
-            bellow_mm: Vector3::zeros(),
-            piston_target_mm: Vector3::from_fn(|i, _| state.pistons[i].at.x),
-            cut: Cut::None,
-        }
+        Self { command: Bend::STRAIGHT, bellow_mm: Vector3::zeros(), piston_target_mm: positions(state), cut: Cut::None }
     }
 }
 
-/// Bend command → bellow lengths → transmission inverse → limits → paced pistons.
-pub(super) fn command_pistons(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, dt_s: f64) -> PistonOutput {
+/// Bend that the counted steps cause according to the transmission model. The play operator gives the output from which
+/// k_ε is learned. The error is taken against the output that the inverse intended: the two differ while a feedback
+/// reversal has crossed only a share of the backlash, and then the integrator must act on the intended one.
+pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps) -> Bend {
+    let piston_mm = config.drive.piston_mm(steps);
+    let t = &mut state.transmission;
+    for i in 0..3 {
+        t.play_output_mm[i] = t.lines[i].play(t.play_output_mm[i], piston_mm[i]);
+        t.intended_mm[i] = realised(&t.lines[i], &t.sides[i], t.intended_mm[i], piston_mm[i]);
+    }
+    t.intended_shape(&config.geometry).bend
+}
+
+/// Commands the pistons for the set-point plus feedback.
+pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, dt_s: f64) -> PistonOutput {
     let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.lag_s);
-    let bend = Bend(state.bend.at + state.bend.velocity * lead_s + state.pi.feedback);
-    let length = Mm(state.length.at.x);
+    let setpoint = &state.setpoint;
+    let bend = Bend(setpoint.bend.at + setpoint.bend.velocity * lead_s + state.feedback.pi.feedback);
+    let length = Mm(setpoint.length.at.x);
     let wanted_mm = config.geometry.lengths(&Shape { bend, length });
-    let bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.lines));
-    let piston_mm = if let Some(held) = state.held {
-        held.stop_mm
-    } else if state.rest.closed {
-        Vector3::from_fn(|i, _| state.pistons[i].at.x)
-    } else {
-        invert_transmission(config, state, &bellow_mm, estimate, moving, dt_s)
+    let bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.transmission.lines));
+    let piston_mm = match state.hold {
+        Hold::Holding { stop_mm } => stop_mm,
+        _ if state.feedback.standstill.closed => positions(state),
+        _ => invert_transmission(config, state, &bellow_mm, estimate, moving, dt_s),
     };
-    let felt_mm = config.geometry.lengths(&Shape { bend: estimate, length });
-    let (allowed_mm, cut) = config.limits.pistons(&piston_mm, &felt_mm);
-    let piston_target_mm = eased(state, allowed_mm, dt_s);
+    let estimated_mm = config.geometry.lengths(&Shape { bend: estimate, length });
+    let (allowed_mm, cut) = config.limits.pistons(&piston_mm, &estimated_mm);
+    let piston_target_mm = ease(&mut state.hold, allowed_mm, dt_s);
     for i in 0..3 {
         state.pistons[i].step(&Vector1::new(piston_target_mm[i]), &config.piston_pace, dt_s);
     }
-    PistonOutput { error: Vector2::zeros(), bellow_mm, piston_target_mm, cut }
+    PistonOutput { command: bend, bellow_mm, piston_target_mm, cut }
 }
 
-/// After a hold the targets leave where the pistons stand without a jump.
-fn eased(state: &mut LoopState, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> {
-    if let Some(held) = state.held {
-        state.ease_mm = held.stop_mm;
-        state.easing = true;
-        return held.stop_mm;
-    }
-    if state.easing {
-        // the first tick after it: what was a place becomes a difference
-        (state.ease_mm, state.easing) = (state.ease_mm - target_mm, false);
-    }
-    state.ease_mm *= (-dt_s / EASE_S).exp();
-    target_mm + state.ease_mm
+fn positions(state: &LoopState) -> Vector3<f64> {
+    Vector3::from_fn(|i, _| state.pistons[i].at.x)
 }
 
-/// Eq. 16 per channel; a reversal asked for by feedback alone jumps the learned share of the gap.
+/// Targets with the offset that remains of a hold, so that they leave it without a jump.
+fn ease(hold: &mut Hold, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+    let mut offset_mm = match *hold {
+        Hold::Holding { stop_mm } => return stop_mm,
+        Hold::Leaving { stop_mm } => stop_mm - target_mm,
+        Hold::Released { offset_mm } => offset_mm,
+    };
+    offset_mm *= (-dt_s / EASE_S).exp();
+    *hold = Hold::Released { offset_mm };
+    target_mm + offset_mm
+}
+
+/// Eq. 16 per channel. A reversal that feedback alone causes crosses only the learned share of the backlash.
 fn invert_transmission(
     config: &LoopConfig,
     state: &mut LoopState,
@@ -78,25 +90,27 @@ fn invert_transmission(
     moving: bool,
     dt_s: f64,
 ) -> Vector3<f64> {
-    let nudging = config.feedback.is_some() && !moving;
-    let mut turned = [false; 3];
+    let by_feedback = config.feedback.is_some() && !moving;
+    let (lines, backlash) = (&mut state.transmission, &mut state.feedback.backlash);
+    let mut reversed = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {
-        let reach = if nudging { state.reach.share(i) } else { 1.0 };
+        let reach = if by_feedback { backlash.share(i) } else { 1.0 };
         let wanted = Wanted { q_mm: bellow_mm[i], dt_s, reach };
-        let (u, next) = config.side.invert(&state.lines[i], state.sides[i], &wanted);
-        turned[i] = next.way != state.sides[i].way;
-        state.sides[i] = next;
-        u
+        let (piston_mm, next) = config.side.invert(&lines.lines[i], lines.sides[i], &wanted);
+        reversed[i] = next.way != lines.sides[i].way;
+        lines.sides[i] = next;
+        piston_mm
     });
-    if nudging {
-        let answer_s = state.dynamics.delay_s + 3.0 * state.dynamics.lag_s + 0.08;
-        let worth_rad = config.feedback.map_or(0.0, |f| f.rest.open_rad);
-        let increments = state.reach.step(turned, &(state.target.bend.0 - estimate.0), &Patience { answer_s, worth_rad }, dt_s);
-        for (side, increment) in state.sides.iter_mut().zip(increments) {
-            side.side = (side.side + 2.0 * increment * side.way).clamp(-1.0, 1.0);
-        }
-    } else {
-        state.reach.forget();
+    if !by_feedback {
+        backlash.forget();
+        return piston_mm;
+    }
+    let answer_s = state.dynamics.delay_s + 3.0 * state.dynamics.lag_s + CROSSING_S;
+    let worth_rad = config.feedback.map_or(0.0, |f| f.standstill.open_rad);
+    let error = state.setpoint.target.bend.0 - estimate.0;
+    let increments = backlash.step(reversed, &error, &Patience { answer_s, worth_rad }, dt_s);
+    for (side, increment) in lines.sides.iter_mut().zip(increments) {
+        side.side = (side.side + 2.0 * increment * side.way).clamp(-1.0, 1.0);
     }
     piston_mm
 }

@@ -1,4 +1,4 @@
-//! What a tick is made of: its configuration, what it is told, and the frame it leaves.
+//! Configuration, input and output of a tick.
 
 use crate::control::follow::Pace;
 use crate::control::learning::online::RefineConfig;
@@ -7,7 +7,7 @@ use crate::control::obstruction::ObstructionConfig;
 use crate::control::pi::Dynamics;
 use crate::control::saturation::Saturation;
 use crate::control::standstill::StandstillConfig;
-use crate::estimation::fusion::health::{CauseSet, HealthAction, ImuReading as Reading};
+use crate::estimation::fusion::health::{CauseSet, HealthAction, ImuReading};
 use crate::estimation::fusion::tip::{FuseConfig, TipEstimate};
 use crate::estimation::imu_calibration::Correction;
 use crate::estimation::imu_calibration::motor::MotorField;
@@ -19,18 +19,18 @@ use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Mm, Seconds, Steps};
 use nalgebra::{Vector2, Vector3};
 
-/// Everything that does not change while the loop runs.
+/// Configuration of the loop. It stays constant while the loop runs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoopConfig {
-    /// Bellows and backbone.
+    /// Geometry of the bending section.
     pub geometry: Geometry,
     /// Rack and pinion.
     pub drive: Drive,
-    /// Calibrated transmission: feedforward at start and prior of the refinement.
+    /// Calibrated transmission gains: the initial feedforward and the prior of the refinement.
     pub lines: [Line; 3],
-    /// Lag and dead time at start.
+    /// Initial lag and dead time.
     pub dynamics: Dynamics,
-    /// How the backlash compensation changes sides.
+    /// How the backlash compensation reverses.
     pub side: Side,
     /// Pace of the bend set-point, rad/s and rad/s².
     pub bend_pace: Pace,
@@ -38,93 +38,93 @@ pub struct LoopConfig {
     pub length_pace: Pace,
     /// Pace of each piston, mm/s and mm/s².
     pub piston_pace: Pace,
-    /// Static limits.
+    /// Static limits of the pistons and bellows.
     pub limits: ActuatorLimits,
-    /// The outer loop; `None` runs open loop.
+    /// Settings of the outer loop; `None` for an open loop.
     pub feedback: Option<FeedbackConfig>,
     /// Online refinement of k_ε.
     pub refine: RefineConfig,
     /// Orientation estimation.
     pub fuse: FuseConfig,
-    /// The tip IMU's own errors, taken off every sample.
+    /// Correction of the tip IMU, applied to every sample.
     pub imu: Correction,
-    /// Fields of the motors' coils, taken off the magnetometer, where they have been calibrated.
+    /// Calibrated fields of the motor coils, subtracted from the magnetometer.
     pub motors: Option<MotorField>,
-    /// A driver idles this long after its last step, s.
+    /// Time after its last step at which a driver reduces its current, s.
     pub motors_idle_after_s: f64,
 }
 
-/// The outer loop's settings.
+/// Settings of the outer loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FeedbackConfig {
     /// Closed-loop time constant τ_c, s.
     pub tau_c_s: f64,
-    /// Cap of K_p.
+    /// Upper bound of K_p.
     pub kp_max: f64,
-    /// Bound of the integrator, rad.
+    /// Bound of the integral part, rad.
     pub integral_max_rad: f64,
-    /// Share of the lag that the feedforward leads by, 0..=1.
+    /// Share of the lag that the feedforward compensates, 0..=1.
     pub lead: f64,
-    /// Learn lag and dead time while running.
+    /// Learn lag and dead time online.
     pub learn_dynamics: bool,
-    /// The rest latch.
-    pub rest: StandstillConfig,
-    /// The watch for a tip that is held.
-    pub wall: ObstructionConfig,
+    /// The standstill latch.
+    pub standstill: StandstillConfig,
+    /// The obstruction detector.
+    pub obstruction: ObstructionConfig,
 }
 
-/// Where the tip shall go.
+/// A target for the tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Command {
-    /// Wanted bend.
+    /// Bend vector, rad.
     pub bend: Bend,
-    /// Wanted centre length.
+    /// Centre length, mm.
     pub length: Mm,
 }
 
-/// What one tick is told.
+/// Input of one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Input {
     /// Time of the tick.
     pub t: Seconds,
     /// Time since the last tick, s.
     pub dt_s: f64,
-    /// What came from the tip's IMU: a sample, a failed transfer or nothing.
-    pub imu: Reading,
-    /// A sample of the base's IMU, where there is one.
+    /// Sample of the tip IMU, failed transfer, or nothing.
+    pub imu: ImuReading,
+    /// Sample of the base IMU, if there is one.
     pub base_imu: Option<ImuSample>,
-    /// A new target, if one came.
+    /// A new target.
     pub command: Option<Command>,
-    /// Microsteps that were pulsed by now.
+    /// Microsteps counted so far.
     pub steps: Steps,
-    /// Take the next still stretch for the rest again: the base was turned.
+    /// Requests a new alignment because the base was turned.
     pub realign: bool,
 }
 
 impl Default for Input {
-    /// Nothing came yet, on a loop of 1 kHz.
+    /// No sample and no command, at a period of 1 ms.
     fn default() -> Self {
-        Self { t: Seconds(0.0), dt_s: 1e-3, imu: Reading::Nothing, base_imu: None, command: None, steps: Steps::default(), realign: false }
+        Self { t: Seconds(0.0), dt_s: 1e-3, imu: ImuReading::Nothing, base_imu: None, command: None, steps: Steps::default(), realign: false }
     }
 }
 
-/// State of the senses, for the status and the record.
+/// State of the sensors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Senses {
-    /// The harshest thing the judge of readings asks for.
+    /// The most severe action that the sensor health requires.
     pub action: HealthAction,
-    /// What is counted against the sensor.
+    /// Causes in force against the sensor.
     pub in_force: CauseSet,
-    /// The pistons are held because of it.
+    /// The pistons stand because of the sensors.
     pub held: bool,
-    /// The second opinion has differed for long.
+    /// The two orientation filters have disagreed for long.
     pub disagrees: bool,
 }
 
-/// What the loop is doing.
+/// Phase of the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TickPhase {
-    /// Waiting for a still tip; pistons stay.
+    /// Waits for a still tip; the pistons stand.
     Aligning,
     /// The set-point moves.
     Tracking,
@@ -132,47 +132,52 @@ pub enum TickPhase {
     Holding,
 }
 
-/// Every intermediate of one tick: the tick's output, the log record, the gap engine's input.
+/// Output and intermediates of one tick. The supervisor, the status, the bend log and the digest of the tape take their
+/// values from it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame {
     /// Time of the tick.
     pub t: Seconds,
-    /// What the loop was doing.
-    pub mode: TickPhase,
-    /// The target as commanded.
+    /// Phase of the loop.
+    pub phase: TickPhase,
+    /// Target, limited to the range of the bellows.
     pub target: Shape,
-    /// The set-point on its way to the target.
+    /// Set-point on its way to the target.
     pub setpoint: Shape,
-    /// Felt orientation, once aligned.
+    /// Estimated orientation and bend, once aligned.
     pub estimate: Option<TipEstimate>,
-    /// Bend that the pistons as they stand should give, rad.
+    /// Bend that the counted steps cause according to the transmission model, rad.
     pub bend_from_pistons: Bend,
-    /// Error that the PI acted on, rad.
+    /// Bend predicted by the reference model (lag and dead time) without feedback, rad.
+    pub predicted: Vector2<f64>,
+    /// Predicted minus estimated bend: the error of the PI controller, rad.
     pub error: Vector2<f64>,
-    /// Feedback in the command, rad.
+    /// Feedback part of the bend command, rad.
     pub feedback: Vector2<f64>,
-    /// Commanded bellow length change q, mm.
+    /// Bend command: set-point, lead and feedback, rad.
+    pub command: Bend,
+    /// Commanded bellow length changes q, mm.
     pub bellow_mm: Vector3<f64>,
     /// Piston targets q̃ after limits, mm.
     pub piston_target_mm: Vector3<f64>,
-    /// Microsteps to pulse until the next tick.
+    /// Microsteps to be reached by the next tick.
     pub steps: Steps,
     /// k_ε in use.
     pub k_epsilon: [f64; 3],
     /// Lag and dead time in use.
     pub dynamics: Dynamics,
-    /// What cut the request.
+    /// Limit that cut the request.
     pub cut: Cut,
-    /// Held by the rest latch.
+    /// The standstill latch is closed.
     pub at_rest: bool,
-    /// Pushed without coming.
+    /// The tip does not follow the feedback.
     pub blocked: bool,
-    /// The controller has done what it may, and the tip is still off.
-    pub spent: Saturation,
-    /// How the sensors are.
+    /// The controller has reached a limit and the tip is still off target.
+    pub saturation: Saturation,
+    /// State of the sensors.
     pub senses: Senses,
-    /// The base has turned: the integrator is frozen until a re-alignment.
+    /// The base has turned; the integrator is frozen until the next alignment.
     pub base_moved: bool,
-    /// The tip twists against its mechanism: the base may have turned slowly. The loop goes on.
+    /// The tip twists as its mechanism cannot: the base may have turned slowly. The loop continues.
     pub base_doubted: bool,
 }

@@ -1,48 +1,48 @@
-//! A pilot and its machine, turn by turn.
+//! Couples a supervisor to its machine.
 
 use crate::primitives::units::{Seconds, Steps};
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::cycle::{CycleOutput, Supervisor};
-use crate::supervisor::machine::MachineError;
-use crate::supervisor::machine::{Machine, Sensed};
+use crate::supervisor::cycle::state::Supervisor;
+use crate::supervisor::cycle::types::CycleOutput;
+use crate::supervisor::machine::{Machine, MachineError};
 
-/// A pilot at the controls of a machine.
+/// A machine with its supervisor.
 #[derive(Debug)]
 pub struct Runner<M> {
     /// The machine.
     pub machine: M,
-    /// The pilot.
+    /// The supervisor.
     pub supervisor: Supervisor,
     wanted: Steps,
-    /// What the machine was told; nothing before the first turn.
+    /// Last request to the drivers; `None` before the first cycle.
     energised: Option<bool>,
 }
 
 impl<M: Machine> Runner<M> {
-    /// Nothing has been sensed yet.
+    /// A runner before its first cycle.
     pub fn new(machine: M, supervisor: Supervisor) -> Self {
         let wanted = supervisor.keep().steps;
         Self { machine, supervisor, wanted, energised: None }
     }
 
-    /// One turn at `now`: the machine hands over what came and takes what was wanted, the pilot decides.
+    /// One cycle at `now`: exchanges counts and samples with the machine, then runs the supervisor.
     ///
     /// # Errors
-    /// The machine's.
+    /// [`MachineError`] of the machine.
     pub fn turn(&mut self, now: Seconds, order: Option<Order>) -> Result<CycleOutput, MachineError> {
-        let sensed: Sensed = self.machine.turn(now, &self.wanted)?;
-        let turned = self.supervisor.turn(&sensed, order);
-        if self.energised != Some(turned.energise) {
-            self.energised = Some(turned.energise);
-            self.machine.energise(turned.energise);
+        let sensed = self.machine.turn(now, &self.wanted)?;
+        let output = self.supervisor.turn(&sensed, order);
+        if self.energised != Some(output.energise) {
+            self.energised = Some(output.energise);
+            self.machine.energise(output.energise);
         }
-        if turned.clear {
+        if output.clear {
             self.machine.clear();
         }
-        if let Some(counted) = turned.recount {
+        if let Some(counted) = output.recount {
             self.machine.recount(&counted);
         }
-        self.wanted = turned.steps;
-        Ok(turned)
+        self.wanted = output.steps;
+        Ok(output)
     }
 }

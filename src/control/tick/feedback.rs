@@ -1,0 +1,107 @@
+//! The outer loop of the tick: set-point, PI feedback and online learning.
+
+use super::state::{Hold, LoopState, shape_of};
+use super::types::LoopConfig;
+use crate::control::follow::Follower;
+use crate::control::limits::Cut;
+use crate::control::pi::PiGains;
+use crate::control::standstill::StandstillLatch;
+use crate::model::arc::Shape;
+use crate::model::bend::Bend;
+use crate::primitives::units::Mm;
+use nalgebra::{Vector1, Vector2, Vector3};
+
+/// Time after the standstill latch has closed at which a pose is used for learning, s.
+const LEARN_AFTER_S: f64 = 0.15;
+
+/// Decides whether the pistons must stand: during a re-alignment, and in closed loop without a usable sensor. At the
+/// beginning of a hold each piston brakes at its own pace; afterwards the targets start from where it stands.
+pub(super) fn hold(config: &LoopConfig, state: &mut LoopState) -> bool {
+    let blind = state.fusion.hold() && config.feedback.is_some();
+    let must_hold = blind || state.fusion.realigning();
+    state.hold = match state.hold {
+        Hold::Holding { stop_mm } if !must_hold => Hold::Leaving { stop_mm },
+        Hold::Released { .. } | Hold::Leaving { .. } if must_hold => {
+            state.setpoint.bend = Follower::resting(state.setpoint.bend.at);
+            state.setpoint.length = Follower::resting(state.setpoint.length.at);
+            let stop_mm = Vector3::from_fn(|i, _| {
+                let (at, v) = (state.pistons[i].at.x, state.pistons[i].velocity.x);
+                at + v * v.abs() / (2.0 * config.piston_pace.acceleration)
+            });
+            Hold::Holding { stop_mm }
+        }
+        unchanged => unchanged,
+    };
+    must_hold
+}
+
+/// Moves the set-point towards the target. Both stay within the range of the bellows.
+pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, dt_s: f64) -> Cut {
+    let setpoint = &mut state.setpoint;
+    let (q, cut) = config.limits.bellows(&config.geometry.lengths(&setpoint.target), config.geometry.rest_length_mm);
+    if cut != Cut::None {
+        setpoint.target = config.geometry.shape(&q);
+    }
+    let mut pace = config.bend_pace;
+    if let Some(f) = &config.feedback {
+        // the feedforward leads a slow line by τ r̈; a gentler start keeps that within the pace of the pistons
+        pace.acceleration = pace.acceleration.min(pace.speed / (f.lead * state.dynamics.lag_s).max(1e-3));
+    }
+    setpoint.bend.step(&setpoint.target.bend.0, &pace, dt_s);
+    setpoint.length.step(&Vector1::new(setpoint.target.length.0), &config.length_pace, dt_s);
+    cut
+}
+
+/// PI feedback on the error between predicted and estimated bend. After the base has moved the error is meaningless and
+/// the integrator keeps its value.
+pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, error: Vector2<f64>, estimate: Bend, moving: bool, dt_s: f64) {
+    let Some(f) = &config.feedback else { return };
+    let outer = &mut state.feedback;
+    if state.base.moved {
+        outer.standstill = StandstillLatch::default();
+        outer.pi.feedback = outer.pi.integral;
+        return;
+    }
+    let to_go = state.setpoint.target.bend.0 - estimate.0;
+    outer.standstill.step(&f.standstill, to_go, moving, dt_s);
+    outer.standstill_s = if outer.standstill.closed { outer.standstill_s + dt_s } else { 0.0 };
+    outer.obstruction.step(&f.obstruction, moving, &outer.pi.feedback, &estimate.0, &to_go);
+    if !outer.standstill.closed && !outer.obstruction.blocked && !state.hold.is_holding() {
+        let gains = PiGains::skogestad(&state.dynamics, f.tau_c_s, f.kp_max);
+        outer.integral_full = outer.pi.step(error, &gains, f.integral_max_rad, dt_s);
+    }
+}
+
+/// Learns the dynamics during motion, and k_ε from every new held pose.
+pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, from_pistons: Bend, estimate: Bend, dt_s: f64) {
+    let learns_dynamics = config.feedback.is_some_and(|f| f.learn_dynamics);
+    if learns_dynamics {
+        state.learning.bank.step(from_pistons.0, estimate.0, dt_s);
+    }
+    let rested_s = state.feedback.standstill_s;
+    let just_settled = rested_s >= LEARN_AFTER_S && rested_s - dt_s < LEARN_AFTER_S;
+    if !just_settled {
+        return;
+    }
+    if let (true, Some(better)) = (learns_dynamics, state.learning.bank.best(&state.dynamics)) {
+        state.dynamics = better;
+    }
+    let q = config.geometry.lengths(&Shape { bend: estimate, length: Mm(state.setpoint.length.at.x) });
+    let lines = &mut state.transmission;
+    let learned = state.learning.refine.learn(&config.refine, &lines.lines, &estimate.0, &lines.play_output_mm, &q);
+    if let Some(next) = learned {
+        // bumpless: the pistons stay, so the same play outputs now mean another bend
+        let before = lines.intended_shape(&config.geometry).bend;
+        let after = shape_of(&config.geometry, &next, &lines.intended_mm).bend;
+        state.feedback.pi.hand_over(after.0 - before.0);
+        lines.lines = next;
+    }
+}
+
+/// Steps the monitor for a controller that has reached its limits away from the target.
+pub(super) fn monitor_saturation(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, cut: Cut, dt_s: f64) {
+    let Some(f) = &config.feedback else { return };
+    let outer = &mut state.feedback;
+    let off = !outer.standstill.closed && (state.setpoint.target.bend.0 - estimate.0).norm() > f.obstruction.error_rad;
+    outer.saturation.step(moving, off, outer.integral_full, cut, dt_s);
+}

@@ -1,0 +1,74 @@
+//! State that outlives a restart of the loop.
+
+use super::state::LoopState;
+use super::types::LoopConfig;
+use crate::control::pi::Dynamics;
+use crate::model::bend::Bend;
+use crate::model::transmission::Line;
+use crate::primitives::units::Steps;
+use serde::{Deserialize, Serialize};
+
+/// State to be remembered for a restart.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RestartState {
+    /// Microsteps counted since zero.
+    pub steps: Steps,
+    /// Estimated bend vector, rad.
+    pub bend_rad: [f64; 2],
+    /// Outputs of the play operators, mm of piston.
+    pub play_output_mm: [f64; 3],
+    /// Refined extension gains.
+    pub k_epsilon: [f64; 3],
+    /// Backlash half-widths, mm.
+    pub k_lambda_mm: [f64; 3],
+    /// Learned lag, s.
+    pub lag_s: f64,
+    /// Learned dead time, s.
+    pub delay_s: f64,
+    /// Rest pose, once it is known.
+    pub rest: Option<RestartRest>,
+}
+
+/// Rest pose of the alignment, in the base frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RestartRest {
+    /// Mean specific force, m/s².
+    pub acc_m_s2: [f64; 3],
+    /// Mean field, µT, if there is a magnetometer.
+    pub mag_ut: Option<[f64; 3]>,
+    /// Gyroscope bias, rad/s.
+    pub gyro_bias_rad_s: [f64; 3],
+}
+
+impl LoopState {
+    /// The state to be remembered, with the pistons at these counts.
+    #[must_use]
+    pub fn keep(&self, steps: &Steps) -> RestartState {
+        let rest = self.fusion.rest().map(|r| RestartRest {
+            acc_m_s2: r.acc_rest_m_s2.into(),
+            mag_ut: r.mag_rest_ut.map(Into::into),
+            gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
+        });
+        RestartState {
+            steps: *steps,
+            bend_rad: self.fusion.estimate().map_or([0.0; 2], |f| f.bend.0.into()),
+            play_output_mm: self.transmission.play_output_mm.into(),
+            k_epsilon: self.transmission.lines.map(|l| l.k_epsilon),
+            k_lambda_mm: self.transmission.lines.map(|l| l.k_lambda_mm),
+            lag_s: self.dynamics.lag_s,
+            delay_s: self.dynamics.delay_s,
+            rest,
+        }
+    }
+
+    /// Restores the position of the pistons and the learned values, before an alignment.
+    pub fn take_up(&mut self, config: &LoopConfig, remembered: &RestartState) {
+        let line = |i: usize| Line { k_epsilon: remembered.k_epsilon[i], k_lambda_mm: remembered.k_lambda_mm[i] };
+        self.transmission.lines = [line(0), line(1), line(2)];
+        self.dynamics = Dynamics { lag_s: remembered.lag_s, delay_s: remembered.delay_s };
+        self.transmission.play_output_mm = remembered.play_output_mm.into();
+        self.stand(config, &remembered.steps, Bend(remembered.bend_rad.into()));
+    }
+}

@@ -1,0 +1,70 @@
+//! The sensing half of the tick: fusion of the samples, and supervision of the base.
+
+use super::state::{BaseState, LoopState, QuietPose};
+use super::types::{Input, LoopConfig};
+use crate::estimation::fusion::base_watch::WatchInput;
+use crate::estimation::fusion::health::ImuReading;
+use crate::estimation::fusion::tip::FusionInput;
+use crate::model::bend::Bend;
+use nalgebra::{Vector2, Vector3};
+
+/// Time since the last step after which the tip counts as still, s.
+const STILL_AFTER_S: f64 = 0.5;
+
+/// Updates the fusion with the samples, the motors' field and whether the pistons rest.
+pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input) {
+    let motors = &mut state.motors;
+    motors.still_s = if input.steps == motors.last_steps { motors.still_s + input.dt_s } else { 0.0 };
+    for (idle_s, (now, before)) in motors.idle_s.iter_mut().zip(input.steps.0.iter().zip(motors.last_steps.0)) {
+        *idle_s = if *now == before { *idle_s + input.dt_s } else { 0.0 };
+    }
+    motors.last_steps = input.steps;
+    let energised = motors.idle_s.map(|s| s < config.motors_idle_after_s);
+    let coils_ut = config.motors.as_ref().map_or_else(Vector3::zeros, |m| m.at(&input.steps.0, &energised));
+    let tip = match input.imu {
+        ImuReading::Sample(sample, quality) => ImuReading::Sample(config.imu.apply(&sample), quality),
+        other => other,
+    };
+    let still = motors.still_s >= STILL_AFTER_S;
+    state.fusion.update(&config.fuse, &FusionInput { now: input.t, tip, base: input.base_imu, coils_ut, still });
+}
+
+/// Detects a base that turns, if no base IMU measures it, and serves a request for a new alignment.
+pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Input, predicted: Vector2<f64>, estimate: Bend) {
+    // from the play operators, not from the inverse: correcting for a base that has turned crosses the backlash and need
+    // not end where it began
+    let played = state.transmission.played_shape(&config.geometry).bend.0;
+    if input.realign {
+        let quiet = &state.base.quiet;
+        let bend = Bend(quiet.estimate + played - quiet.played);
+        state.fusion.realign(if state.base.moved { bend } else { estimate });
+        return;
+    }
+    if state.fusion.realigning() {
+        state.base = BaseState { quiet: state.base.quiet, ..BaseState::default() };
+        return;
+    }
+    let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.base.moved && !state.fusion.follows_base()) else {
+        return;
+    };
+    let pi = &mut state.feedback.pi;
+    let observed = WatchInput {
+        rate_rad_s,
+        estimate: estimate.0,
+        model: predicted + pi.feedback,
+        setpoint: state.setpoint.bend.at,
+        to_go: state.setpoint.target.bend.0 - estimate.0,
+        still_s: state.motors.still_s,
+        answer_s: state.dynamics.lag_s + state.dynamics.delay_s,
+        twists: state.fusion.twists(),
+        dt_s: input.dt_s,
+    };
+    state.base.moved = state.base.watch.step(&config.fuse.watch, &observed);
+    if state.base.moved {
+        // the integral from before the base turned
+        (pi.integral, pi.feedback) = (state.base.quiet.integral, state.base.quiet.integral);
+    } else if state.base.watch.quiet() {
+        state.base.quiet = QuietPose { integral: pi.integral, estimate: estimate.0, played };
+        state.fusion.remember(input.t);
+    }
+}

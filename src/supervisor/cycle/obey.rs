@@ -1,0 +1,213 @@
+//! How the supervisor carries out each order.
+
+use crate::control::follow::Pace;
+use crate::control::tick::Command;
+use crate::model::transmission::Line;
+use crate::primitives::units::Steps;
+use crate::supervisor::cycle::order::{Order, Refusal};
+use crate::supervisor::cycle::state::{ModeState, Position, Supervisor};
+use crate::supervisor::machine::Sensed;
+use crate::supervisor::mode::{Event, Mode};
+use std::f64::consts::PI;
+
+/// Time that a machine has to clear its alarm, s.
+const CLEARING_S: f64 = 0.1;
+/// Largest bend that may be ordered, rad (135°).
+const BEND_MAX_RAD: f64 = PI * 0.75;
+/// Range of the speed that may be ordered, rad/s: 0.1 to 720 °/s, with a margin for rounding.
+const SPEED_RAD_S: std::ops::RangeInclusive<f64> = 0.1 * PI / 180.0 - 1e-9..=4.0 * PI + 1e-9;
+
+impl Supervisor {
+    /// Carries out an order, or returns the reason for refusing it.
+    pub(super) fn obey(&mut self, order: Order, sensed: &Sensed) -> Result<(), Refusal> {
+        match order {
+            Order::Arm => self.arm(),
+            Order::Disarm => self.take(Event::Disarm),
+            Order::Bend(..) | Order::Stream(_) if self.mode().moves() && !sensed.energised => Err(Refusal::Busy),
+            Order::Bend(command, speed_rad_s) => self.bend(&command, speed_rad_s, None),
+            Order::Stream(_) if self.mode() == Mode::Calibrating => Err(Refusal::Mode(Mode::Calibrating)),
+            Order::Stream(command) => self.bend(&command, None, Some(sensed.t.0 + self.config.dead_man_s)),
+            Order::Hold => self.hold(),
+            Order::Stop => self.stop(),
+            Order::Relax => self.relax(sensed),
+            Order::Zero => self.zero(),
+            Order::Reset => self.reset(sensed),
+            Order::Calibrate(true) => self.begin_calibration(),
+            Order::Calibrate(false) => self.take(Event::Settled).map(|()| self.gate.brake()),
+            Order::Lines(lines) => self.change_lines(lines),
+        }
+    }
+
+    fn arm(&mut self) -> Result<(), Refusal> {
+        if self.gate.latched().is_some() {
+            return Err(Refusal::Latched);
+        }
+        match self.mode() {
+            Mode::Holding => return Ok(()),
+            Mode::Disarmed if self.gate.is_busy() => return Err(Refusal::Busy),
+            _ => self.take(Event::Arm)?,
+        }
+        self.gate.reset(&self.sent);
+        self.take_over(self.estimated_bend());
+        Ok(())
+    }
+
+    fn bend(&mut self, command: &Command, speed_rad_s: Option<f64>, stream_until_s: Option<f64>) -> Result<(), Refusal> {
+        self.check_target(command)?;
+        if self.gate.is_braking() {
+            return Err(Refusal::Busy);
+        }
+        let speed = speed_rad_s.unwrap_or(self.pace.speed);
+        if !SPEED_RAD_S.contains(&speed) {
+            return Err(Refusal::Speed);
+        }
+        if !matches!(self.mode(), Mode::Tracking | Mode::Calibrating) {
+            self.take(Event::Bend)?;
+        }
+        if let ModeState::Tracking { stream_until_s: until_s } = &mut self.mode {
+            *until_s = stream_until_s;
+        }
+        self.config.tick.bend_pace = Pace { speed, ..self.pace };
+        self.pending.command = Some(*command);
+        Ok(())
+    }
+
+    /// The tick limits a valid target further.
+    fn check_target(&self, command: &Command) -> Result<(), Refusal> {
+        let (bend, length_mm) = (command.bend.0, command.length.0);
+        let limits = &self.config.tick.limits;
+        if !bend.iter().all(|x| x.is_finite()) || !length_mm.is_finite() {
+            Err(Refusal::NotANumber)
+        } else if bend.norm() > BEND_MAX_RAD {
+            Err(Refusal::TooFar)
+        } else if !(limits.bellow_min_mm..=limits.bellow_max_mm).contains(&length_mm) {
+            Err(Refusal::Length)
+        } else {
+            Ok(())
+        }
+    }
+
+    fn hold(&mut self) -> Result<(), Refusal> {
+        match &mut self.mode {
+            ModeState::Holding => Ok(()),
+            ModeState::Tracking { stream_until_s } => {
+                *stream_until_s = None;
+                self.pending.command = Some(Command { bend: self.setpoint.bend, length: self.setpoint.length });
+                Ok(())
+            }
+            other => Err(Refusal::Mode(other.mode())),
+        }
+    }
+
+    fn stop(&mut self) -> Result<(), Refusal> {
+        match self.mode() {
+            Mode::Relaxing => return self.stop_return(),
+            Mode::Holding => {}
+            Mode::Tracking | Mode::Calibrating => self.take(Event::Stop)?,
+            // nothing moves
+            _ => return Ok(()),
+        }
+        self.gate.brake();
+        Ok(())
+    }
+
+    /// Stops a return to rest. The controller continues from there only if it can: not with a latched fault, and not
+    /// without a known position.
+    fn stop_return(&mut self) -> Result<(), Refusal> {
+        let event = match (self.gate.latched(), self.is_located()) {
+            (Some(_), _) => Event::Trip,
+            (None, false) => Event::Doubted,
+            (None, true) => Event::Stop,
+        };
+        if event == Event::Stop {
+            self.gate.brake();
+        } else {
+            self.gate.stand();
+        }
+        self.take(event)
+    }
+
+    fn relax(&mut self, sensed: &Sensed) -> Result<(), Refusal> {
+        if sensed.inputs.emergency_stop {
+            return Err(Refusal::StillThere);
+        }
+        self.take(Event::Relax)?;
+        self.clear_alarm(sensed);
+        self.gate.relax();
+        Ok(())
+    }
+
+    fn zero(&mut self) -> Result<(), Refusal> {
+        if self.mode() == Mode::Disarmed && self.sent != Steps::default() {
+            return Err(Refusal::NotAtRest);
+        }
+        if self.gate.latched().is_some() {
+            return Err(Refusal::Latched);
+        }
+        self.take(Event::Zero)?;
+        self.start_over();
+        Ok(())
+    }
+
+    fn reset(&mut self, sensed: &Sensed) -> Result<(), Refusal> {
+        if sensed.inputs.emergency_stop {
+            return Err(Refusal::StillThere);
+        }
+        if self.gate.is_busy() {
+            return Err(Refusal::Busy);
+        }
+        if self.mode() == Mode::Faulted {
+            self.take(match self.position {
+                Position::Adrift(_) => Event::Doubted,
+                _ if self.is_located() => Event::Reset,
+                _ => Event::ResetUnaligned,
+            })?;
+        }
+        self.request_clear(sensed);
+        self.gate.reset(&self.sent);
+        self.residual.forget();
+        Ok(())
+    }
+
+    /// Clears an alarm once, so that the step generator can return to rest from where it stopped. A latched cause stays
+    /// latched, and an alarm that recurs ends the return.
+    pub(super) fn clear_alarm(&mut self, sensed: &Sensed) {
+        if sensed.alarm.is_some() {
+            self.request_clear(sensed);
+            self.gate.recount(&self.sent);
+        }
+    }
+
+    /// Asks the machine to clear its alarm, and continues from the steps that it really made.
+    fn request_clear(&mut self, sensed: &Sensed) {
+        self.pending.clear = true;
+        self.clearing_s = CLEARING_S;
+        self.sent = sensed.counted;
+    }
+
+    fn begin_calibration(&mut self) -> Result<(), Refusal> {
+        if self.gate.is_braking() {
+            return Err(Refusal::Busy);
+        }
+        self.take(Event::Calibrate)?;
+        self.state.forget_feedback();
+        Ok(())
+    }
+
+    fn change_lines(&mut self, lines: [Line; 3]) -> Result<(), Refusal> {
+        if !lines.iter().all(|l| (0.0..=10.0).contains(&l.k_epsilon) && (0.0..=3.0).contains(&l.k_lambda_mm)) {
+            return Err(Refusal::Gains);
+        }
+        let mode = self.mode();
+        if !matches!(mode, Mode::Disarmed | Mode::Calibrating | Mode::Holding) {
+            return Err(Refusal::Mode(mode));
+        }
+        self.config.tick.lines = lines;
+        self.state.set_lines(lines);
+        let at = self.state.fusion.estimate().map(|e| e.bend);
+        if let (Mode::Holding | Mode::Disarmed, Some(at)) = (mode, at) {
+            self.take_over(at);
+        }
+        Ok(())
+    }
+}

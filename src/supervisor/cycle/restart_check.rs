@@ -1,0 +1,51 @@
+//! Check of the remembered pose after a restart with a bent tip.
+//!
+//! The rest pose (gravity and field in the base frame) and the bend b are remembered. If neither tip nor base has moved,
+//! the still tip measures `R(b)⁻¹ g` and `R(b)⁻¹ m`. If it measures anything else, or if there is nothing to compare
+//! with, the position of the pistons counts as unknown.
+
+use crate::control::tick::{LoopConfig, LoopState, RestartState};
+use crate::model::bend::Bend;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// Tolerances of the check.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RestartCheckConfig {
+    /// Largest angle between measured and remembered gravity, degrees. Default 4. A larger value accepts a larger change
+    /// of the pose and starts with a larger error.
+    pub gravity_deg: f64,
+    /// Largest angle between measured and remembered magnetic field, degrees. Default 10. A larger value tolerates iron
+    /// that was moved in the meantime.
+    pub field_deg: f64,
+}
+
+impl Default for RestartCheckConfig {
+    fn default() -> Self {
+        Self { gravity_deg: 4.0, field_deg: 10.0 }
+    }
+}
+
+/// True if the alignment that has just ended agrees with the remembered state.
+#[must_use]
+pub fn agrees(config: &RestartCheckConfig, remembered: &RestartState, state: &LoopState) -> bool {
+    let (Some(now), Some(then)) = (state.fusion.rest(), &remembered.rest) else { return false };
+    let tip_from_base = Bend(remembered.bend_rad.into()).rotation().inverse();
+    let angle_deg = |measured: &Vector3<f64>, rest: [f64; 3]| measured.angle(&tip_from_base.apply(&Vector3::from(rest))).to_degrees();
+    let gravity = angle_deg(&now.acc_rest_m_s2, then.acc_m_s2) <= config.gravity_deg;
+    let field = match (now.mag_rest_ut, then.mag_ut) {
+        (Some(measured), Some(rest)) => angle_deg(&measured, rest) <= config.field_deg,
+        (None, Some(_)) => false,
+        (_, None) => true,
+    };
+    gravity && field
+}
+
+/// Continues with the remembered rest pose, bend and pistons.
+pub fn resume(config: &LoopConfig, state: &mut LoopState, remembered: &RestartState) {
+    let Some(rest) = &remembered.rest else { return };
+    let bend = Bend(remembered.bend_rad.into());
+    state.fusion.assume(&config.fuse, bend, &Vector3::from(rest.acc_m_s2), rest.mag_ut.map(Vector3::from));
+    state.take_up(config, remembered);
+}

@@ -1,0 +1,52 @@
+//! Supervision of the orientation sensor: age of the last usable sample, and drift of the gyroscope bias.
+
+use crate::control::tick::{Frame, TickPhase};
+use crate::estimation::fusion::health::CauseSet;
+use crate::estimation::fusion::tip::Fusion;
+use nalgebra::Vector3;
+
+/// Change of the gyroscope bias since the alignment that is reported, rad/s (0.9 °/s).
+const BIAS_MOVED_RAD_S: f64 = 0.016;
+/// Time constant for the rate of a resting tip, s.
+const RESTING_S: f64 = 0.5;
+/// Mean rate of a resting tip that is attributed to the sensor, rad/s (0.7 °/s).
+const RESTING_RAD_S: f64 = 0.012;
+
+/// State of the supervision.
+#[derive(Debug, Clone, Default)]
+pub(super) struct SensorWatch {
+    /// Time since the last usable gyroscope sample, s.
+    pub(super) blind_s: f64,
+    /// Bias-corrected rate of the tip, smoothed, rad/s.
+    rate_rad_s: Vector3<f64>,
+    /// Time for which the set-point has rested, s.
+    resting_s: f64,
+}
+
+impl SensorWatch {
+    /// One tick of `dt_s`; returns the causes that came into force. The rate is integrated over `paced_s`.
+    pub(super) fn step(&mut self, fusion: &Fusion, frame: &Frame, dt_s: f64, paced_s: f64) -> CauseSet {
+        let verdict = fusion.verdict();
+        if let Some(verdict) = &verdict {
+            self.blind_s = if verdict.gyro { 0.0 } else { self.blind_s + dt_s };
+        }
+        let rests = frame.estimate.is_some() && frame.phase == TickPhase::Holding;
+        self.resting_s = if rests { self.resting_s + paced_s } else { 0.0 };
+        if let Some(rate) = fusion.rate_rad_s() {
+            let keep = (-paced_s / RESTING_S).exp();
+            self.rate_rad_s = rate + (self.rate_rad_s - rate) * keep;
+        }
+        verdict.map_or(CauseSet::EMPTY, |v| v.raised)
+    }
+
+    /// True if the gyroscope bias has changed since the alignment. A tip whose set-point rests does not turn for long, so
+    /// a lasting mean rate is an error of the sensor or a rotation of the base.
+    pub(super) fn bias_moved(&self, fusion: &Fusion) -> bool {
+        if self.resting_s > 3.0 * RESTING_S && self.rate_rad_s.norm() > RESTING_RAD_S {
+            return true;
+        }
+        let now = fusion.estimator().and_then(|e| e.as_bend()).map(|f| f.gyro_bias_rad_s());
+        let (Some(now), Some(rest)) = (now, fusion.rest()) else { return false };
+        (now - rest.gyro_bias_rad_s).norm() > BIAS_MOVED_RAD_S
+    }
+}

@@ -1,0 +1,247 @@
+//! State of the supervisor. Each mode owns its data; every change of mode goes through [`Supervisor::take`].
+
+use crate::control::follow::Pace;
+use crate::control::tick::{Command, FeedbackConfig, LoopState, RestartState};
+use crate::model::arc::Shape;
+use crate::model::bend::Bend;
+use crate::primitives::units::{Mm, Steps};
+use crate::supervisor::cycle::order::Refusal;
+use crate::supervisor::cycle::sensor_watch::SensorWatch;
+use crate::supervisor::cycle::types::SupervisorConfig;
+use crate::supervisor::gate::{Gate, TripCause};
+use crate::supervisor::machine::Sensed;
+use crate::supervisor::mode::{Event, Mode};
+use crate::supervisor::residual_monitor::ResidualMonitor;
+
+/// The mode with its data.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum ModeState {
+    Boot,
+    Aligning,
+    Disarmed,
+    Holding,
+    /// `stream_until_s`: the instant by which a stream must deliver its next set-point.
+    Tracking {
+        stream_until_s: Option<f64>,
+    },
+    /// `arriving`: the gate has sent the last step, and the machine has not counted it yet.
+    Relaxing {
+        arriving: bool,
+    },
+    /// `feedback`: the outer loop's settings, set aside while the calibration runs open loop.
+    Calibrating {
+        feedback: Option<FeedbackConfig>,
+    },
+    Faulted,
+    Lost,
+}
+
+impl ModeState {
+    pub(super) fn mode(&self) -> Mode {
+        match self {
+            Self::Boot => Mode::Boot,
+            Self::Aligning => Mode::Aligning,
+            Self::Disarmed => Mode::Disarmed,
+            Self::Holding => Mode::Holding,
+            Self::Tracking { .. } => Mode::Tracking,
+            Self::Relaxing { .. } => Mode::Relaxing,
+            Self::Calibrating { .. } => Mode::Calibrating,
+            Self::Faulted => Mode::Faulted,
+            Self::Lost => Mode::Lost,
+        }
+    }
+}
+
+/// What is known about the position of the pistons.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Position {
+    /// The counts are valid.
+    Known,
+    /// The counts were remembered over a restart and have not been checked yet.
+    Unchecked(RestartState),
+    /// The drivers were released away from zero, or the check failed: the counts are invalid.
+    Adrift(Option<RestartState>),
+}
+
+impl Position {
+    /// The remembered state, if it is still the best information.
+    pub(super) fn remembered(&self) -> Option<&RestartState> {
+        match self {
+            Self::Known => None,
+            Self::Unchecked(state) => Some(state),
+            Self::Adrift(state) => state.as_ref(),
+        }
+    }
+
+    pub(super) fn is_adrift(&self) -> bool {
+        matches!(self, Self::Adrift(_))
+    }
+}
+
+/// Messages for the next tick and for the machine.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Pending {
+    pub(super) command: Option<Command>,
+    pub(super) clear: bool,
+    pub(super) recount: Option<Steps>,
+}
+
+/// The supervised loop.
+#[derive(Debug, Clone)]
+pub struct Supervisor {
+    pub(super) config: SupervisorConfig,
+    pub(super) state: LoopState,
+    pub(super) mode: ModeState,
+    pub(super) position: Position,
+    pub(super) gate: Gate,
+    pub(super) residual: ResidualMonitor,
+    pub(super) sensors: SensorWatch,
+    pub(super) last: Option<Sensed>,
+    /// Counts sent in the last cycle.
+    pub(super) sent: Steps,
+    /// Set-point of the last tick.
+    pub(super) setpoint: Shape,
+    /// Configured pace of the set-point; an order may replace its speed for one motion.
+    pub(super) pace: Pace,
+    /// Time that the machine still has to clear its alarm, s.
+    pub(super) clearing_s: f64,
+    pub(super) pending: Pending,
+}
+
+impl Supervisor {
+    /// A disarmed supervisor for pistons at zero, or for the state remembered over a restart.
+    #[must_use]
+    pub fn new(config: SupervisorConfig, remembered: Option<RestartState>) -> Self {
+        let mut state = LoopState::new(&config.tick);
+        let mut pending = Pending::default();
+        let mut sent = Steps::default();
+        if let Some(remembered) = &remembered {
+            state.take_up(&config.tick, remembered);
+            sent = remembered.steps;
+            pending.recount = Some(sent);
+        }
+        let bent = remembered.filter(|r| r.steps != Steps::default());
+        Self {
+            state,
+            mode: ModeState::Boot,
+            position: bent.map_or(Position::Known, Position::Unchecked),
+            gate: Gate::new(&config.gate, &sent),
+            residual: ResidualMonitor::new(&config.residual, config.tick.geometry.r_mm),
+            sensors: SensorWatch::default(),
+            last: None,
+            sent,
+            setpoint: Shape { bend: Bend::STRAIGHT, length: Mm(config.tick.geometry.rest_length_mm) },
+            pace: config.tick.bend_pace,
+            clearing_s: 0.0,
+            pending,
+            config,
+        }
+    }
+
+    /// The remembered state is unusable: the supervisor asks for `zero` whatever the sensors measure.
+    pub fn doubt(&mut self) {
+        self.position = Position::Unchecked(RestartState { rest: None, ..self.state.keep(&self.sent) });
+    }
+
+    /// The configuration in use.
+    #[must_use]
+    pub fn config(&self) -> &SupervisorConfig {
+        &self.config
+    }
+
+    /// State of the control loop.
+    #[must_use]
+    pub fn state(&self) -> &LoopState {
+        &self.state
+    }
+
+    /// The mode.
+    #[must_use]
+    pub fn mode(&self) -> Mode {
+        self.mode.mode()
+    }
+
+    /// The cause that is latched.
+    #[must_use]
+    pub fn latched(&self) -> Option<TripCause> {
+        self.gate.latched()
+    }
+
+    /// State to be remembered for a restart. It contains the counted steps, not the sent ones: some may be queued, and
+    /// the step generator may stop short of them.
+    #[must_use]
+    pub fn keep(&self) -> RestartState {
+        let counted = self.last.map_or(self.sent, |sensed| sensed.counted);
+        self.position.remembered().copied().unwrap_or_else(|| self.state.keep(&counted))
+    }
+
+    /// True if the pistons are known to be at zero, so that a restart has nothing to check.
+    #[must_use]
+    pub fn is_at_rest(&self) -> bool {
+        let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
+        self.sent == Steps::default() && there && !self.position.is_adrift()
+    }
+
+    /// Exchanges the configuration without a jump of the pistons. The caller drops the old one, which it gets back in
+    /// `new`, outside the real-time loop.
+    pub fn reload(&mut self, new: &mut SupervisorConfig) {
+        std::mem::swap(&mut self.config, new);
+        if let ModeState::Calibrating { feedback } = &mut self.mode {
+            *feedback = self.config.tick.feedback.take();
+        }
+        self.pace = self.config.tick.bend_pace;
+    }
+
+    /// Takes an event. Data of the mode that is left go back to where they came from.
+    ///
+    /// # Errors
+    /// [`Refusal::Mode`] if the table has no transition; nothing changes then.
+    pub(super) fn take(&mut self, event: Event) -> Result<(), Refusal> {
+        let mode = self.mode();
+        let next = match mode.after(event).ok_or(Refusal::Mode(mode))? {
+            Mode::Boot => ModeState::Boot,
+            Mode::Aligning => ModeState::Aligning,
+            Mode::Disarmed => ModeState::Disarmed,
+            Mode::Holding => ModeState::Holding,
+            Mode::Tracking => ModeState::Tracking { stream_until_s: None },
+            Mode::Relaxing => ModeState::Relaxing { arriving: false },
+            Mode::Calibrating => ModeState::Calibrating { feedback: self.config.tick.feedback.take() },
+            Mode::Faulted => ModeState::Faulted,
+            Mode::Lost => ModeState::Lost,
+        };
+        if let ModeState::Calibrating { feedback: Some(feedback) } = std::mem::replace(&mut self.mode, next) {
+            self.config.tick.feedback = Some(feedback);
+        }
+        Ok(())
+    }
+
+    /// True if both the rest pose and the position of the pistons are known.
+    pub(super) fn is_located(&self) -> bool {
+        self.position == Position::Known && self.state.fusion.estimate().is_some()
+    }
+
+    /// The estimated bend, or straight before the alignment.
+    pub(super) fn estimated_bend(&self) -> Bend {
+        self.state.fusion.estimate().map_or(Bend::STRAIGHT, |e| e.bend)
+    }
+
+    /// The controller continues from the present position of the pistons and holds the tip at `at`.
+    pub(super) fn take_over(&mut self, at: Bend) {
+        self.state.stand(&self.config.tick, &self.sent, at);
+        self.residual.forget();
+    }
+
+    /// Forgets alignment and position: the present pose is the new rest. The gains stay.
+    pub(super) fn start_over(&mut self) {
+        let lines = *self.state.lines();
+        self.state = LoopState::new(&self.config.tick);
+        self.state.set_lines(lines);
+        self.position = Position::Known;
+        self.sent = Steps::default();
+        self.pending.recount = Some(self.sent);
+        if self.gate.latched().is_none() {
+            self.gate.reset(&self.sent);
+        }
+        self.residual.forget();
+    }
+}

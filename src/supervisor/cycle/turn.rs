@@ -1,0 +1,224 @@
+//! One cycle: order, tick, sensor supervision, alignment, gate, residual monitor.
+
+use crate::control::tick::{Frame, Input, TickPhase, tick};
+use crate::model::bend::Bend;
+use crate::primitives::units::{Seconds, Steps};
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::cycle::restart_check;
+use crate::supervisor::cycle::state::{ModeState, Position, Supervisor};
+use crate::supervisor::cycle::types::CycleOutput;
+use crate::supervisor::gate::{Following, GateInput, SafeState, TripCause};
+use crate::supervisor::machine::Sensed;
+use crate::supervisor::mode::{Event, Mode};
+use crate::supervisor::residual_monitor::{ResidualInput, bellows};
+use nalgebra::{Vector2, Vector3};
+
+impl Supervisor {
+    /// One cycle.
+    pub fn turn(&mut self, sensed: &Sensed, order: Option<Order>) -> CycleOutput {
+        let first = self.last.is_none();
+        let dt_s = self.last.map_or(self.config.gate.tick_s, |last| sensed.t.0 - last.t.0);
+        self.last = Some(*sensed);
+        if self.mode() == Mode::Boot {
+            self.occur(Event::Opened);
+        }
+        let answer = order.map(|o| self.obey(o, sensed));
+        let stream_ended = self.end_silent_stream(sensed.t);
+        let input = self.tick_input(sensed, dt_s);
+        let frame = tick(&self.config.tick, &mut self.state, &input);
+        self.setpoint = frame.setpoint;
+        let raised = self.sensors.step(&self.state.fusion, &frame, dt_s, input.dt_s);
+        self.follow_alignment(&frame);
+        let tripped = self.pass_gate(&frame, sensed, dt_s);
+        self.follow_motion(&frame, sensed);
+        let suspects = self.monitor_residual(&frame, sensed, input.dt_s);
+        CycleOutput {
+            frame,
+            input,
+            sensed: *sensed,
+            order,
+            answer,
+            mode: self.mode(),
+            steps: self.sent,
+            counted: sensed.counted,
+            energise: self.energise(),
+            clear: std::mem::take(&mut self.pending.clear),
+            recount: self.pending.recount.take(),
+            tripped,
+            latched: self.gate.latched(),
+            suspicion: self.residual.suspicion().copied(),
+            suspects,
+            raised,
+            bias_moved: self.sensors.bias_moved(&self.state.fusion),
+            stream_ended,
+            dt_s,
+            first,
+        }
+    }
+
+    /// Takes an event that the table may ignore in the present mode; true if it did not.
+    fn occur(&mut self, event: Event) -> bool {
+        self.take(event).is_ok()
+    }
+
+    fn tick_input(&mut self, sensed: &Sensed, dt_s: f64) -> Input {
+        Input {
+            t: sensed.t,
+            // a late cycle does not let the set-point jump
+            dt_s: dt_s.max(0.0).min(2.0 * self.config.gate.tick_s),
+            imu: sensed.imu,
+            base_imu: sensed.base_imu,
+            command: self.pending.command.take(),
+            steps: sensed.counted,
+            realign: false,
+        }
+    }
+
+    /// Stops the tip if its stream of set-points has fallen silent.
+    fn end_silent_stream(&mut self, now: Seconds) -> bool {
+        let silent = matches!(self.mode, ModeState::Tracking { stream_until_s: Some(until_s) } if now.0 > until_s);
+        if silent && self.occur(Event::Stop) {
+            self.gate.brake();
+        }
+        silent
+    }
+
+    /// Leaves `aligning` once the rest pose is known and, after a restart, the remembered pose has been checked.
+    fn follow_alignment(&mut self, frame: &Frame) {
+        if self.mode() != Mode::Aligning || frame.estimate.is_none() || self.state.fusion.realigning() {
+            return;
+        }
+        let Some(remembered) = self.position.remembered().copied() else {
+            self.state.stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
+            self.occur(Event::Aligned);
+            return;
+        };
+        if restart_check::agrees(&self.config.restart_check, &remembered, &self.state) {
+            restart_check::resume(&self.config.tick, &mut self.state, &remembered);
+            self.position = Position::Known;
+            self.occur(Event::Aligned);
+        } else {
+            self.position = Position::Adrift(None);
+            self.occur(Event::Doubted);
+        }
+    }
+
+    /// Passes the requested counts through the gate; returns the cause of a trip.
+    fn pass_gate(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> Option<TripCause> {
+        self.clearing_s = (self.clearing_s - dt_s).max(0.0);
+        let input = self.gate_input(frame, sensed, dt_s);
+        if input.armed && !sensed.energised {
+            // drivers that are not energised yet lose steps: the controller waits
+            self.state.stand(&self.config.tick, &self.sent, frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend));
+        }
+        let output = self.gate.pass(&input);
+        self.sent = output.steps;
+        if let Some(cause) = output.tripped {
+            self.occur(Event::Trip);
+            if cause == TripCause::StepGenerator && self.gate.is_returning() {
+                self.clear_alarm(sensed);
+            }
+        }
+        if !output.energise && !output.rested && self.sent != Steps::default() {
+            self.position = Position::Adrift(self.position.remembered().copied());
+        }
+        self.follow_return(output.rested, sensed);
+        output.tripped
+    }
+
+    fn gate_input(&self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> GateInput {
+        let armed = self.leads();
+        let open_loop = matches!(self.mode, ModeState::Calibrating { feedback: Some(_) });
+        let must_follow = armed && !open_loop && !frame.senses.held;
+        let geometry = &self.config.tick.geometry;
+        let stretch_mm = frame.setpoint.length.0 - geometry.rest_length_mm;
+        let setpoint = frame.setpoint.bend.0.into();
+        GateInput {
+            dt_s,
+            wanted: if armed && sensed.energised { frame.steps } else { self.sent },
+            armed,
+            estimated_bellow_mm: frame.estimate.map(|e| bellows(geometry, &e.bend.0, stretch_mm).into()),
+            following: frame.estimate.filter(|_| must_follow).map(|e| Following { setpoint, estimate: e.bend.0.into() }),
+            stale_s: self.sensors.blind_s,
+            disagree: frame.senses.disagrees,
+            emergency_stop: sensed.inputs.emergency_stop,
+            alarm: sensed.alarm.is_some() && self.clearing_s <= 0.0,
+        }
+    }
+
+    /// True while the controller, not the gate, moves the pistons.
+    fn leads(&self) -> bool {
+        self.mode().moves() && !self.gate.is_braking()
+    }
+
+    /// Ends `relaxing` once the machine has counted the last step of the return.
+    fn follow_return(&mut self, rested: bool, sensed: &Sensed) {
+        let ModeState::Relaxing { arriving } = &mut self.mode else { return };
+        *arriving |= rested;
+        if !*arriving || sensed.counted != self.sent {
+            return;
+        }
+        let located = self.is_located();
+        if self.gate.latched().is_none() {
+            self.gate.reset(&self.sent);
+        }
+        if !located {
+            self.start_over();
+        }
+        self.occur(if located { Event::Rested } else { Event::RestedUnaligned });
+    }
+
+    /// The controller takes over after braking; `tracking` ends when the set-point has arrived.
+    fn follow_motion(&mut self, frame: &Frame, sensed: &Sensed) {
+        if self.gate.hand_over(&sensed.counted) {
+            self.take_over(frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend));
+        }
+        if self.mode == (ModeState::Tracking { stream_until_s: None }) && frame.phase == TickPhase::Holding {
+            self.occur(Event::Settled);
+        }
+    }
+
+    /// Steps the residual monitor; true if it has a new suspicion.
+    fn monitor_residual(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> bool {
+        let Some(estimate) = frame.estimate.filter(|_| self.leads()) else { return false };
+        if frame.base_moved {
+            // the base explains the residual until the next alignment
+            self.residual.forget();
+            return false;
+        }
+        let input = ResidualInput {
+            dt_s,
+            given: frame.bend_from_pistons.0,
+            gapless: self.bend_without_play(sensed),
+            estimate: estimate.bend.0,
+            answer_s: frame.dynamics.lag_s + frame.dynamics.delay_s,
+            moving: frame.phase == TickPhase::Tracking,
+            blocked: frame.blocked,
+        };
+        self.residual.step(&input).is_some()
+    }
+
+    /// Bend that the counted steps would cause without play, rad.
+    fn bend_without_play(&self, sensed: &Sensed) -> Vector2<f64> {
+        let (config, lines) = (&self.config.tick, self.state.lines());
+        let piston_mm = config.drive.piston_mm(&sensed.counted);
+        config.geometry.shape(&Vector3::from_fn(|i, _| lines[i].bellow_mm(piston_mm[i]))).bend.0
+    }
+
+    /// Whether the drivers shall be energised: holding torque keeps a bent tip in place, and at zero none is needed.
+    fn energise(&self) -> bool {
+        match self.mode() {
+            Mode::Boot | Mode::Aligning => self.finds_energised(),
+            Mode::Lost => false,
+            Mode::Holding | Mode::Tracking | Mode::Calibrating | Mode::Relaxing => true,
+            Mode::Disarmed | Mode::Faulted => !self.is_at_rest() && !self.position.is_adrift(),
+        }
+    }
+
+    /// A previous program left the drivers energised and the remembered pose is not checked yet: the tip stays held,
+    /// unless the board file prefers another reaction to a loop that hangs.
+    fn finds_energised(&self) -> bool {
+        let energised = self.last.is_some_and(|sensed| sensed.energised);
+        energised && self.position.remembered().is_some() && self.config.gate.on.late == SafeState::Hold
+    }
+}

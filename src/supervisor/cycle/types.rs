@@ -1,0 +1,71 @@
+//! Configuration and output of the supervisor.
+
+use crate::control::tick::{Frame, Input, LoopConfig};
+use crate::estimation::fusion::health::CauseSet;
+use crate::primitives::units::Steps;
+use crate::supervisor::cycle::order::{Order, Refusal};
+use crate::supervisor::cycle::restart_check::RestartCheckConfig;
+use crate::supervisor::gate::{GateLimits, TripCause};
+use crate::supervisor::machine::Sensed;
+use crate::supervisor::mode::Mode;
+use crate::supervisor::residual_monitor::{ResidualConfig, Suspicion};
+
+/// Everything that stays constant while the supervisor runs, except for a reload.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SupervisorConfig {
+    /// The control loop.
+    pub tick: LoopConfig,
+    /// The safety gate.
+    pub gate: GateLimits,
+    /// The residual monitor.
+    pub residual: ResidualConfig,
+    /// The check of the remembered pose after a restart.
+    pub restart_check: RestartCheckConfig,
+    /// Longest gap between two set-points of a stream, s.
+    pub dead_man_s: f64,
+}
+
+/// Output of one cycle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CycleOutput {
+    /// Every intermediate of the tick.
+    pub frame: Frame,
+    /// Input of the tick.
+    pub input: Input,
+    /// Input of the cycle, bit for bit, as the tape records it.
+    pub sensed: Sensed,
+    /// Order of this cycle.
+    pub order: Option<Order>,
+    /// Answer to the order.
+    pub answer: Option<Result<(), Refusal>>,
+    /// Mode after the cycle.
+    pub mode: Mode,
+    /// Counts to send.
+    pub steps: Steps,
+    /// Counts reported by the machine.
+    pub counted: Steps,
+    /// The drivers shall be energised.
+    pub energise: bool,
+    /// The machine shall clear its alarm.
+    pub clear: bool,
+    /// New counts for the present position of the pistons.
+    pub recount: Option<Steps>,
+    /// Cause of a trip in this cycle.
+    pub tripped: Option<TripCause>,
+    /// Latched cause.
+    pub latched: Option<TripCause>,
+    /// Present suspicion of the residual monitor.
+    pub suspicion: Option<Suspicion>,
+    /// The suspicion is new in this cycle.
+    pub suspects: bool,
+    /// Causes that came into force against the sensor in this cycle.
+    pub raised: CauseSet,
+    /// The gyroscope bias differs from that of the alignment.
+    pub bias_moved: bool,
+    /// A stream of set-points fell silent in this cycle, and the tip was stopped.
+    pub stream_ended: bool,
+    /// Time since the last cycle, s.
+    pub dt_s: f64,
+    /// The first cycle of this supervisor.
+    pub first: bool,
+}

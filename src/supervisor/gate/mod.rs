@@ -1,0 +1,331 @@
+//! The safety gate between the controller and the step generator.
+//!
+//! The gate passes the requested counts while all of its limits hold. The first violated limit latches a
+//! [`TripCause`]. From then on the gate ignores the controller and either brakes and stands, returns to zero slowly, or
+//! releases the drivers, as the board file states for the cause. Only [`Gate::reset`] clears the latch.
+//!
+//! The gate shares no state with the controller. It derives speed and acceleration from the counts that it has sent.
+
+#![allow(clippy::neg_cmp_op_on_partial_ord, reason = "NaN is outside every limit")]
+
+mod history;
+mod limits;
+
+pub use limits::{GateLimits, SafeState, SafeStates, TripCause};
+
+use crate::primitives::units::Steps;
+use history::History;
+
+/// Input of the gate at one tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GateInput {
+    /// Time since the last tick, s.
+    pub dt_s: f64,
+    /// Counts requested by the controller.
+    pub wanted: Steps,
+    /// The drivers are armed.
+    pub armed: bool,
+    /// Bellow length changes at the estimated bend, mm; `None` without an estimate.
+    pub estimated_bellow_mm: Option<[f64; 3]>,
+    /// Set-point and estimate; `None` if the tip need not follow.
+    pub following: Option<Following>,
+    /// Age of the last usable orientation, s.
+    pub stale_s: f64,
+    /// The two orientation filters have disagreed for long.
+    pub disagree: bool,
+    /// The emergency stop is pressed.
+    pub emergency_stop: bool,
+    /// The step generator reports an alarm.
+    pub alarm: bool,
+}
+
+/// Set-point and estimated bend vector, rad.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Following {
+    /// Set-point.
+    pub setpoint: [f64; 2],
+    /// Estimated bend.
+    pub estimate: [f64; 2],
+}
+
+/// Output of the gate at one tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GateOutput {
+    /// Counts to send.
+    pub steps: Steps,
+    /// The drivers may be energised.
+    pub energise: bool,
+    /// Cause of a trip in this tick.
+    pub tripped: Option<TripCause>,
+    /// A return to zero ended in this tick.
+    pub rested: bool,
+}
+
+/// What determines the counts that the gate sends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Motion {
+    /// The controller's requests pass.
+    Passing,
+    /// The gate brakes and returns the pistons to the controller afterwards.
+    Braking,
+    /// The gate brakes and stands.
+    Standing,
+    /// The gate returns to zero.
+    Returning,
+    /// The drivers are released.
+    Released,
+}
+
+/// How well the tip follows its set-point.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct FollowingError {
+    setpoint: Option<[f64; 2]>,
+    /// Largest recent speed of the set-point, decaying, rad/s.
+    recent_rad_s: f64,
+    /// How long the error has been larger than the set-point speed explains, s.
+    exceeded_s: f64,
+}
+
+/// The safety gate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gate {
+    limits: GateLimits,
+    motion: Motion,
+    latched: Option<TripCause>,
+    /// Emergency stop and alarm in the previous tick: a lasting one trips a gate that does not pass only once.
+    reported: [bool; 2],
+    history: History,
+    /// Position of the gate's own motion, mm.
+    at_mm: [f64; 3],
+    speed_mm_s: [f64; 3],
+    following: FollowingError,
+}
+
+impl Gate {
+    /// A gate that passes, with the pistons at rest at these counts.
+    #[must_use]
+    pub fn new(limits: &GateLimits, at: &Steps) -> Self {
+        Self {
+            limits: *limits,
+            motion: Motion::Passing,
+            latched: None,
+            reported: [false; 2],
+            history: History::resting(at, limits.step_mm, limits.tick_s),
+            at_mm: [0.0; 3],
+            speed_mm_s: [0.0; 3],
+            following: FollowingError::default(),
+        }
+    }
+
+    /// The first cause since the last reset.
+    #[must_use]
+    pub fn latched(&self) -> Option<TripCause> {
+        self.latched
+    }
+
+    /// True during a return to zero.
+    #[must_use]
+    pub fn is_returning(&self) -> bool {
+        self.motion == Motion::Returning
+    }
+
+    /// True from [`Gate::brake`] until [`Gate::hand_over`], unless something else intervenes.
+    #[must_use]
+    pub fn is_braking(&self) -> bool {
+        self.motion == Motion::Braking
+    }
+
+    /// True while the gate moves the pistons itself.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        self.is_returning() || self.is_braking() || (self.motion == Motion::Standing && self.speed_mm_s != [0.0; 3])
+    }
+
+    /// Clears the latched cause and passes again, with the pistons at rest at these counts.
+    pub fn reset(&mut self, at: &Steps) {
+        self.latched = None;
+        self.motion = Motion::Passing;
+        self.settle(at);
+    }
+
+    /// The step generator came to rest at these counts, whatever was sent. A latched cause stays latched.
+    pub fn recount(&mut self, at: &Steps) {
+        self.settle(at);
+        self.at_mm = at.0.map(|n| f64::from(n) * self.limits.step_mm);
+    }
+
+    /// Brakes and returns to zero slowly. A latched cause stays latched.
+    pub fn relax(&mut self) {
+        self.begin(Motion::Returning);
+    }
+
+    /// Brakes and stands. A latched cause stays latched.
+    pub fn stand(&mut self) {
+        self.begin(Motion::Standing);
+    }
+
+    /// Brakes; [`Gate::hand_over`] ends it.
+    pub fn brake(&mut self) {
+        self.begin(Motion::Braking);
+    }
+
+    /// Passes again once a [`Gate::brake`] has come to rest and all its steps are counted; true at that moment.
+    pub fn hand_over(&mut self, counted: &Steps) -> bool {
+        let over = self.is_braking() && self.speed_mm_s == [0.0; 3] && *counted == self.history.newest();
+        if over {
+            self.reset(counted);
+        }
+        over
+    }
+
+    /// One tick.
+    pub fn pass(&mut self, input: &GateInput) -> GateOutput {
+        self.following.step(&self.limits, input);
+        let tripped = self.check(input);
+        if let Some(cause) = tripped {
+            self.latched = Some(self.latched.unwrap_or(cause));
+            self.begin(match (self.motion, self.limits.on.of(cause)) {
+                // a milder cause does not switch released drivers on again
+                (Motion::Released, _) | (_, SafeState::Release) => Motion::Released,
+                (_, SafeState::Hold) => Motion::Standing,
+                (_, SafeState::Relax) => Motion::Returning,
+            });
+        }
+        self.reported = [input.emergency_stop, input.alarm];
+        let mut rested = false;
+        match self.motion {
+            Motion::Passing => self.history.push(input.wanted, input.dt_s),
+            Motion::Braking | Motion::Standing => self.go(input.dt_s, |_, _| 0.0),
+            Motion::Returning => {
+                let GateLimits { brake_mm_s2, relax_mm_s, .. } = self.limits;
+                self.go(input.dt_s, |at_mm, dt_s| {
+                    let to_go = at_mm.abs();
+                    -at_mm.signum() * relax_mm_s.min((brake_mm_s2 * to_go).sqrt()).min(to_go / dt_s)
+                });
+                rested = self.arrive();
+            }
+            Motion::Released => self.speed_mm_s = [0.0; 3],
+        }
+        GateOutput { steps: self.history.newest(), energise: self.motion != Motion::Released, tripped, rested }
+    }
+
+    /// The first violated limit. Causes of the machine count at any time, those of the controller only while it is
+    /// passed.
+    fn check(&self, input: &GateInput) -> Option<TripCause> {
+        let passing = self.motion == Motion::Passing;
+        if input.emergency_stop && (passing || !self.reported[0]) {
+            return Some(TripCause::EmergencyStop);
+        }
+        if input.alarm && (passing || !self.reported[1]) {
+            return Some(TripCause::StepGenerator);
+        }
+        if !passing {
+            return None;
+        }
+        // NaN is late
+        if !(input.dt_s <= self.limits.late_s) {
+            return Some(TripCause::Late);
+        }
+        self.check_motion(input).or_else(|| self.check_estimate(input))
+    }
+
+    /// The first limit that the requested counts violate.
+    fn check_motion(&self, input: &GateInput) -> Option<TripCause> {
+        let l = &self.limits;
+        let last = self.history.newest();
+        if !input.armed {
+            return (input.wanted != last).then_some(TripCause::Unarmed);
+        }
+        for i in 0..3 {
+            let at_mm = f64::from(input.wanted.0[i]) * l.step_mm;
+            if at_mm.abs() > l.travel_mm {
+                return Some(TripCause::Travel);
+            }
+            let (speed, acceleration) = self.history.motion(i, input.wanted.0[i], input.dt_s);
+            if speed.exceeds(l.speed_mm_s) {
+                return Some(TripCause::Rate);
+            }
+            if acceleration.exceeds(l.acceleration_mm_s2) {
+                return Some(TripCause::Acceleration);
+            }
+            if let Some(estimate) = input.estimated_bellow_mm
+                && (at_mm - estimate[i]).abs() > l.squeeze_mm
+                && input.wanted.0[i] != last.0[i]
+            {
+                return Some(TripCause::Pressure);
+            }
+        }
+        None
+    }
+
+    /// What speaks against the estimate of an armed tip.
+    fn check_estimate(&self, input: &GateInput) -> Option<TripCause> {
+        let stale = (input.stale_s > self.limits.stale_s).then_some(TripCause::Stale);
+        let disagree = input.disagree.then_some(TripCause::Disagreement);
+        let astray = (self.following.exceeded_s > self.limits.following_for_s).then_some(TripCause::Following);
+        stale.or(disagree).or(astray).filter(|_| input.armed)
+    }
+
+    /// Changes what determines the counts; the gate's own motion starts with the speed of the last window.
+    fn begin(&mut self, motion: Motion) {
+        if self.motion == Motion::Passing {
+            let step_mm = self.limits.step_mm;
+            self.at_mm = self.history.newest().0.map(|n| f64::from(n) * step_mm);
+            self.speed_mm_s = self.history.speed_mm_s();
+        }
+        self.motion = motion;
+    }
+
+    /// Moves each piston at the speed that `wanted` states for its position (mm) and the duration of the tick (s).
+    fn go(&mut self, dt_s: f64, wanted: impl Fn(f64, f64) -> f64) {
+        // a late tick does not cause a jump
+        let dt_s = dt_s.max(0.0).min(self.limits.tick_s * 2.0);
+        let change = self.limits.brake_mm_s2 * dt_s;
+        for i in 0..3 {
+            let v = self.speed_mm_s[i];
+            self.speed_mm_s[i] = v + (wanted(self.at_mm[i], dt_s) - v).clamp(-change, change);
+            let at_mm = self.at_mm[i] + self.speed_mm_s[i] * dt_s;
+            self.at_mm[i] = at_mm.clamp(-self.limits.travel_mm, self.limits.travel_mm);
+        }
+        let steps = self.at_mm.map(|mm| (mm / self.limits.step_mm).round() as i32);
+        self.history.push(Steps(steps), dt_s);
+    }
+
+    /// Releases the drivers once all counts are zero; true at that moment.
+    fn arrive(&mut self) -> bool {
+        let there = self.history.newest() == Steps::default();
+        if there {
+            self.speed_mm_s = [0.0; 3];
+            self.at_mm = [0.0; 3];
+            self.motion = Motion::Released;
+        }
+        there
+    }
+
+    /// The pistons have rested at these counts for as long as the gate remembers.
+    fn settle(&mut self, at: &Steps) {
+        self.history = History::resting(at, self.limits.step_mm, self.limits.tick_s);
+        self.speed_mm_s = [0.0; 3];
+        self.following = FollowingError::default();
+    }
+}
+
+impl FollowingError {
+    fn step(&mut self, limits: &GateLimits, input: &GateInput) {
+        let Some(Following { setpoint, estimate }) = input.following else {
+            *self = Self::default();
+            return;
+        };
+        let from = self.setpoint.replace(setpoint).unwrap_or(setpoint);
+        let speed = distance(&setpoint, &from) / input.dt_s;
+        self.recent_rad_s = speed.max(self.recent_rad_s * (-input.dt_s / limits.following_s).exp());
+        let allowed = limits.following_rad + limits.following_s * self.recent_rad_s;
+        // NaN does not follow
+        let follows = distance(&setpoint, &estimate) <= allowed;
+        self.exceeded_s = if follows { 0.0 } else { self.exceeded_s + input.dt_s };
+    }
+}
+
+fn distance(a: &[f64; 2], b: &[f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
