@@ -178,7 +178,11 @@ impl Gains {
                 open_rad: r.open_deg.to_radians(),
                 smooth_s: r.smooth_s,
             },
-            obstruction: ObstructionConfig { push_rad: w.push_deg.to_radians(), follow_min: w.follow_min, error_rad: w.error_deg.to_radians() },
+            obstruction: ObstructionConfig {
+                push_rad: w.push_deg.to_radians(),
+                follow_min: w.follow_min,
+                error_rad: w.error_deg.to_radians(),
+            },
         }
     }
 }

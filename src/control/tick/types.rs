@@ -104,7 +104,15 @@ pub struct Input {
 impl Default for Input {
     /// No sample and no command, at a period of 1 ms.
     fn default() -> Self {
-        Self { t: Seconds(0.0), dt_s: 1e-3, imu: ImuReading::Nothing, base_imu: None, command: None, steps: Steps::default(), realign: false }
+        Self {
+            t: Seconds(0.0),
+            dt_s: 1e-3,
+            imu: ImuReading::Nothing,
+            base_imu: None,
+            command: None,
+            steps: Steps::default(),
+            realign: false,
+        }
     }
 }
 
