@@ -1,6 +1,6 @@
 //! Time per update of each generic filter and of the bend filter, and its ratio to the bare `ahrs` Madgwick in the same run.
 //!
-//! `cargo bench --bench fuse`. The samples are those of a sensor turned by hand at 500 Hz with a 100 Hz
+//! Run with `cargo bench --bench fuse`. The samples simulate a sensor turned by hand at 500 Hz with a 100 Hz
 //! magnetometer.
 
 use ahrs::Ahrs;
@@ -8,13 +8,13 @@ use divan::{AllocProfiler, Bencher, black_box};
 use nalgebra::{UnitQuaternion, Vector3};
 use retroflex::estimation::fusion::align::Alignment;
 use retroflex::estimation::fusion::base::BaseTurn;
-use retroflex::estimation::fusion::bend::{BendFilter, BendFilterConfig, MeasurementMask};
-use retroflex::estimation::fusion::{FilterName, OrientationFilter, Periods};
+use retroflex::estimation::fusion::bend::{BendFilter, BendFilterConfig};
+use retroflex::estimation::fusion::{Filter, FilterName, MeasurementMask, Periods, TipEstimator};
 use retroflex::primitives::sample::ImuSample;
 use retroflex::primitives::units::Seconds;
 use std::time::Instant;
 
-/// Counts allocations beside the times: an update must show none.
+/// Counts allocations: an update must make none.
 #[global_allocator]
 static ALLOCATIONS: AllocProfiler = AllocProfiler::system();
 
@@ -39,7 +39,7 @@ fn samples() -> Vec<ImuSample> {
         .collect()
 }
 
-fn build(name: FilterName) -> Box<dyn OrientationFilter + Send> {
+fn build(name: FilterName) -> Filter {
     name.build(Periods { imu_s: PERIOD_S, mag_s: 5.0 * PERIOD_S })
 }
 
@@ -71,9 +71,9 @@ fn update(bencher: Bencher, name: FilterName) {
     });
 }
 
-/// The bend filter at the rest that the samples start from.
+/// A bend filter that is aligned with the first sample.
 fn bend_filter(first: &ImuSample) -> BendFilter {
-    let rest = Alignment {
+    let alignment = Alignment {
         gyro_bias_rad_s: Vector3::zeros(),
         acc_rest_m_s2: first.acc_m_s2,
         mag_rest_ut: first.mag_ut,
@@ -85,22 +85,22 @@ fn bend_filter(first: &ImuSample) -> BendFilter {
         mag_samples: 180,
         repeated: 0,
     };
-    BendFilter::new(&BendFilterConfig::default(), &rest)
+    BendFilter::new(&BendFilterConfig::default(), &alignment)
 }
 
-const HEED: MeasurementMask = MeasurementMask { acc: true, mag: true, still: false };
+const MASK: MeasurementMask = MeasurementMask { acc: true, mag: true, still: false };
 
 #[divan::bench]
 fn bend(bencher: Bencher) {
     let samples = samples();
     let (mut filter, mut k) = (bend_filter(&samples[0]), 0);
     bencher.bench_local(|| {
-        filter.update(black_box(&samples[k % SAMPLES]), PERIOD_S, HEED, &BaseTurn::none());
+        filter.update(black_box(&samples[k % SAMPLES]), PERIOD_S, MASK, &BaseTurn::none());
         k += 1;
     });
 }
 
-/// Best of several passes, ns per update: the least disturbed by whatever else the machine does.
+/// Best of several passes, ns per update: the pass least disturbed by other load.
 fn best_ns(mut pass: impl FnMut()) -> f64 {
     let once = |_| {
         let start = Instant::now();
@@ -121,7 +121,7 @@ fn ratios() {
         println!("{name:<10} {ns:8.0} ns per update, {:5.1} x bare ahrs", ns / bare_ns);
     }
     let mut filter = bend_filter(&samples[0]);
-    let ns = best_ns(|| samples.iter().for_each(|s| filter.update(black_box(s), PERIOD_S, HEED, &BaseTurn::none())));
+    let ns = best_ns(|| samples.iter().for_each(|s| filter.update(black_box(s), PERIOD_S, MASK, &BaseTurn::none())));
     println!("{:<10} {ns:8.0} ns per update, {:5.1} x bare ahrs", "bend", ns / bare_ns);
 }
 

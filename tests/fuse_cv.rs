@@ -11,12 +11,12 @@ use rayon::prelude::*;
 use retroflex::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
 use retroflex::estimation::fusion::mekf::{Mekf, MekfConfig};
 use retroflex::estimation::fusion::vqf::{Vqf, VqfConfig};
-use retroflex::estimation::fusion::{FilterName, OrientationFilter, Periods};
+use retroflex::estimation::fusion::{Filter, FilterName, Periods};
 use retroflex::estimation::score;
 use retroflex::log::recording::{self, Recording};
 use std::path::PathBuf;
 
-type Maker = Box<dyn Fn(&Recording) -> Box<dyn OrientationFilter + Send> + Sync>;
+type Maker = Box<dyn Fn(&Recording) -> Filter + Sync>;
 
 /// One point of a grid, and the total error it has on each recording, degrees.
 struct Tried {
@@ -87,7 +87,7 @@ fn validate(title: &str, recordings: &[Recording], grid: Vec<(String, Maker)>) -
 fn vqf_grid() -> Vec<(String, Maker)> {
     let point = |tau_mag_s: f64| -> (String, Maker) {
         let config = VqfConfig { tau_mag_s, ..VqfConfig::default() };
-        (format!("tau_mag {tau_mag_s}"), Box::new(move |r| Box::new(Vqf::new(periods(r), config))))
+        (format!("tau_mag {tau_mag_s}"), Box::new(move |r| Filter::Vqf(Vqf::new(periods(r), config))))
     };
     [9.0, 12.0, 15.0, 20.0, 25.0, 30.0, 40.0].map(point).into()
 }
@@ -99,7 +99,7 @@ fn madgwick_grid() -> Vec<(String, Maker)> {
             for beta_gravity in [0.01, 0.02, 0.03] {
                 let config = MadgwickConfig { beta_field, input_tau_s, beta_gravity, ..MadgwickConfig::default() };
                 let name = format!("field {beta_field}, inputs {input_tau_s} s, gravity {beta_gravity}");
-                grid.push((name, Box::new(move |_| Box::new(Madgwick::new(config)))));
+                grid.push((name, Box::new(move |_| Filter::Madgwick(Madgwick::new(config)))));
             }
         }
     }
@@ -124,7 +124,7 @@ fn mekf_grid() -> Vec<(String, Maker)> {
                         let name = format!(
                             "iron {iron_sigma_ut}, memory {field_memory_s}, rest {rest_field_weight}, velocity {velocity_sigma_m_s}, scale {scale_sigma}"
                         );
-                        grid.push((name, Box::new(move |_| Box::new(Mekf::new(config)))));
+                        grid.push((name, Box::new(move |_| Filter::Mekf(Mekf::new(config)))));
                     }
                 }
             }

@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use retroflex::estimation::fusion::mekf::{Mekf, MekfConfig};
-use retroflex::estimation::fusion::{FilterName, OrientationFilter, Periods};
+use retroflex::estimation::fusion::{Filter, FilterName, OrientationFilter, Periods};
 use retroflex::primitives::sample::ImuSample;
 use retroflex::primitives::units::Seconds;
 
@@ -75,7 +75,7 @@ impl Sensor {
     }
 }
 
-fn build(name: FilterName) -> Box<dyn OrientationFilter + Send> {
+fn build(name: FilterName) -> Filter {
     name.build(Periods { imu_s: PERIOD_S, mag_s: PERIOD_S })
 }
 
@@ -131,16 +131,16 @@ fn a_clean_sensor_is_followed() {
 }
 
 #[test]
-fn bias_is_learnt_at_rest_and_taken_away() {
+fn bias_is_learnt_standstill_and_taken_away() {
     let bias = Vector3::new(0.02, -0.025, 0.03);
     for name in FilterName::ALL {
         let (mut filter, mut sensor) = (build(name), Sensor { bias, ..Sensor::new(starts()[3]) });
         run(&mut *filter, &mut sensor, 4.9);
-        assert!(filter.flags().at_rest, "{name}");
+        assert!(filter.flags().standstill, "{name}");
         let off = (filter.gyro_bias_rad_s() - bias).norm().to_degrees();
         assert!(off < 0.1, "{name}: {off} deg/s of {}", bias.norm().to_degrees());
         let worst = run(&mut *filter, &mut sensor, 60.0);
-        assert!(!filter.flags().at_rest, "{name}");
+        assert!(!filter.flags().standstill, "{name}");
         assert!(worst < 4.0, "{name}: {worst} deg");
     }
 }

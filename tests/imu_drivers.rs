@@ -10,7 +10,7 @@ use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use fake_imu::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, Motion, Noise};
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use retroflex::estimation::fusion::health::{FieldReference, Health, HealthCause, HealthState, ReadFault, TimedReading};
+use retroflex::estimation::fusion::health::{HealthCause, KnownErrors, ReadFault, SensorMonitor};
 use retroflex::estimation::imu_calibration::{self, CalibrationLimits, Correction, ImuCalibration, Pedigree};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
@@ -531,9 +531,9 @@ fn bypass_shows_the_magnetometer_outside() {
 /// What the judge sees within a second after a fault is put on the chip or the bus.
 fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<HealthCause> {
     let (bus, mut imu) = running_icm();
-    let (config, mut state) = (Default::default(), HealthState::default());
+    let (config, mut monitor) = (Default::default(), SensorMonitor::default());
     let rest = Motion::default();
-    state.set_reference(FieldReference::from_rest(&rest.acc_m_s2, &rest.mag_ut));
+    monitor.set_known(KnownErrors::default(), &rest.acc_m_s2, Some(&rest.mag_ut));
     let mut seen = Vec::new();
     for n in 1..=1000_u32 {
         if n == 500 {
@@ -542,7 +542,7 @@ fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<HealthCause> {
         }
         let now = Seconds(f64::from(n) * 0.002);
         let outcome = outcome(&next(&bus, &mut imu), &imu.scale(), &Correction::NONE, now);
-        seen.extend(Health::judge(&config, &mut state, TimedReading { now, outcome }).raised.iter());
+        seen.extend(monitor.assess(&config, now, &outcome).raised.iter());
     }
     seen
 }

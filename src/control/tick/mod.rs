@@ -99,7 +99,7 @@ fn frame(config: &LoopConfig, state: &LoopState, input: &Input, observation: &Ob
         saturation: state.feedback.saturation.now(),
         senses: senses(state, estimate),
         base_moved: state.base.moved,
-        base_doubted: state.fusion.doubts_base(&config.fuse),
+        base_doubted: state.fusion.suspects_base_motion(&config.fuse),
     }
 }
 

@@ -46,7 +46,7 @@ impl LoopState {
     /// The state to be remembered, with the pistons at these counts.
     #[must_use]
     pub fn keep(&self, steps: &Steps) -> RestartState {
-        let rest = self.fusion.rest().map(|r| RestartRest {
+        let rest = self.fusion.alignment().map(|r| RestartRest {
             acc_m_s2: r.acc_rest_m_s2.into(),
             mag_ut: r.mag_rest_ut.map(Into::into),
             gyro_bias_rad_s: r.gyro_bias_rad_s.into(),

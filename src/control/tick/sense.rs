@@ -44,7 +44,7 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
         state.base = BaseState { quiet: state.base.quiet, ..BaseState::default() };
         return;
     }
-    let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.base.moved && !state.fusion.follows_base()) else {
+    let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.base.moved && !state.fusion.tracks_base()) else {
         return;
     };
     let pi = &mut state.feedback.pi;
@@ -53,10 +53,10 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
         estimate: estimate.0,
         model: predicted + pi.feedback,
         setpoint: state.setpoint.bend.at,
-        to_go: state.setpoint.target.bend.0 - estimate.0,
+        remaining: state.setpoint.target.bend.0 - estimate.0,
         still_s: state.motors.still_s,
-        answer_s: state.dynamics.lag_s + state.dynamics.delay_s,
-        twists: state.fusion.twists(),
+        response_s: state.dynamics.lag_s + state.dynamics.delay_s,
+        twist_per_bend_max: state.fusion.twist_per_bend_max(),
         dt_s: input.dt_s,
     };
     state.base.moved = state.base.watch.step(&config.fuse.watch, &observed);

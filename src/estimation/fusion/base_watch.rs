@@ -79,13 +79,13 @@ pub struct WatchInput {
     /// Set-point on its way, rad.
     pub setpoint: Vector2<f64>,
     /// Target less felt, rad.
-    pub to_go: Vector2<f64>,
+    pub remaining: Vector2<f64>,
     /// For how long the pistons have stood, s.
     pub still_s: f64,
     /// Lag and dead time of the line together, s.
-    pub answer_s: f64,
+    pub response_s: f64,
     /// Twist per bend that this tip may make, by what it has shown, rad/rad; `None` where nobody knows.
-    pub twists: Option<f64>,
+    pub twist_per_bend_max: Option<f64>,
     /// Time since the last tick, s.
     pub dt_s: f64,
 }
@@ -124,22 +124,22 @@ const QUIET_RAD: f64 = 0.017;
 
 impl Watch {
     /// One tick; true when the base must have moved.
-    pub fn step(&mut self, config: &WatchConfig, seen: &WatchInput) -> bool {
-        let (model, setpoint) = self.last.replace((seen.model, seen.setpoint)).unwrap_or((seen.model, seen.setpoint));
-        let path = (seen.setpoint - setpoint).norm();
-        let keep = |tau_s: f64| (-seen.dt_s / tau_s).exp();
-        self.path_fast = self.path_fast * keep(0.25 + 2.0 * seen.answer_s) + path;
-        self.path_slow = self.path_slow * keep(0.6 + 2.0 * seen.answer_s) + path;
-        let phi_rate = constrained(&seen.estimate, &seen.rate_rad_s);
-        let fade = 1.0 - share(seen.dt_s, config.memory_s);
-        self.twist = self.twist * fade + phi_rate.z * seen.dt_s;
+    pub fn step(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
+        let (model, setpoint) = self.last.replace((input.model, input.setpoint)).unwrap_or((input.model, input.setpoint));
+        let path = (input.setpoint - setpoint).norm();
+        let keep = |tau_s: f64| (-input.dt_s / tau_s).exp();
+        self.path_fast = self.path_fast * keep(0.25 + 2.0 * input.response_s) + path;
+        self.path_slow = self.path_slow * keep(0.6 + 2.0 * input.response_s) + path;
+        let phi_rate = constrained(&input.estimate, &input.rate_rad_s);
+        let fade = 1.0 - share(input.dt_s, config.memory_s);
+        self.twist = self.twist * fade + phi_rate.z * input.dt_s;
         // b = (φ_y, φ_x)
-        let turned = Vector2::new(phi_rate.y, phi_rate.x) * seen.dt_s;
-        self.follow_bend(config, seen, turned, seen.model - model, fade);
-        self.judge(config, seen)
+        let turned = Vector2::new(phi_rate.y, phi_rate.x) * input.dt_s;
+        self.follow_bend(config, input, turned, input.model - model, fade);
+        self.exceeds(config, input)
     }
 
-    fn follow_bend(&mut self, config: &WatchConfig, seen: &WatchInput, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
+    fn follow_bend(&mut self, config: &WatchConfig, input: &WatchInput, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
         if self.path_fast > RESTING_RAD {
             (self.settled, self.bend, self.onset) = (false, Vector2::zeros(), Onset::None);
         } else if self.settled {
@@ -148,18 +148,18 @@ impl Watch {
             if size < 0.5 * onset {
                 self.onset = Onset::None;
             } else if size > onset && self.onset == Onset::None {
-                let stood = seen.still_s > 2.0 * seen.answer_s;
+                let stood = input.still_s > 2.0 * input.response_s;
                 self.onset = if stood { Onset::ByItself } else { Onset::Pushed };
             }
         } else {
-            self.settled = seen.to_go.norm() < config.settled_deg.to_radians();
+            self.settled = input.remaining.norm() < config.settled_deg.to_radians();
         }
     }
 
-    fn judge(&mut self, config: &WatchConfig, seen: &WatchInput) -> bool {
-        let share = seen.twists.map_or(config.twist_share, |shown| config.twist_share.min(shown));
+    fn exceeds(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
+        let share = input.twist_per_bend_max.map_or(config.twist_share, |shown| config.twist_share.min(shown));
         let twist_max = config.twist_deg.to_radians() + share * self.path_slow;
-        self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + seen.dt_s } else { 0.0 };
+        self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + input.dt_s } else { 0.0 };
         let bent = self.bend.norm() > config.bend_deg.to_radians() && self.onset == Onset::ByItself;
         config.enabled && (bent || self.twisted_s > CONFIRM_S)
     }
@@ -188,22 +188,22 @@ mod tests {
         rate: impl Fn(f64) -> Vector3<f64>,
         model: impl Fn(f64) -> Vector2<f64>,
         setpoint: impl Fn(f64) -> Vector2<f64>,
-        to_go: Vector2<f64>,
+        remaining: Vector2<f64>,
     ) -> Option<f64> {
         let mut watch = Watch::default();
         (0..800).map(|k| f64::from(k) * DT_S).find(|&t| {
-            let seen = WatchInput {
+            let input = WatchInput {
                 rate_rad_s: rate(t),
                 estimate: Vector2::new(0.7, 0.0),
                 model: model(t),
                 setpoint: setpoint(t),
-                to_go,
+                remaining,
                 still_s: if model(t) == model(t - DT_S) { 1.0 } else { 0.0 },
-                answer_s: 0.04,
-                twists: None,
+                response_s: 0.04,
+                twist_per_bend_max: None,
                 dt_s: DT_S,
             };
-            watch.step(&WatchConfig::default(), &seen)
+            watch.step(&WatchConfig::default(), &input)
         })
     }
 
@@ -236,25 +236,25 @@ mod tests {
 
     #[test]
     fn a_tip_that_has_shown_that_it_twists_little_is_allowed_little() {
-        let flags = |twists: Option<f64>| {
+        let flags = |limit: Option<f64>| {
             let mut watch = Watch::default();
             (0..200).any(|k| {
                 let t = f64::from(k) * DT_S;
                 let bend = Vector2::new(0.2 + t.min(1.0), 0.0);
                 let twisting = if t < 0.5 { 0.4 } else { 0.0 };
                 let rate_rad_s = Vector3::new(0.0, 1.0, twisting);
-                let still = WatchInput {
+                let input = WatchInput {
                     rate_rad_s,
                     estimate: bend,
                     model: bend,
                     setpoint: bend,
-                    to_go: bend,
+                    remaining: bend,
                     still_s: 0.0,
-                    answer_s: 0.04,
-                    twists,
+                    response_s: 0.04,
+                    twist_per_bend_max: limit,
                     dt_s: DT_S,
                 };
-                watch.step(&WatchConfig::default(), &still)
+                watch.step(&WatchConfig::default(), &input)
             })
         };
         assert!(!flags(None), "any tip may make 11° of twist over half a radian");

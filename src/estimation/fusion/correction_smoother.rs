@@ -1,18 +1,18 @@
-//! Recovery without a jump: what a correction moves after a fault is handed out over time.
+//! Recovery without a jump: applies the corrections after a fault over time.
 //!
-//! While armed, every correction of the estimate is taken back from the output and let in with time
-//! constant τ, so that what the loop feels follows the gyroscope at once and gravity smoothly.
+//! While armed, every correction of the estimate is subtracted from the output and then decays with time constant τ.
+//! The output follows the gyroscope at once, and gravity and field smoothly.
 
 use nalgebra::Vector2;
 
 /// Time constant, s.
 const TAU_S: f64 = 0.3;
-/// How long after a recovery corrections are still handed out slowly, s.
+/// Time after a recovery during which corrections are smoothed, s.
 const ARMED_S: f64 = 1.0;
-/// What is left is dropped below this, rad.
-const GONE_RAD: f64 = 1e-5;
+/// Offset that is set to zero, rad: far below the resolution of the estimate.
+const NEGLIGIBLE_RAD: f64 = 1e-5;
 
-/// Difference between what is felt and what the estimator says.
+/// Difference between the output and the estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CorrectionSmoother {
     /// Added to the estimate, rad.
@@ -21,18 +21,18 @@ pub struct CorrectionSmoother {
 }
 
 impl CorrectionSmoother {
-    /// From now on for a while.
+    /// Smooths the corrections of the next second.
     pub fn arm(&mut self) {
         self.armed_s = ARMED_S;
     }
-    /// One update that moved the estimate by `jump` on top of what the gyroscope says.
-    pub fn step(&mut self, jump: &Vector2<f64>, dt_s: f64) {
+    /// Processes an update that moved the estimate by `correction` beyond the integrated rate.
+    pub fn step(&mut self, correction: &Vector2<f64>, dt_s: f64) {
         if self.armed_s > 0.0 {
             self.armed_s -= dt_s;
-            self.offset -= jump;
+            self.offset -= correction;
         }
         self.offset *= (-dt_s / TAU_S).exp();
-        if self.offset.norm_squared() < GONE_RAD * GONE_RAD {
+        if self.offset.norm_squared() < NEGLIGIBLE_RAD * NEGLIGIBLE_RAD {
             self.offset = Vector2::zeros();
         }
     }
@@ -43,10 +43,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_jump_is_spread_and_wholly_let_in() {
+    fn a_correction_is_spread_and_applied_in_full() {
         let mut smoother = CorrectionSmoother::default();
         smoother.step(&Vector2::new(0.2, 0.0), 0.005);
-        assert_eq!(smoother.offset, Vector2::zeros(), "corrections pass when nothing was wrong");
+        assert_eq!(smoother.offset, Vector2::zeros(), "corrections pass unsmoothed while unarmed");
         smoother.arm();
         let (mut estimate, mut output) = (0.0, 0.0);
         for k in 0..1000 {

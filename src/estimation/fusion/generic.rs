@@ -1,127 +1,94 @@
-//! A generic filter in the loop: its world orientation turned into the base frame by the rest.
+//! A generic orientation filter in the loop: its world orientation, expressed in the base frame.
 //!
-//! At the rest the sensor *is* the base frame, so `R_base_tip = R_world_sensor(rest)⁻¹ R_world_sensor`,
-//! and with a base that has turned by `T` since, `Tᵀ` of that. The filter is built when the rest is
-//! known and primed with its means, free of noise, so that the rest orientation is as exact as the
-//! averages are; the gyroscope is handed in without the bias of the rest.
+//! During alignment the sensor frame is the base frame, so `R_base_tip = R_world_sensor(alignment)⁻¹ R_world_sensor`,
+//! multiplied by `Tᵀ` from the left if the base has turned by `T` since. The filter is primed with the noise-free
+//! means of the alignment, so that the initial orientation is as accurate as the means. The gyroscope bias of the
+//! alignment is subtracted before the filter.
 
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::base::BaseTurn;
-use crate::estimation::fusion::bend::MeasurementMask;
+use crate::estimation::fusion::filter::{FilterFlags, MeasurementMask, Periods, TipEstimator};
 use crate::estimation::fusion::health::FieldReference;
 use crate::estimation::fusion::intake::GAP_MAX_S;
-use crate::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
-use crate::estimation::fusion::mekf::{Mekf, MekfConfig};
-use crate::estimation::fusion::vqf::{Vqf, VqfConfig};
-use crate::estimation::fusion::{FilterName, Flags, OrientationFilter, Periods};
+use crate::estimation::fusion::registry::{Filter, FilterName};
 use crate::model::bend::Bend;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Step of the priming, s, and how many: a descent at a constant rate ends within a step of the bottom,
-/// so the second half of them shrinks.
+/// Step of the priming, s.
 const PRIME_STEP_S: f64 = 0.02;
+/// Number of priming steps. A descent at a constant rate ends within one step of the optimum, so the steps of the
+/// second half shrink by [`PRIME_SHRINK`] each.
 const PRIME_STEPS: i32 = 120;
 const PRIME_SHRINK: f64 = 0.92;
 
-/// The filters by value: the loop may not allocate.
-#[derive(Debug, Clone)]
-#[allow(clippy::large_enum_variant, reason = "one of these lives in the loop's state; a box would allocate at every alignment")]
-enum Filter {
-    Madgwick(Madgwick),
-    Vqf(Vqf),
-    Mekf(Mekf),
-}
-
-impl Filter {
-    fn new(name: FilterName, periods: Periods) -> Self {
-        match name {
-            FilterName::Madgwick => Self::Madgwick(Madgwick::new(MadgwickConfig::default())),
-            FilterName::Vqf => Self::Vqf(Vqf::new(periods, VqfConfig::default())),
-            FilterName::VqfLong => Self::Vqf(Vqf::new(periods, VqfConfig::long())),
-            FilterName::Mekf => Self::Mekf(Mekf::new(MekfConfig::default())),
-        }
-    }
-    fn inner(&mut self) -> &mut dyn OrientationFilter {
-        match self {
-            Self::Madgwick(f) => f,
-            Self::Vqf(f) => f,
-            Self::Mekf(f) => f,
-        }
-    }
-    fn seen(&self) -> &dyn OrientationFilter {
-        match self {
-            Self::Madgwick(f) => f,
-            Self::Vqf(f) => f,
-            Self::Mekf(f) => f,
-        }
-    }
-}
-
-/// A generic filter that speaks of the base frame.
+/// A generic filter whose output is in the base frame.
 #[derive(Debug, Clone)]
 pub struct Generic {
     filter: Filter,
     gyro_bias_rad_s: Vector3<f64>,
-    r_world_rest: UnitQuaternion<f64>,
+    r_world_base: UnitQuaternion<f64>,
     r_base_tip: UnitQuaternion<f64>,
 }
 
 impl Generic {
-    /// The filter called `name`, primed with the rest.
+    /// The filter called `name`, primed with the alignment.
     #[must_use]
-    pub fn new(name: FilterName, periods: Periods, rest: &Alignment) -> Self {
-        let mut filter = Filter::new(name, periods);
-        if let (Filter::Vqf(vqf), Some(mag)) = (&mut filter, &rest.mag_rest_ut)
-            && let Some(field) = FieldReference::from_rest(&rest.acc_rest_m_s2, mag)
-        {
-            vqf.know_field(field.norm_ut, field.dip_rad);
+    pub fn new(name: FilterName, periods: Periods, alignment: &Alignment) -> Self {
+        let mut filter = name.build(periods);
+        let mag = alignment.mag_rest_ut.as_ref();
+        if let Some(field) = mag.and_then(|mag| FieldReference::from_rest(&alignment.acc_rest_m_s2, mag)) {
+            filter.set_field_reference(field.norm_ut, field.dip_rad);
         }
-        let still = ImuSample { t: Seconds(0.0), gyro_rad_s: Vector3::zeros(), acc_m_s2: rest.acc_rest_m_s2, mag_ut: rest.mag_rest_ut };
+        let still =
+            ImuSample { t: Seconds(0.0), gyro_rad_s: Vector3::zeros(), acc_m_s2: alignment.acc_rest_m_s2, mag_ut: alignment.mag_rest_ut };
         for k in 0..PRIME_STEPS {
-            filter.inner().update(&still, PRIME_STEP_S * PRIME_SHRINK.powi((k - PRIME_STEPS / 2).max(0)));
+            filter.update(&still, PRIME_STEP_S * PRIME_SHRINK.powi((k - PRIME_STEPS / 2).max(0)));
         }
-        let r_world_rest = filter.seen().orientation().quat();
-        let r_base_tip = UnitQuaternion::identity();
-        Self { filter, gyro_bias_rad_s: rest.gyro_bias_rad_s, r_world_rest, r_base_tip }
+        let r_world_base = filter.orientation().quat();
+        Self { filter, gyro_bias_rad_s: alignment.gyro_bias_rad_s, r_world_base, r_base_tip: UnitQuaternion::identity() }
     }
 
-    /// The tip was not straight at the rest but at `bend`.
-    pub fn assume(&mut self, bend: Bend) {
-        self.r_world_rest *= bend.rotation().quat().inverse();
+    /// Sets the bend that the tip had during the alignment.
+    pub fn set_alignment_bend(&mut self, bend: Bend) {
+        self.r_world_base *= bend.rotation().quat().inverse();
         self.r_base_tip = bend.rotation().quat();
     }
 
-    /// One sample, `dt_s` after the last.
-    pub fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
-        let told = ImuSample {
+    /// Status of the filter.
+    #[must_use]
+    pub fn flags(&self) -> FilterFlags {
+        self.filter.flags()
+    }
+}
+
+impl TipEstimator for Generic {
+    fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn) {
+        let masked = ImuSample {
             t: sample.t,
             gyro_rad_s: sample.gyro_rad_s - self.gyro_bias_rad_s,
-            // a force of zero has no direction, and is left out
+            // a zero vector has no direction, so the filter leaves it out
             acc_m_s2: if mask.acc { sample.acc_m_s2 } else { Vector3::zeros() },
             mag_ut: sample.mag_ut.filter(|_| mask.mag),
         };
-        self.filter.inner().update(&told, dt_s);
-        let r_rest_sensor = self.r_world_rest.inverse() * self.filter.seen().orientation().quat();
-        self.r_base_tip = base.r_rest_now.inverse() * r_rest_sensor;
+        self.filter.update(&masked, dt_s);
+        let r_aligned_sensor = self.r_world_base.inverse() * self.filter.orientation().quat();
+        self.r_base_tip = base.r_rest_now.inverse() * r_aligned_sensor;
     }
 
-    /// Starts again from one sample after a time in which nothing was seen.
-    pub fn relevel(&mut self, sample: &ImuSample, mask: MeasurementMask, base: &BaseTurn) {
+    /// A step longer than [`GAP_MAX_S`] makes the filter level itself again.
+    fn recover(&mut self, sample: &ImuSample, _gap_s: f64, mask: MeasurementMask, base: &BaseTurn) {
         self.update(sample, GAP_MAX_S * 1.1, mask, base);
     }
 
-    /// Tip in the base.
-    #[must_use]
-    pub fn r_base_tip(&self) -> Rotation<Base, Tip> {
+    fn r_base_tip(&self) -> Rotation<Base, Tip> {
         Rotation::assert_frames(self.r_base_tip)
     }
-    /// The filter's view of its own trust.
-    #[must_use]
-    pub fn flags(&self) -> Flags {
-        self.filter.seen().flags()
+
+    fn trusts_field(&self) -> bool {
+        self.flags().north_found && !self.flags().field_disturbed
     }
 }
 
@@ -129,7 +96,7 @@ impl Generic {
 mod tests {
     use super::*;
 
-    fn rest(q: &UnitQuaternion<f64>) -> Alignment {
+    fn alignment(q: &UnitQuaternion<f64>) -> Alignment {
         Alignment {
             gyro_bias_rad_s: Vector3::new(0.01, -0.005, 0.002),
             acc_rest_m_s2: q.inverse() * Vector3::new(0.0, 0.0, 9.81),
@@ -144,19 +111,19 @@ mod tests {
         }
     }
 
-    /// Bends by 60° in 1 s from any attitude of the base, and holds.
+    /// Bends by 60° within 1 s, from two attitudes of the base, and holds.
     #[test]
-    fn a_bend_is_felt_in_the_base_frame() {
-        let want = Bend::from_deg(60.0, 130.0);
+    fn a_bend_is_estimated_in_the_base_frame() {
+        let truth = Bend::from_deg(60.0, 130.0);
         for name in FilterName::ALL {
             for base in [UnitQuaternion::from_euler_angles(0.4, 0.9, -2.0), UnitQuaternion::from_euler_angles(2.8, 0.1, 1.0)] {
-                let rest = rest(&base);
+                let rest = alignment(&base);
                 let mut filter = Generic::new(name, Periods { imu_s: 0.002, mag_s: 0.01 }, &rest);
                 let mask = MeasurementMask { acc: true, mag: true, still: false };
                 let mut before = UnitQuaternion::identity();
                 for k in 1..=1500 {
                     let t = f64::from(k) * 0.002;
-                    let q = Bend(want.0 * t.min(1.0)).rotation().quat();
+                    let q = Bend(truth.0 * t.min(1.0)).rotation().quat();
                     let back = (base * q).inverse();
                     let sample = ImuSample {
                         t: Seconds(t),
@@ -167,7 +134,7 @@ mod tests {
                     before = q;
                     filter.update(&sample, 0.002, mask, &BaseTurn::none());
                 }
-                let error = filter.r_base_tip().angle_to(&want.rotation()).to_degrees();
+                let error = filter.r_base_tip().angle_to(&truth.rotation()).to_degrees();
                 assert!(error < 0.3, "{name}: {error}");
                 assert!(filter.flags().levelled && !filter.flags().field_disturbed);
             }

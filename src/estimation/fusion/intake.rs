@@ -1,23 +1,23 @@
-//! What may be taken in: usable numbers and steps.
+//! Input checks of the filters: usable values and time steps.
 //!
-//! A sensor on a long cable loses samples, and a dead bus reads all zeros or all ones. Filters keep a
-//! state for ever, so one such number must never get in. What is left out here is a reading that no
-//! part can have meant; what is merely wrong is for the filters to weigh.
+//! A sensor on a long cable loses samples, and a dead bus reads all zeros or all ones. The state of a filter is
+//! recursive, so one such value would corrupt it for good. These checks remove values that no sensor can measure.
+//! Readings that are merely inaccurate are weighted by the filters.
 
 use crate::primitives::sample::ImuSample;
 use nalgebra::Vector3;
 
-/// Longest step that is still integrated, seconds; after a longer one a filter levels itself anew.
+/// Longest step that is integrated, s. After a longer one a filter levels itself again.
 pub const GAP_MAX_S: f64 = 1.0;
-/// Largest believable angular rate, rad/s: beyond every MEMS part's range (4000 °/s), with margin.
+/// Largest plausible angular rate, rad/s: above the range of every MEMS gyroscope (4000 °/s), with margin.
 const GYRO_MAX_RAD_S: f64 = 100.0;
-/// Largest believable specific force, m/s²: 400 g, beyond every part's range.
+/// Largest plausible specific force, m/s²: 400 g, above the range of every part.
 const ACC_MAX_M_S2: f64 = 4000.0;
-/// Smallest specific force that has a direction, m/s²; all zeros is a dead bus, less than this free fall.
+/// Smallest specific force with a usable direction, m/s²: all zeros is a dead bus, less than this is free fall.
 const ACC_MIN_M_S2: f64 = 0.1;
-/// Largest believable field, µT: the full range of the AK09916 is 4900.
+/// Largest plausible field, µT: the full range of the AK09916 is 4900.
 const MAG_MAX_UT: f64 = 50_000.0;
-/// Smallest field that has a direction, µT.
+/// Smallest field with a usable direction, µT.
 const MAG_MIN_UT: f64 = 0.1;
 
 /// The parts of a sample that a filter may use.
@@ -31,7 +31,7 @@ pub struct Usable {
     pub mag_ut: Option<Vector3<f64>>,
 }
 
-/// Leaves out of a sample what no sensor can have meant.
+/// Removes from a sample what no sensor can measure.
 #[must_use]
 pub fn usable(sample: &ImuSample) -> Usable {
     let within = |v: &Vector3<f64>, min: f64, max: f64| {
@@ -45,18 +45,18 @@ pub fn usable(sample: &ImuSample) -> Usable {
     }
 }
 
-/// What a filter should make of the time since the last sample.
+/// How a filter treats the time since the last sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Step {
     /// Integrate over this many seconds.
     Go(f64),
-    /// Too long to bridge: level anew.
+    /// Too long to integrate: level again.
     Gap,
-    /// No time has passed, or the clock is broken: ignore the sample.
+    /// No time has passed or the clock is invalid: ignore the sample.
     Ignore,
 }
 
-/// Judges a time step in seconds.
+/// Classifies a time step in seconds.
 #[must_use]
 pub fn step(dt_s: f64) -> Step {
     if !dt_s.is_finite() || dt_s <= 0.0 {
@@ -68,7 +68,7 @@ pub fn step(dt_s: f64) -> Step {
     }
 }
 
-/// Share by which a first-order low-pass of time constant `tau_s` moves in `dt_s`.
+/// Fraction by which a first-order low-pass with time constant `tau_s` approaches its input in `dt_s`.
 #[must_use]
 pub fn share(dt_s: f64, tau_s: f64) -> f64 {
     1.0 - (-dt_s / tau_s).exp()
@@ -80,7 +80,7 @@ mod tests {
     use crate::primitives::units::Seconds;
 
     #[test]
-    fn numbers_no_sensor_can_mean_are_left_out() {
+    fn implausible_values_are_removed() {
         let sample = |gyro: f64, acc: f64, mag: f64| ImuSample {
             t: Seconds(0.0),
             gyro_rad_s: Vector3::new(gyro, 0.0, 0.0),
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_stands_or_leaps_is_not_integrated() {
+    fn invalid_and_long_steps_are_not_integrated() {
         for bad in [0.0, -0.01, f64::NAN, f64::INFINITY] {
             assert_eq!(step(bad), Step::Ignore, "{bad}");
         }

@@ -1,41 +1,38 @@
-//! VQF (Laidig & Seel, Information Fusion 91, 2023) behind the common seam, on the `vqf-rs` crate.
+//! VQF (Laidig & Seel, Information Fusion 91, 2023) on the `vqf-rs` crate.
 //!
-//! VQF integrates the gyroscope, levels it with an accelerometer low-passed in an almost inertial
-//! frame, and turns the heading δ towards the magnetometer's with time constant τ_mag; gyroscope bias
-//! comes from a Kalman filter over rest and levelling, and a disturbed field is refused.
+//! VQF integrates the gyroscope, levels the result with an accelerometer that is low-passed in an almost inertial
+//! frame, and turns the heading δ towards the magnetometer's with time constant τ_mag. The gyroscope bias comes
+//! from a Kalman filter over standstill and levelling. A disturbed field is rejected.
 //!
-//! The crate is a faithful port and trusts its input. What it cannot take is kept from it here:
-//! non-finite numbers (they stay in its state for ever), a first sample exactly upside down (90° wrong),
-//! lost samples and gaps. Integration uses the true step; its low-passes use the nominal period, which
-//! is right as long as the clock only jitters.
+//! The crate is a faithful port without input checks. This module keeps from it what it cannot process: non-finite
+//! numbers, which stay in its state for ever, a first sample exactly upside down, which gives an error of 90°, lost
+//! samples and gaps. The integration uses the true step. The low-passes use the nominal period, which is adequate
+//! as long as the clock only jitters.
 //!
-//! `vqf-long` differs in one number. τ_mag is where gyroscope drift and field error meet: the field
-//! of a room with steel in it points 3 to 5° off for seconds at a time, while a gyroscope whose bias is
-//! known to 0.03 °/s needs a minute or two to drift as far. The authors' 9 s suit many sensors; how
-//! [`TAU_MAG_LONG_S`] was chosen is told in `docs/fusion.md`.
+//! `vqf-long` differs in τ_mag, the balance between gyroscope drift and field error. The field of a room with steel
+//! in it deviates by 3 to 5° for seconds at a time, while a gyroscope whose bias is known to 0.03 °/s needs a
+//! minute or two to drift as far. The authors' 9 s suit many sensors. `docs/fusion.md` explains the choice of
+//! [`TAU_MAG_LONG_S`].
 
+use super::filter::{FilterFlags, OrientationFilter, Periods};
 use super::intake::{self, Step};
-use super::limits::{self, OutOfRange};
-use super::{Flags, OrientationFilter, Periods};
 use crate::primitives::frames::{Rotation, Sensor, World};
 use crate::primitives::sample::ImuSample;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use serde::{Deserialize, Serialize};
 
 /// Magnetometer time constant of `vqf-long`, seconds.
 pub const TAU_MAG_LONG_S: f64 = 20.0;
-/// Tilt by which a first sample that is exactly upside down is nudged, as a share of its length.
-const NUDGE_SHARE: f64 = 1e-3;
+/// Sideways share added to a first sample that is exactly upside down, where the levelling rotation is undefined.
+const UPSIDE_DOWN_OFFSET: f64 = 1e-3;
 
-/// What may be set of VQF; everything else is as its authors publish it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+/// Settings of VQF; all others are as published.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VqfConfig {
-    /// Time constant of the accelerometer low-pass, seconds. Default 3. Bigger: hand motion tilts the
-    /// orientation less, gyroscope drift tilts it more.
+    /// Time constant of the accelerometer low-pass, s. Default 3. A larger value reduces the tilt error by hand
+    /// motion and increases that by gyroscope drift.
     pub tau_acc_s: f64,
-    /// Time constant of the heading correction, seconds. Default 9. Bigger: a bent field turns the
-    /// heading less, gyroscope drift turns it more.
+    /// Time constant of the heading correction, s. Default 9. A larger value reduces the heading error by a
+    /// distorted field and increases that by gyroscope drift.
     pub tau_mag_s: f64,
 }
 
@@ -46,26 +43,14 @@ impl Default for VqfConfig {
 }
 
 impl VqfConfig {
-    /// Refuses settings that are not finite or far from anything sensible.
-    ///
-    /// # Errors
-    /// The first setting that is out of range, with its range.
-    pub fn validate(&self) -> Result<(), OutOfRange> {
-        let d = Self::default();
-        let rows = [("tau_acc_s", self.tau_acc_s, d.tau_acc_s, 0.01, 1000.0), ("tau_mag_s", self.tau_mag_s, d.tau_mag_s, 0.01, 10_000.0)];
-        limits::check(&rows)
-    }
-}
-
-impl VqfConfig {
-    /// The configuration called `vqf-long`.
+    /// The settings of `vqf-long`.
     #[must_use]
     pub fn long() -> Self {
         Self { tau_mag_s: TAU_MAG_LONG_S, ..Self::default() }
     }
 }
 
-/// The filter.
+/// The filter and its state.
 pub struct Vqf {
     inner: vqf_rs::VQF,
     periods: Periods,
@@ -93,13 +78,7 @@ impl Vqf {
         }
     }
 
-    /// Tells what the undisturbed field looks like (µT, dip in rad, + when it points down), which VQF
-    /// would else take five seconds of turning to find.
-    pub fn know_field(&mut self, strength_ut: f64, dip_rad: f64) {
-        self.inner.set_mag_ref(strength_ut, dip_rad);
-    }
-
-    /// Forgets the attitude, keeps the bias and how well it is known.
+    /// Resets the attitude; the bias and its uncertainty are kept.
     fn restart(&mut self) {
         let (bias, sigma) = self.inner.bias_estimate();
         self.inner.reset_state();
@@ -112,9 +91,9 @@ impl Vqf {
         let mut acc = *acc;
         if !self.levelled {
             let up = self.orientation_6d() * acc;
-            if up.xy().norm() < NUDGE_SHARE * acc.norm() && up.z < 0.0 {
+            if up.xy().norm() < UPSIDE_DOWN_OFFSET * acc.norm() && up.z < 0.0 {
                 let aside = self.orientation_6d().inverse() * Vector3::x();
-                acc += aside * (NUDGE_SHARE * acc.norm());
+                acc += aside * (UPSIDE_DOWN_OFFSET * acc.norm());
             }
             self.levelled = true;
         }
@@ -127,7 +106,7 @@ impl Vqf {
 }
 
 impl Clone for Vqf {
-    /// The crate's filter cannot be cloned, its state can.
+    /// Copies the state, since the filter of the crate does not implement `Clone`.
     fn clone(&self) -> Self {
         let mut copy = Self::new(self.periods, self.config);
         *copy.inner.state_mut() = *self.inner.state();
@@ -144,7 +123,7 @@ impl std::fmt::Debug for Vqf {
 
 impl OrientationFilter for Vqf {
     fn update(&mut self, sample: &ImuSample, dt_s: f64) {
-        let seen = intake::usable(sample);
+        let usable = intake::usable(sample);
         let dt_s = match intake::step(dt_s) {
             Step::Go(dt_s) => dt_s,
             Step::Gap => {
@@ -153,18 +132,18 @@ impl OrientationFilter for Vqf {
             }
             Step::Ignore => return,
         };
-        self.last_gyro = seen.gyro_rad_s.unwrap_or(self.last_gyro);
+        self.last_gyro = usable.gyro_rad_s.unwrap_or(self.last_gyro);
         self.inner.update_gyr_with_ts(self.last_gyro.into(), dt_s);
-        if let Some(acc) = seen.acc_m_s2 {
+        if let Some(acc) = usable.acc_m_s2 {
             self.accept_acc(&acc);
         }
-        if let (Some(mag), true) = (seen.mag_ut, self.levelled) {
+        if let (Some(mag), true) = (usable.mag_ut, self.levelled) {
             self.inner.update_mag(mag.into());
             self.north_found = true;
         }
     }
 
-    /// VQF's own frame has y to the north; ours has x there.
+    /// The world frame of VQF has y to the north, this crate's has x there.
     fn orientation(&self) -> Rotation<World, Sensor> {
         let r_world_enu = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -std::f64::consts::FRAC_PI_2);
         if self.levelled { Rotation::assert_frames(r_world_enu * unit(self.inner.quat_9d())) } else { Rotation::identity() }
@@ -174,17 +153,22 @@ impl OrientationFilter for Vqf {
         self.inner.bias_estimate().0.into()
     }
 
-    fn flags(&self) -> Flags {
-        Flags {
+    fn flags(&self) -> FilterFlags {
+        FilterFlags {
             levelled: self.levelled,
             north_found: self.north_found,
-            at_rest: self.inner.rest_detected(),
+            standstill: self.inner.rest_detected(),
             field_disturbed: self.north_found && self.inner.mag_dist_detected(),
         }
     }
+
+    /// Without a reference VQF needs five seconds of turning to find the field.
+    fn set_field_reference(&mut self, strength_ut: f64, dip_rad: f64) {
+        self.inner.set_mag_ref(strength_ut, dip_rad);
+    }
 }
 
-/// The crate asserts positive periods; a period that is none is replaced.
+/// The crate asserts positive periods, so an invalid one is replaced.
 fn period_or(period_s: f64, fallback_s: f64) -> f64 {
     if period_s.is_finite() && period_s > 0.0 { period_s } else { fallback_s }
 }

@@ -30,7 +30,7 @@ impl Default for RestartCheckConfig {
 /// True if the alignment that has just ended agrees with the remembered state.
 #[must_use]
 pub fn agrees(config: &RestartCheckConfig, remembered: &RestartState, state: &LoopState) -> bool {
-    let (Some(now), Some(then)) = (state.fusion.rest(), &remembered.rest) else { return false };
+    let (Some(now), Some(then)) = (state.fusion.alignment(), &remembered.rest) else { return false };
     let tip_from_base = Bend(remembered.bend_rad.into()).rotation().inverse();
     let angle_deg = |measured: &Vector3<f64>, rest: [f64; 3]| measured.angle(&tip_from_base.apply(&Vector3::from(rest))).to_degrees();
     let gravity = angle_deg(&now.acc_rest_m_s2, then.acc_m_s2) <= config.gravity_deg;

@@ -46,7 +46,7 @@ impl SensorWatch {
             return true;
         }
         let now = fusion.estimator().and_then(|e| e.as_bend()).map(|f| f.gyro_bias_rad_s());
-        let (Some(now), Some(rest)) = (now, fusion.rest()) else { return false };
+        let (Some(now), Some(rest)) = (now, fusion.alignment()) else { return false };
         (now - rest.gyro_bias_rad_s).norm() > BIAS_MOVED_RAD_S
     }
 }

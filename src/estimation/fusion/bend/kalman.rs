@@ -1,62 +1,55 @@
-//! The numbers of the filter: estimate, covariance, scalar corrections.
+//! Estimate and covariance of the bend filter, with scalar Kalman corrections.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-/// Entries of the state.
+/// Number of states.
 pub(super) const N: usize = 15;
-/// First entry of the gyroscope bias; the turn's error comes before it.
+/// First entry of the gyroscope bias, after the orientation error.
 pub(super) const GYRO: usize = 3;
 /// First entry of the accelerometer bias.
 pub(super) const ACC: usize = 6;
-/// First entry of the tip's own field.
+/// First entry of the field of the tip's own iron.
 pub(super) const MAG: usize = 9;
 /// Twist per bend.
 pub(super) const TWIST: usize = 12;
-/// First entry of the axis' tilt.
+/// First entry of the tilt of the axis.
 pub(super) const MOUNT: usize = 13;
 
-/// Averages the innovations of one vector between corrections, and remembers how large they were.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// NIS beyond which the noise model does not explain an innovation: four standard deviations.
+pub(super) const NIS_GATE: f64 = 16.0;
+
+/// Average of the innovations of one vector between two corrections.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Innovation {
     sum: Vector3<f64>,
-    /// How many were added.
+    /// Number of innovations.
     pub n: u32,
-    /// Running mean of the normalised innovation squared; 1 when the noise model is right.
-    pub surprise: f64,
 }
 
 impl Innovation {
-    /// Nothing was added yet.
-    pub const NEW: Self = Self { sum: Vector3::new(0.0, 0.0, 0.0), n: 0, surprise: 1.0 };
-    /// Adds one.
     pub fn add(&mut self, v: &Vector3<f64>) {
         self.sum += v;
         self.n += 1;
     }
-    /// Their mean.
     pub fn mean(&self) -> Vector3<f64> {
         self.sum / f64::from(self.n.max(1))
     }
-    /// Begins again.
-    pub fn empty(&mut self) {
-        (self.sum, self.n) = (Vector3::zeros(), 0);
-    }
 }
 
-/// The estimate's numbers.
+/// The state vector.
 pub(super) type StateVector = SMatrix<f64, N, 1>;
 
 /// Estimate and covariance. The first three entries are an error that is zero between corrections.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Belief {
+pub(super) struct KalmanState {
     /// Estimate.
     pub x: StateVector,
     /// Covariance.
     pub p: SMatrix<f64, N, N>,
 }
 
-impl Belief {
-    /// Zeros with the given standard deviations.
+impl KalmanState {
+    /// A zero estimate with the given standard deviations.
     pub fn new(sigma: &[f64; N]) -> Self {
         Self { x: SMatrix::zeros(), p: SMatrix::from_fn(|i, j| if i == j { sigma[i] * sigma[i] } else { 0.0 }) }
     }
@@ -74,8 +67,8 @@ impl Belief {
     pub fn sigma_of(&self, at: usize) -> f64 {
         (at..at + 3).map(|i| self.p[(i, i)]).fold(0.0, f64::max).sqrt()
     }
-    /// The turn is known to `sigma_rad` and from elsewhere: it shares nothing with the rest any more.
-    pub fn forget_turn(&mut self, sigma_rad: f64) {
+    /// Sets the orientation error to `sigma_rad`, uncorrelated with all other states.
+    pub fn reset_turn(&mut self, sigma_rad: f64) {
         for i in 0..GYRO {
             for j in 0..N {
                 (self.p[(i, j)], self.p[(j, i)]) = (0.0, 0.0);
@@ -83,15 +76,15 @@ impl Belief {
             self.p[(i, i)] = sigma_rad * sigma_rad;
         }
     }
-    /// Takes the error out of the estimate.
+    /// Returns the estimated orientation error and sets it to zero.
     pub fn take_turn(&mut self) -> Vector3<f64> {
         let theta = self.block(0);
         self.set(0, &Vector3::zeros());
         theta
     }
 
-    /// `δθ ← δθ + F δb_g`.
-    pub fn turn_by_bias(&mut self, f: &Matrix3<f64>) {
+    /// Propagates the covariance over `δθ ← δθ + F δb_g`.
+    pub fn propagate_turn(&mut self, f: &Matrix3<f64>) {
         for i in 0..3 {
             for j in 0..N {
                 let add = f[(i, 0)] * self.p[(GYRO, j)] + f[(i, 1)] * self.p[(GYRO + 1, j)] + f[(i, 2)] * self.p[(GYRO + 2, j)];
@@ -106,7 +99,7 @@ impl Belief {
         }
     }
 
-    /// Rows of ∂(reading)/∂x for a vector whose bias starts at `at`, from its slopes by turn and bias.
+    /// Rows of ∂(reading)/∂x for a vector whose bias starts at `at`, from its derivatives by orientation and bias.
     pub fn rows(at: usize, (by_theta, by_bias): &(Matrix3<f64>, Matrix3<f64>)) -> [[f64; N]; 3] {
         let mut h = [[0.0; N]; 3];
         for (axis, row) in h.iter_mut().enumerate() {
@@ -117,26 +110,26 @@ impl Belief {
         h
     }
 
-    /// Sum of the variances that an innovation with single-reading variance `r` should have.
-    pub fn expected(&self, h: &[[f64; N]; 3], r: f64) -> f64 {
+    /// Sum over the axes of the variance of an innovation whose reading has variance `r`.
+    pub fn innovation_variance(&self, h: &[[f64; N]; 3], r: f64) -> f64 {
         h.iter().map(|row| self.variance(row) + r).sum()
     }
-    /// Normalised innovation squared, 1 on average.
-    pub fn normalised(&self, h: &[[f64; N]; 3], innovation: &Vector3<f64>, r: f64) -> f64 {
-        innovation.norm_squared() / self.expected(h, r)
+    /// Normalised innovation squared (NIS), 1 on average.
+    pub fn nis(&self, h: &[[f64; N]; 3], innovation: &Vector3<f64>, r: f64) -> f64 {
+        innovation.norm_squared() / self.innovation_variance(h, r)
     }
 
-    /// Three scalar corrections of one vector, each with variance `r`. Innovation and rows belong to the
-    /// estimate `before`: what other corrections have moved since is taken off.
+    /// Three scalar corrections by one vector, each with variance `r`. Innovation and rows refer to the estimate
+    /// `before`, so the effect of corrections since is subtracted.
     pub fn correct_vector(&mut self, h: &[[f64; N]; 3], innovation: &Vector3<f64>, r: f64, before: &StateVector) {
         for axis in 0..3 {
             let moved: f64 = (0..N).map(|i| h[axis][i] * (self.x[i] - before[i])).sum();
-            self.scalar(&h[axis], innovation[axis] - moved, r);
+            self.correct_scalar(&h[axis], innovation[axis] - moved, r);
         }
     }
 
     /// One scalar Kalman correction.
-    pub fn scalar(&mut self, h: &[f64; N], innovation: f64, r: f64) {
+    pub fn correct_scalar(&mut self, h: &[f64; N], innovation: f64, r: f64) {
         let ph = self.p_times(h);
         let s: f64 = (0..N).map(|i| h[i] * ph[i]).sum::<f64>() + r;
         let inv = 1.0 / s;
@@ -149,7 +142,7 @@ impl Belief {
         }
     }
 
-    /// Variance of a reading by what is believed alone.
+    /// Variance of a prediction with row `h`, without the noise of the reading.
     pub fn variance(&self, h: &[f64; N]) -> f64 {
         let ph = self.p_times(h);
         (0..N).map(|i| h[i] * ph[i]).sum()

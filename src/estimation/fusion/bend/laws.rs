@@ -1,22 +1,25 @@
-//! What a turned tip should read, and the twist that it may have, with their derivatives.
+//! Predicted readings and twist of a turned tip, with their derivatives.
 //!
-//! Everything is in the frame of the sensor at rest. `S` takes the sensor now to the sensor at rest; its
-//! error θ is on the left, `S_true = Exp(θ) S`.
+//! All vectors are in the frame of the sensor during alignment. `S` maps the sensor now to the sensor during
+//! alignment; its error θ is on the left, `S_true = Exp(θ) S`.
 
 use super::config::BendFilterConfig;
 use nalgebra::{Matrix2x3, Matrix3, UnitQuaternion, Vector2, Vector3};
 
-/// The turn of the tip at one instant, shared by all vectors measured then.
+/// Twist of a straight tip, rad, 1 σ (0.2°).
+pub(super) const TWIST_OFFSET_RAD: f64 = 0.0035;
+
+/// Orientation of the tip at one instant.
 pub(super) struct Turn {
-    /// Sensor now to sensor at rest.
+    /// Sensor now to sensor during alignment.
     pub s: Matrix3<f64>,
-    /// Base at rest to base now.
+    /// Base during alignment to base now.
     pub base_now: Matrix3<f64>,
 }
 
 impl Turn {
-    /// Reading of a world-fixed vector whose reading at rest was `rest`, given the sensor's bias.
-    pub fn expected(&self, rest: &Vector3<f64>, bias: &Vector3<f64>) -> Vector3<f64> {
+    /// Predicted reading of a world-fixed vector that read `rest` during alignment, given the bias of the sensor.
+    pub fn predicted(&self, rest: &Vector3<f64>, bias: &Vector3<f64>) -> Vector3<f64> {
         self.s.tr_mul(&(self.base_now * (rest - bias))) + bias
     }
     /// ∂(reading)/∂θ and ∂(reading)/∂(bias).
@@ -26,7 +29,7 @@ impl Turn {
     }
 }
 
-/// Twist of a turn about the axis that bending never turns about, and the bend beside it.
+/// Decomposition of an orientation into the twist about the axis that bending never turns about, and the bend.
 pub(super) struct Twist {
     /// ψ, rad.
     pub psi: f64,
@@ -34,14 +37,14 @@ pub(super) struct Twist {
     pub psi_by_theta: Vector3<f64>,
     /// ∂ψ/∂(tilt of the axis).
     pub psi_by_tilt: Vector3<f64>,
-    /// Angle between the axis at rest and now, rad.
+    /// Angle between the axis during alignment and now, rad.
     pub beta: f64,
     /// ∂β/∂θ.
     pub beta_by_theta: Vector3<f64>,
 }
 
 impl Twist {
-    /// `q = swing · twist` with the twist about `axis` first: `ψ = 2 atan2(v·a, w)` (Dobrowolski 2015).
+    /// `q = swing · twist`, the twist about `axis` applied first: `ψ = 2 atan2(v·a, w)` (Dobrowolski 2015).
     pub fn of(q: &UnitQuaternion<f64>, axis: &Vector3<f64>) -> Self {
         let (w, v) = (q.w, Vector3::new(q.i, q.j, q.k));
         let along = v.dot(axis);
@@ -57,8 +60,8 @@ impl Twist {
     }
 }
 
-/// Inverse right Jacobian of SO(3) (Chirikjian 2012, eq. 10.86): change of the rotation vector per
-/// body-frame turn.
+/// Inverse right Jacobian of SO(3) (Chirikjian 2012, eq. 10.86): change of the rotation vector per body-frame
+/// rotation.
 pub(crate) fn right_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
     let a = phi.norm();
     let k = phi.cross_matrix();
@@ -66,16 +69,16 @@ pub(crate) fn right_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + k * 0.5 + k * k * c
 }
 
-/// Velocity of the sensor, m/s, when the tip at bend `b` turns by `turn_rad_s` (both in rest axes): it sits
-/// `beyond_mm` past the end of an arc of constant length `arc_mm`.
+/// Velocity of the sensor, m/s, when the tip at bend `b` turns at `turn_rad_s` (both in alignment axes). The sensor
+/// sits `beyond_mm` past the end of an arc of constant length `arc_mm`.
 pub(super) fn velocity(config: &BendFilterConfig, b: &Vector2<f64>, turn_rad_s: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
     let rate = bend_by_turn(b) * turn_rad_s;
     let ahead = b + rate * dt_s;
-    (place_mm(config, &ahead) - place_mm(config, b)) * (1e-3 / dt_s)
+    (position_mm(config, &ahead) - position_mm(config, b)) * (1e-3 / dt_s)
 }
 
-/// Where the sensor is, mm, rest axes with the origin at the base.
-fn place_mm(config: &BendFilterConfig, b: &Vector2<f64>) -> Vector3<f64> {
+/// Position of the sensor, mm, alignment axes with the origin at the base.
+fn position_mm(config: &BendFilterConfig, b: &Vector2<f64>) -> Vector3<f64> {
     let beta = b.norm();
     let (sine, cosine) = beta.sin_cos();
     // sin β / β and (1 − cos β) / β²
@@ -84,7 +87,7 @@ fn place_mm(config: &BendFilterConfig, b: &Vector2<f64>) -> Vector3<f64> {
     Vector3::new(across * b.x, -across * b.y, config.arc_mm * c0 + config.beyond_mm * cosine)
 }
 
-/// Change of the bend vector per small turn θ of the base frame: rows for b_x and b_y.
+/// Change of the bend vector per small rotation θ of the base frame: rows for b_x and b_y.
 pub(super) fn bend_by_turn(bend: &Vector2<f64>) -> Matrix2x3<f64> {
     // b = β (cos δ, sin δ), tip axis n = (sin β cos δ, −sin β sin δ, cos β), δn = θ × n
     let beta = bend.norm();
@@ -119,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn the_slopes_are_the_derivatives() {
+    fn the_slopes_equal_finite_differences() {
         let h = 1e-6;
         let (rest, bias) = (Vector3::new(1.0, -4.0, 8.9), Vector3::new(0.1, 0.2, -0.1));
         let base_now = UnitQuaternion::from_euler_angles(0.1, -0.05, 0.2).to_rotation_matrix().into_inner();
@@ -127,19 +130,19 @@ mod tests {
         for q in attitudes() {
             let (by_theta, by_bias) = turn(&q).slopes(&rest, &bias);
             for j in 0..3 {
-                let read = |by: f64| turn(&turned(&q, j, by)).expected(&rest, &bias);
+                let read = |by: f64| turn(&turned(&q, j, by)).predicted(&rest, &bias);
                 let slope = (read(h) - read(-h)) / (2.0 * h);
                 assert!((slope - by_theta.column(j)).norm() < 1e-6, "{slope} {by_theta}");
                 let mut d = Vector3::zeros();
                 d[j] = h;
-                let slope = (turn(&q).expected(&rest, &(bias + d)) - turn(&q).expected(&rest, &(bias - d))) / (2.0 * h);
+                let slope = (turn(&q).predicted(&rest, &(bias + d)) - turn(&q).predicted(&rest, &(bias - d))) / (2.0 * h);
                 assert!((slope - by_bias.column(j)).norm() < 1e-6);
             }
         }
     }
 
     #[test]
-    fn the_twist_is_what_bending_leaves_over() {
+    fn the_twist_and_its_slopes_match_the_construction() {
         let h = 1e-6;
         let axis = UnitQuaternion::from_scaled_axis(Vector3::new(0.03, -0.05, 0.0)) * Vector3::z();
         for (q, psi) in attitudes().iter().zip([0.0, 0.1, -0.2, 0.0]) {
@@ -166,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bend_follows_a_turn() {
+    fn the_bend_slope_equals_finite_differences() {
         let h = 1e-6;
         for q in attitudes() {
             let bend = |q: UnitQuaternion<f64>| Bend::from_rotation(&Rotation::assert_frames(q)).0;
@@ -179,19 +182,22 @@ mod tests {
     }
 
     #[test]
-    fn the_sensor_moves_along_its_arc() {
+    fn the_sensor_velocity_follows_the_arc() {
         let config = BendFilterConfig::default();
         let reach_mm = config.arc_mm / 2.0 + config.beyond_mm;
         let near = velocity(&config, &Vector2::zeros(), &Vector3::y(), 1e-3);
-        assert!((near - Vector3::x() * (reach_mm * 1e-3)).norm() < 2e-5, "straight, it swings like a rod about the middle: {near}");
+        assert!(
+            (near - Vector3::x() * (reach_mm * 1e-3)).norm() < 2e-5,
+            "a straight tip moves like a rod about the middle of the arc: {near}"
+        );
         let b = Bend::from_deg(90.0, 0.0);
         let round = velocity(&config, &b.0, &Vector3::z(), 1e-3);
         let radius_mm = config.arc_mm / std::f64::consts::FRAC_PI_2 + config.beyond_mm;
-        assert!((round.norm() - radius_mm * 1e-3).abs() < 2e-5, "bent, it goes round the base's axis: {round}");
+        assert!((round.norm() - radius_mm * 1e-3).abs() < 2e-5, "a bent tip moves around the axis of the base: {round}");
     }
 
     #[test]
-    fn the_inverse_jacobian_is_that_of_the_exponential() {
+    fn the_inverse_jacobian_matches_the_exponential_map() {
         for phi in [Vector3::new(0.3, -0.9, 0.0), Vector3::zeros(), Vector3::new(1e-5, 0.0, 0.0), Vector3::new(1.4, 0.9, 0.0)] {
             let turned =
                 |h: f64| UnitQuaternion::from_scaled_axis(phi).inverse() * UnitQuaternion::from_scaled_axis(phi + Vector3::y() * h);

@@ -1,8 +1,15 @@
-//! The bend filter against finite differences, known truths and its own covariance.
+//! The bend filter against a known truth and its own covariance.
 
-use super::*;
+use super::config::BendFilterConfig;
+use super::kalman::{ACC, MAG, N};
+use super::state::BendFilter;
+use crate::estimation::fusion::align::Alignment;
+use crate::estimation::fusion::base::BaseTurn;
+use crate::estimation::fusion::filter::{MeasurementMask, TipEstimator};
+use crate::model::bend::Bend;
+use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
-use nalgebra::SMatrix;
+use nalgebra::{SMatrix, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -14,7 +21,7 @@ fn noise(rng: &mut StdRng, sigma: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
 }
 
-/// A sensor with errors on a tip whose base is turned by `base`.
+/// A sensor with bias and hard iron on a tip whose base has the attitude `base`.
 struct Sensor {
     rng: StdRng,
     base: UnitQuaternion<f64>,
@@ -36,7 +43,7 @@ impl Sensor {
     fn field(&self, q: &UnitQuaternion<f64>) -> Vector3<f64> {
         (self.base * q).inverse() * Vector3::new(20.0, 0.0, -44.0) + self.iron
     }
-    fn rest(&self) -> Alignment {
+    fn alignment(&self) -> Alignment {
         let straight = UnitQuaternion::identity();
         Alignment {
             gyro_bias_rad_s: Vector3::zeros(),
@@ -68,18 +75,18 @@ fn tilted(tilt: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_euler_angles(0.3, tilt, -0.7)
 }
 
-/// The sensor of these tests turns on the spot.
+/// The sensor of these tests rotates without translation.
 fn turning_only() -> BendFilterConfig {
     BendFilterConfig { arc_mm: 0.0, beyond_mm: 0.0, ..BendFilterConfig::default() }
 }
 
-/// A path through the poses of a session: out, round, and back, with rests.
+/// A path through the poses of a session, with pauses near straight.
 fn path(t_s: f64) -> Bend {
     let swing = (t_s * 0.9).sin().powi(3);
     Bend::from_polar(crate::primitives::units::Rad(1.1 * swing.abs()), crate::primitives::units::Rad(0.4 * t_s))
 }
 
-fn live(filter: &mut BendFilter, sensor: &mut Sensor, seconds: f64, mag: bool, mut each: impl FnMut(&BendFilter, &Bend)) {
+fn simulate(filter: &mut BendFilter, sensor: &mut Sensor, seconds: f64, mag: bool, mut each: impl FnMut(&BendFilter, &Bend)) {
     for _ in 0..(seconds / DT_S) as usize {
         let bend = path(sensor.t_s + DT_S);
         let sample = sensor.sample(&bend, mag);
@@ -91,9 +98,9 @@ fn live(filter: &mut BendFilter, sensor: &mut Sensor, seconds: f64, mag: bool, m
 #[test]
 fn covariance_stays_symmetric_and_positive() {
     let mut sensor = Sensor::new(2, tilted(1.2));
-    let mut filter = BendFilter::new(&turning_only(), &sensor.rest());
-    live(&mut filter, &mut sensor, 600.0, true, |_, _| ());
-    let p = filter.belief.p;
+    let mut filter = BendFilter::new(&turning_only(), &sensor.alignment());
+    simulate(&mut filter, &mut sensor, 600.0, true, |_, _| ());
+    let p = filter.kalman.p;
     let scale = SMatrix::<f64, N, 1>::from_fn(|i, _| p[(i, i)].sqrt());
     let correlation = SMatrix::<f64, N, N>::from_fn(|i, j| p[(i, j)] / (scale[i] * scale[j]));
     assert!((correlation - correlation.transpose()).amax() < 1e-6, "after ten minutes");
@@ -101,12 +108,12 @@ fn covariance_stays_symmetric_and_positive() {
 }
 
 #[test]
-fn biases_are_found_within_their_sigmas() {
+fn biases_converge_within_their_standard_deviations() {
     for seed in 0..8 {
         let mut sensor = Sensor::new(10 + seed, tilted(0.5 + 0.2 * seed as f64));
-        let mut filter = BendFilter::new(&turning_only(), &sensor.rest());
+        let mut filter = BendFilter::new(&turning_only(), &sensor.alignment());
         let (mut sum, mut n) = (0.0, 0.0);
-        live(&mut filter, &mut sensor, 60.0, true, |f, truth| {
+        simulate(&mut filter, &mut sensor, 60.0, true, |f, truth| {
             sum += (f.bend().0 - truth.0).norm_squared();
             n += 1.0;
         });
@@ -114,23 +121,23 @@ fn biases_are_found_within_their_sigmas() {
         assert!(rms_deg < 0.6, "seed {seed}: {rms_deg}");
         for (at, truth) in [(ACC, sensor.acc_bias), (MAG, sensor.iron)] {
             for i in 0..3 {
-                let (error, sigma) = (filter.belief.x[at + i] - truth[i], filter.belief.p[(at + i, at + i)].sqrt());
+                let (error, sigma) = (filter.kalman.x[at + i] - truth[i], filter.kalman.p[(at + i, at + i)].sqrt());
                 assert!(error.abs() < 4.0 * sigma, "seed {seed}, entry {}: {error} with σ {sigma}", at + i);
             }
         }
     }
 }
 
-/// Bending about the vertical without a field: nothing corrects it, and the filter says so.
+/// Nothing corrects a bend about the vertical without a field, and the covariance must show it.
 #[test]
-fn it_is_honest_where_gravity_does_not_see() {
+fn the_covariance_is_consistent_where_gravity_does_not_observe() {
     let flat = UnitQuaternion::from_euler_angles(0.0, std::f64::consts::FRAC_PI_2, 0.0);
-    let (mut nees, mut n, mut blind, mut seen) = (0.0, 0.0, 0.0f64, 0.0f64);
+    let (mut nees, mut n, mut unobserved, mut observed) = (0.0, 0.0, 0.0f64, 0.0f64);
     for seed in 0..12 {
         let mut sensor = Sensor::new(50 + seed, flat);
         sensor.acc_bias *= 0.2;
-        let mut filter = BendFilter::new(&turning_only(), &sensor.rest());
-        live(&mut filter, &mut sensor, 40.0, false, |_, _| ());
+        let mut filter = BendFilter::new(&turning_only(), &sensor.alignment());
+        simulate(&mut filter, &mut sensor, 40.0, false, |_, _| ());
         let mut straight = Bend::STRAIGHT;
         for _ in 0..4000 {
             let sample = sensor.sample(&straight, false);
@@ -141,9 +148,9 @@ fn it_is_honest_where_gravity_does_not_see() {
         nees += error.dot(&(c.try_inverse().unwrap() * error)) / 2.0;
         n += 1.0;
         let sigmas = c.symmetric_eigen().eigenvalues.map(|v| v.sqrt().to_degrees());
-        blind = blind.max(sigmas.max());
-        seen = seen.max(sigmas.min());
+        unobserved = unobserved.max(sigmas.max());
+        observed = observed.max(sigmas.min());
     }
-    assert!(blind > 3.0 * seen, "blind {blind}°, seen {seen}°");
-    assert!(nees / n < 3.0, "mean NEES over its two degrees {}", nees / n);
+    assert!(unobserved > 3.0 * observed, "1 σ: {unobserved}° unobserved, {observed}° observed");
+    assert!(nees / n < 3.0, "mean NEES per degree of freedom {}", nees / n);
 }

@@ -1,48 +1,48 @@
-//! What can be wrong with a reading, as values: fifteen causes and a set of them in one word.
+//! The fifteen faults of a reading, and sets of them.
 //!
-//! A cause is named after what is seen, not after what broke: a loose plug, a short and a dead chip
-//! all show as [`HealthCause::Nack`].
+//! A cause is named after its symptom, not after the defect: a loose plug, a short and a dead chip all appear as
+//! [`HealthCause::Nack`].
 
 use serde::{Deserialize, Serialize};
 
-/// Why a reading, or a part of it, is not to be believed.
+/// Why a reading, or a part of it, must not be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HealthCause {
     /// The chip did not acknowledge, or the transfer failed in another way.
     Nack,
-    /// Fewer bytes came than were asked for.
+    /// Fewer bytes arrived than were requested.
     ShortRead,
-    /// Every transfer of a long row failed: a line is held down or unplugged.
+    /// Many transfers in a row failed: a line is held low or unplugged.
     StuckBus,
-    /// Another chip than the configured one answers.
+    /// Another chip than the configured one responds.
     WrongId,
-    /// The chip lost its settings: its supply dipped.
+    /// The chip lost its settings because its supply dipped.
     BrownOut,
-    /// The very same counts came too often: the chip stopped converting.
+    /// Identical samples in a row: the chip no longer converts.
     Frozen,
-    /// A NaN or an infinity.
+    /// A value is NaN or infinite.
     NotFinite,
-    /// A jump that no motion of the tip can make.
+    /// A jump that no motion of the tip can cause.
     Spike,
-    /// The gyroscope is at the end of its range: the true rate is unknown.
+    /// The gyroscope is at the end of its range, so the true rate is unknown.
     Saturated,
-    /// The sample is old, or carries the time of the one before it, or none comes at all.
+    /// The sample is old or repeats the time of the previous one, or no sample arrives.
     StaleTimestamp,
-    /// The sample's time runs backwards, leaps ahead, or lies in the future.
+    /// The time of the sample runs backwards, jumps ahead, or lies in the future.
     JumpingTimestamp,
     /// The magnetometer reports an overflow.
     MagOverflow,
-    /// The magnetometer has had nothing new for too long.
+    /// The magnetometer has delivered no new value for too long.
     MagSilent,
-    /// The field's strength or dip is not the one found at rest.
+    /// Strength or dip of the field differ from the alignment.
     FieldDisturbed,
-    /// The accelerometer measures more than gravity.
+    /// The norm of the specific force differs from gravity.
     AccelDisturbed,
 }
 
 impl HealthCause {
-    /// Every cause, in the order of its number.
+    /// Every cause, in numerical order.
     pub const ALL: [Self; 15] = [
         Self::Nack,
         Self::ShortRead,
@@ -61,7 +61,7 @@ impl HealthCause {
         Self::AccelDisturbed,
     ];
 
-    /// Name as in files and status lines.
+    /// Name in files and status lines.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -83,25 +83,25 @@ impl HealthCause {
         }
     }
 
-    /// What a person can do about it.
+    /// Advice to the operator.
     #[must_use]
     pub fn advice(self) -> &'static str {
         match self {
-            Self::Nack => "check plug, supply and pull-ups of the IMU cable; 1.2 m at 400 kHz is the limit",
-            Self::ShortRead => "the chip fell silent in mid-transfer: look for a loose contact in the cable",
-            Self::StuckBus => "a line is held low: power-cycle the IMU, then look for a short in the cable",
-            Self::WrongId => "another part is fitted: set `imu.part` and `imu.address` to what is on the board",
-            Self::BrownOut => "the IMU's supply dipped: check the 3.3 V at the tip under motor load",
-            Self::Frozen => "the chip answers but no longer converts: re-initialise or power-cycle it",
-            Self::NotFinite => "a number is no number: the plant or the log upstream is at fault",
-            Self::Spike => "single wild samples: shield the cable and keep it off the motor wires",
-            Self::Saturated => "turn more slowly or choose a wider `gyro_range_dps`",
-            Self::StaleTimestamp => "samples come late: check the bus speed and the load of the machine",
-            Self::JumpingTimestamp => "the sample clock jumps: use one monotonic clock for all stamps",
-            Self::MagOverflow => "a strong magnet is near the tip: move it away",
-            Self::MagSilent => "the magnetometer stopped: re-initialise the IMU",
-            Self::FieldDisturbed => "iron or a current is near the tip: heading now rests on the gyroscope",
-            Self::AccelDisturbed => "the tip is shaken or pushed: tilt now rests on the gyroscope",
+            Self::Nack => "check plug, supply and pull-ups of the IMU cable; its length limit is 1.2 m at 400 kHz",
+            Self::ShortRead => "the chip stopped in the middle of a transfer: check the cable for a loose contact",
+            Self::StuckBus => "a line is held low: power-cycle the IMU, then check the cable for a short circuit",
+            Self::WrongId => "another part is fitted: set `imu.chip.part` and `imu.chip.address` to the part on the board",
+            Self::BrownOut => "the supply of the IMU dipped: check the 3.3 V at the tip under motor load",
+            Self::Frozen => "the chip responds but no longer converts: initialise it again or power-cycle it",
+            Self::NotFinite => "a value is NaN or infinite: check the plant or the log that supplies it",
+            Self::Spike => "isolated implausible samples: shield the cable and route it away from the motor wires",
+            Self::Saturated => "move more slowly or set a larger `imu.chip.gyro_range_dps`",
+            Self::StaleTimestamp => "samples arrive late: check the bus speed and the load of the computer",
+            Self::JumpingTimestamp => "the sample clock jumps: use one monotonic clock for all timestamps",
+            Self::MagOverflow => "a strong magnet is near the tip: remove it",
+            Self::MagSilent => "the magnetometer stopped: initialise the IMU again",
+            Self::FieldDisturbed => "iron or a current is near the tip: until it is removed the heading depends on the gyroscope",
+            Self::AccelDisturbed => "the tip is shaken or pushed: until it stops the tilt depends on the gyroscope",
         }
     }
 
@@ -116,15 +116,15 @@ impl std::fmt::Display for HealthCause {
     }
 }
 
-/// A set of causes in one word: copied freely, allocates nothing.
+/// A set of causes in one machine word.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CauseSet(u16);
 
 impl CauseSet {
-    /// Nothing is wrong.
+    /// The empty set.
     pub const EMPTY: Self = Self(0);
 
-    /// The set of one.
+    /// The set of one cause.
     #[must_use]
     pub const fn of(cause: HealthCause) -> Self {
         Self(cause.bit())
@@ -138,15 +138,10 @@ impl CauseSet {
     pub const fn contains(self, cause: HealthCause) -> bool {
         self.0 & cause.bit() != 0
     }
-    /// True when nothing is wrong.
+    /// True when the set is empty.
     #[must_use]
     pub const fn is_empty(self) -> bool {
         self.0 == 0
-    }
-    /// How many causes are in the set.
-    #[must_use]
-    pub const fn len(self) -> usize {
-        self.0.count_ones() as usize
     }
     /// The causes, in the order of [`HealthCause::ALL`].
     pub fn iter(self) -> impl Iterator<Item = HealthCause> {

@@ -1,25 +1,24 @@
-//! What the judge is asked: a sample, a failure or nothing, and what the field looks like at rest.
+//! Readings of the sensor, and the field reference of the alignment.
 
 use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
 use nalgebra::Vector3;
 
-/// How a transfer failed, as the sensor edge reports it.
+/// How a transfer failed, as the driver reports it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ReadFault {
-    /// Not acknowledged.
+    /// The chip did not acknowledge.
     Nack,
-    /// Broke off early.
+    /// The transfer ended early.
     ShortRead,
-    /// The bus itself misbehaved: arbitration, timeout, a line held down.
+    /// Bus error: arbitration lost, timeout, or a line held low.
     Bus,
-    /// Another chip answers.
+    /// Another chip responds.
     WrongId,
-    /// The chip is back at its defaults.
+    /// The chip has returned to its power-on settings.
     BrownOut,
 }
 
-/// What is known of a sample besides its values.
+/// Properties of a sample besides its values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Quality {
     /// Largest gyroscope count as a share of the full scale, 0 to 1; 0 if unknown.
@@ -28,8 +27,8 @@ pub struct Quality {
     pub acc_load: f64,
     /// The magnetometer flagged an overflow.
     pub mag_overflow: bool,
-    /// The source has noise, so identical samples mean a frozen sensor. True for chips; false for a
-    /// plant or a log that may be noiseless.
+    /// The source has noise, so that identical samples indicate a frozen sensor. True for chips, false for a plant
+    /// or a log, which may be noise-free.
     pub expect_noise: bool,
 }
 
@@ -39,19 +38,19 @@ impl Default for Quality {
     }
 }
 
-/// What came from the sensor at one tick.
+/// What the sensor delivered in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ImuReading {
     /// A sample, in the sensor frame.
     Sample(ImuSample, Quality),
     /// The transfer failed.
     Failed(ReadFault),
-    /// Nothing was due, or nothing came.
+    /// No sample was due, or none arrived.
     Nothing,
 }
 
 impl ImuReading {
-    /// What a world or a log gave, of whose noise nothing is promised.
+    /// The reading of a plant or a log, which may be free of noise.
     #[must_use]
     pub fn from_world(sample: Option<ImuSample>) -> Self {
         let quality = Quality { expect_noise: false, ..Quality::default() };
@@ -59,36 +58,24 @@ impl ImuReading {
     }
 }
 
-/// One question to the judge.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TimedReading {
-    /// Time of asking, on the clock of the sample stamps, s.
-    pub now: Seconds,
-    /// What came.
-    pub outcome: ImuReading,
-}
-
-/// The earth's field and gravity as found at rest, for later comparison.
+/// Strength and dip of the undisturbed field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FieldReference {
     /// |m|, µT.
     pub norm_ut: f64,
     /// Angle of the field below the horizontal, rad.
     pub dip_rad: f64,
-    /// |a| of the still accelerometer, m/s².
-    pub gravity_m_s2: f64,
 }
 
 impl FieldReference {
-    /// From the means over a rest; `None` when either is zero or not finite.
+    /// From the means over a still stretch; `None` when either is zero or not finite.
     #[must_use]
     pub fn from_rest(acc_m_s2: &Vector3<f64>, mag_ut: &Vector3<f64>) -> Option<Self> {
-        let dip_rad = dip(acc_m_s2, mag_ut)?;
-        Some(Self { norm_ut: mag_ut.norm(), dip_rad, gravity_m_s2: acc_m_s2.norm() })
+        Some(Self { norm_ut: mag_ut.norm(), dip_rad: dip(acc_m_s2, mag_ut)? })
     }
 }
 
-/// Angle of `mag` below the plane across `acc`, rad; `None` for a zero or non-finite vector.
+/// Angle of `mag` below the plane orthogonal to `acc`, rad; `None` for a zero or non-finite vector.
 pub(super) fn dip(acc: &Vector3<f64>, mag: &Vector3<f64>) -> Option<f64> {
     let norms = acc.norm() * mag.norm();
     (norms.is_finite() && norms > 1e-9).then(|| (-acc.dot(mag) / norms).clamp(-1.0, 1.0).asin())

@@ -1,13 +1,17 @@
-//! Every cause raised, every policy obeyed, every recovery timed; and no false alarm on clean noise.
+//! Every cause is raised, every policy is applied, every recovery is timed, and clean noise raises no alarm.
 
+use super::checks::field_disturbed;
 use super::*;
+use crate::primitives::sample::ImuSample;
+use crate::primitives::units::Seconds;
+use nalgebra::{Rotation3, Vector3};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
 
 const DT: f64 = 0.002;
 
-/// A still tip with data-sheet noise at 500 Hz, magnetometer at 100 Hz.
+/// A still tip with the noise of the datasheet at 500 Hz, magnetometer at 100 Hz.
 struct Source {
     rng: StdRng,
     n: u32,
@@ -36,28 +40,27 @@ impl Source {
     }
 }
 
-struct Bench {
+struct Rig {
     config: HealthConfig,
-    state: HealthState,
+    monitor: SensorMonitor,
     source: Source,
 }
 
-impl Bench {
+impl Rig {
     fn new() -> Self {
-        let mut state = HealthState::default();
+        let mut monitor = SensorMonitor::default();
         let source = Source::new(7);
-        state.set_reference(FieldReference::from_rest(&source.acc, &source.mag));
-        Self { config: HealthConfig::default(), state, source }
+        monitor.set_known(KnownErrors::default(), &source.acc, Some(&source.mag));
+        Self { config: HealthConfig::default(), monitor, source }
     }
-    fn put(&mut self, outcome: ImuReading) -> HealthVerdict {
-        let now = Seconds(self.source.now());
-        Health::judge(&self.config, &mut self.state, TimedReading { now, outcome })
+    fn put(&mut self, reading: ImuReading) -> HealthVerdict {
+        self.monitor.assess(&self.config, Seconds(self.source.now()), &reading)
     }
     fn good(&mut self) -> HealthVerdict {
         let sample = self.source.next();
         self.put(ImuReading::Sample(sample, Quality::default()))
     }
-    fn warm(&mut self) {
+    fn settle(&mut self) {
         for _ in 0..200 {
             assert_eq!(self.good().faults, CauseSet::EMPTY);
         }
@@ -80,13 +83,13 @@ impl Bench {
                 return (n, r.after_s);
             }
         }
-        panic!("{cause} never recovered");
+        panic!("{cause} did not recover");
     }
 }
 
 #[test]
 fn clean_noise_raises_nothing_in_a_minute() {
-    let mut b = Bench::new();
+    let mut b = Rig::new();
     for _ in 0..30_000 {
         let v = b.good();
         assert!(v.in_force.is_empty(), "false alarm: {}", v.in_force);
@@ -95,9 +98,9 @@ fn clean_noise_raises_nothing_in_a_minute() {
 }
 
 #[test]
-fn fast_true_motion_is_not_a_spike() {
-    let mut b = Bench::new();
-    b.warm();
+fn fast_motion_is_not_a_spike() {
+    let mut b = Rig::new();
+    b.settle();
     for k in 0..2000 {
         // 120 deg/s at 8 Hz: 105 rad/s² at the steepest
         b.source.rate.x = 2.1 * (f64::from(k) * DT * 50.0).sin();
@@ -106,9 +109,9 @@ fn fast_true_motion_is_not_a_spike() {
 }
 
 #[test]
-fn nacks_are_skipped_then_blind_then_stuck_and_recover() {
-    let mut b = Bench::new();
-    b.warm();
+fn nacks_are_skipped_then_blind_then_a_stuck_bus() {
+    let mut b = Rig::new();
+    b.settle();
     let first = b.fail(ReadFault::Nack);
     assert!(first.raised.contains(HealthCause::Nack) && first.action() == HealthAction::Skip);
     let mut blind_after = None;
@@ -120,19 +123,19 @@ fn nacks_are_skipped_then_blind_then_stuck_and_recover() {
         assert_eq!(v.faults.contains(HealthCause::StuckBus), n >= b.config.stuck_after, "{n}");
         assert_eq!(v.hold, n >= b.config.stuck_after || v.blind);
     }
-    let blind_after = blind_after.expect("40 periods without a sample are blind");
+    let blind_after = blind_after.expect("40 periods without a sample must be blind");
     assert!(blind_after > 0.05 && blind_after < 0.056, "{blind_after}");
     let (n, after_s) = b.until_recovered(HealthCause::StuckBus);
     assert_eq!(n, b.config.recover_samples);
-    assert!((after_s - (39.0 + f64::from(n)) * DT).abs() < 1e-9, "from the first nack: {after_s}");
+    assert!((after_s - (39.0 + f64::from(n)) * DT).abs() < 1e-9, "counted from the first nack: {after_s}");
     assert!(b.good().in_force.is_empty());
-    assert_eq!(b.state.times(HealthCause::StuckBus), 1);
+    assert_eq!(b.monitor.times(HealthCause::StuckBus), 1);
 }
 
 #[test]
-fn samples_feed_the_filter_while_a_hold_recovers() {
-    let mut b = Bench::new();
-    b.warm();
+fn samples_are_used_while_a_hold_recovers() {
+    let mut b = Rig::new();
+    b.settle();
     assert!(b.fail(ReadFault::BrownOut).hold);
     let v = b.good();
     assert!(v.hold && v.gyro && v.acc && v.faults.is_empty() && v.in_force.contains(HealthCause::BrownOut));
@@ -141,23 +144,23 @@ fn samples_feed_the_filter_while_a_hold_recovers() {
 }
 
 #[test]
-fn a_relapse_restarts_the_count() {
-    let mut b = Bench::new();
-    b.warm();
+fn a_fault_during_recovery_restarts_the_count() {
+    let mut b = Rig::new();
+    b.settle();
     b.fail(ReadFault::WrongId);
     for _ in 0..b.config.recover_samples - 1 {
         assert!(b.good().recovered.is_none());
     }
     b.fail(ReadFault::WrongId);
     assert_eq!(b.until_recovered(HealthCause::WrongId).0, b.config.recover_samples);
-    assert_eq!(b.state.times(HealthCause::WrongId), 1, "it never left");
+    assert_eq!(b.monitor.times(HealthCause::WrongId), 1, "the cause stayed in force");
 }
 
 #[test]
-fn frozen_is_found_where_noise_is_expected_only() {
+fn a_frozen_sensor_is_found_only_if_noise_is_expected() {
     for expect_noise in [true, false] {
-        let mut b = Bench::new();
-        b.warm();
+        let mut b = Rig::new();
+        b.settle();
         let still = b.source.next();
         let mut found_at = None;
         for n in 0..60 {
@@ -175,10 +178,10 @@ fn frozen_is_found_where_noise_is_expected_only() {
 }
 
 #[test]
-fn nan_never_reaches_the_filter_nor_the_memory() {
-    let mut b = Bench::new();
-    b.config.policy.not_finite = Policy::GravityOnly; // even under a careless policy
-    b.warm();
+fn nan_reaches_neither_the_filter_nor_the_monitor() {
+    let mut b = Rig::new();
+    b.config.policy.not_finite = Policy::GravityOnly; // a policy that would pass the sample
+    b.settle();
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let v = b.with(|s, _| s.acc_m_s2.y = bad);
         assert!(v.faults.contains(HealthCause::NotFinite) && !v.gyro && !v.acc && !v.mag);
@@ -186,26 +189,26 @@ fn nan_never_reaches_the_filter_nor_the_memory() {
         assert!(!v.gyro);
     }
     assert!(b.good().gyro);
-    assert_eq!(b.state, b.state.clone(), "no NaN was remembered");
+    assert_eq!(b.monitor, b.monitor.clone(), "the monitor stored a NaN");
 }
 
 #[test]
-fn one_wild_sample_is_skipped_and_a_true_step_is_believed() {
-    let mut b = Bench::new();
-    b.warm();
+fn a_spike_is_skipped_and_a_true_step_is_accepted() {
+    let mut b = Rig::new();
+    b.settle();
     let v = b.with(|s, _| s.gyro_rad_s.z += 6.0);
     assert!(v.faults.contains(HealthCause::Spike) && v.action() == HealthAction::Skip);
-    assert!(b.good().gyro, "the next good one is used at once");
+    assert!(b.good().gyro, "the next good sample is used at once");
     let v = b.with(|s, _| s.acc_m_s2.x -= 30.0);
     assert!(v.faults.contains(HealthCause::Spike));
-    b.warm_again();
+    b.settle_again();
     let skipped = (0..20).filter(|_| b.with(|s, _| s.gyro_rad_s.z += 6.0).faults.contains(HealthCause::Spike)).count();
-    // the allowance grows with the time since the last believed sample: at most `spike_confirm`
+    // the allowed change grows with the time since the last plausible sample: at most `spike_confirm` are skipped
     assert!((1..=b.config.spike_confirm as usize).contains(&skipped), "{skipped}");
 }
 
-impl Bench {
-    fn warm_again(&mut self) {
+impl Rig {
+    fn settle_again(&mut self) {
         for _ in 0..100 {
             self.good();
         }
@@ -213,9 +216,9 @@ impl Bench {
 }
 
 #[test]
-fn saturation_holds() {
-    let mut b = Bench::new();
-    b.warm();
+fn saturation_holds_the_pistons() {
+    let mut b = Rig::new();
+    b.settle();
     assert!(b.with(|_, q| q.gyro_load = 0.979).faults.is_empty());
     let v = b.with(|_, q| q.gyro_load = 0.98);
     assert!(v.faults.contains(HealthCause::Saturated) && v.hold && !v.gyro);
@@ -223,33 +226,33 @@ fn saturation_holds() {
 }
 
 #[test]
-fn clocks_that_stand_run_back_or_leap() {
-    let mut b = Bench::new();
-    b.warm();
+fn invalid_timestamps_are_detected() {
+    let mut b = Rig::new();
+    b.settle();
     let t = b.source.now();
-    assert!(b.with(|s, _| s.t = Seconds(t)).faults.contains(HealthCause::StaleTimestamp), "same stamp twice");
+    assert!(b.with(|s, _| s.t = Seconds(t)).faults.contains(HealthCause::StaleTimestamp), "repeated timestamp");
     b.good();
-    assert!(b.with(|s, _| s.t.0 -= 0.03).faults.contains(HealthCause::StaleTimestamp), "old");
+    assert!(b.with(|s, _| s.t.0 -= 0.03).faults.contains(HealthCause::StaleTimestamp), "old timestamp");
     assert!(b.good().faults.is_empty());
     let back = b.with(|s, _| s.t.0 -= 0.01);
     assert!(back.faults.contains(HealthCause::JumpingTimestamp) && !back.gyro);
     b.good();
-    assert!(b.with(|s, _| s.t.0 += 0.5).faults.contains(HealthCause::JumpingTimestamp), "future");
-    b.warm_again();
-    b.source.n += 100; // the loop stood still for 0.2 s
-    assert!(b.good().faults.contains(HealthCause::JumpingTimestamp), "leap");
-    b.warm_again();
+    assert!(b.with(|s, _| s.t.0 += 0.5).faults.contains(HealthCause::JumpingTimestamp), "timestamp in the future");
+    b.settle_again();
+    b.source.n += 100; // the loop paused for 0.2 s
+    assert!(b.good().faults.contains(HealthCause::JumpingTimestamp), "jump ahead");
+    b.settle_again();
     for _ in 0..30 {
         b.fail(ReadFault::Nack);
     }
     b.source.n += 100;
-    assert!(!b.good().faults.contains(HealthCause::JumpingTimestamp), "a gap that is explained is no leap");
+    assert!(!b.good().faults.contains(HealthCause::JumpingTimestamp), "a gap after failed transfers is no jump");
 }
 
 #[test]
-fn silence_is_stale_then_blind() {
-    let mut b = Bench::new();
-    b.warm();
+fn silence_becomes_stale_then_blind() {
+    let mut b = Rig::new();
+    b.settle();
     for n in 1..=40 {
         b.source.n += 1;
         let v = b.put(ImuReading::Nothing);
@@ -264,13 +267,13 @@ fn silence_is_stale_then_blind() {
 }
 
 #[test]
-fn magnetic_faults_leave_gravity_only() {
-    let mut b = Bench::new();
-    b.warm();
+fn magnetic_faults_select_gravity_only() {
+    let mut b = Rig::new();
+    b.settle();
     let v = b.with(|s, q| (s.mag_ut, q.mag_overflow) = (None, true));
     assert!(v.faults.contains(HealthCause::MagOverflow) && v.action() == HealthAction::GravityOnly);
     let (n, _) = b.until_recovered(HealthCause::MagOverflow);
-    assert!((46..=50).contains(&n), "ten magnetometer values are fifty samples: {n}");
+    assert!((46..=50).contains(&n), "ten magnetometer values take fifty samples: {n}");
     b.source.mag += Vector3::new(12.0, 0.0, 0.0);
     let mut caught = false;
     for _ in 0..5 {
@@ -278,75 +281,75 @@ fn magnetic_faults_leave_gravity_only() {
         caught |= v.faults.contains(HealthCause::FieldDisturbed);
         assert!(v.gyro && v.acc && (!caught || !v.mag));
     }
-    assert!(caught, "norm off by 9 % turns the dip by 10°");
+    assert!(caught, "12 µT change the strength by 9 % and the dip by 10°");
     b.source.mag -= Vector3::new(12.0, 0.0, 0.0);
     b.until_recovered(HealthCause::FieldDisturbed);
 }
 
 #[test]
-fn field_norm_and_dip_are_judged_apart() {
+fn strength_and_dip_are_checked_separately() {
     let reference = FieldReference::from_rest(&Vector3::z(), &Vector3::new(20.0, 0.0, -45.0)).expect("sound");
-    assert!((reference.dip_rad.to_degrees() - 66.04).abs() < 0.01, "dip is positive below the horizon");
+    assert!((reference.dip_rad.to_degrees() - 66.04).abs() < 0.01, "the dip is positive below the horizon");
     let (c, up) = (HealthConfig::default(), Vector3::new(0.0, 0.0, 9.81));
     let turned = |deg: f64| {
         let a = (reference.dip_rad.to_degrees() + deg).to_radians();
         Vector3::new(a.cos(), 0.0, -a.sin()) * reference.norm_ut
     };
-    assert!(!bent(&c, &reference, Some(&up), &turned(9.0), 0.0));
-    assert!(bent(&c, &reference, Some(&up), &turned(11.0), 0.0));
-    assert!(!bent(&c, &reference, None, &turned(11.0), 0.0), "no dip without a vertical");
-    assert!(bent(&c, &reference, None, &(turned(0.0) * 1.16), 0.0));
-    assert!(!bent(&c, &reference, Some(&up), &(turned(0.0) * 0.86), 0.0));
+    assert!(!field_disturbed(&c, &reference, Some(&up), &turned(9.0), 0.0));
+    assert!(field_disturbed(&c, &reference, Some(&up), &turned(11.0), 0.0));
+    assert!(!field_disturbed(&c, &reference, None, &turned(11.0), 0.0), "no dip check without a vertical");
+    assert!(field_disturbed(&c, &reference, None, &(turned(0.0) * 1.16), 0.0));
+    assert!(!field_disturbed(&c, &reference, Some(&up), &(turned(0.0) * 0.86), 0.0));
 }
 
 #[test]
-fn shaking_does_not_bend_the_field() {
-    let mut b = Bench::new();
-    b.warm();
+fn shaking_does_not_disturb_the_field() {
+    let mut b = Rig::new();
+    b.settle();
     for k in 0..1500 {
         let shake = 5.0 * (f64::from(k) * DT * 40.0).sin();
         let v = b.with(|s, _| s.acc_m_s2.x += shake);
         assert!(!v.faults.contains(HealthCause::FieldDisturbed), "{k}");
     }
-    assert!(b.state.times(HealthCause::AccelDisturbed) > 5);
+    assert!(b.monitor.times(HealthCause::AccelDisturbed) > 5);
 }
 
 #[test]
-fn the_vertical_turns_with_the_tip() {
-    let mut b = Bench::new();
-    b.warm();
+fn the_vertical_follows_the_rotation_of_the_tip() {
+    let mut b = Rig::new();
+    b.settle();
     let rate = Vector3::new(0.0, 1.5, 0.0);
     b.source.rate = rate;
     let (acc, mag) = (b.source.acc, b.source.mag);
     for k in 0..1000_u32 {
         let back = Rotation3::new(-rate * f64::from(k + 1) * DT);
         (b.source.acc, b.source.mag) = (back * acc, back * mag);
-        let v = b.with(|s, _| s.acc_m_s2.y += if k < 300 { 0.0 } else { 7.0 }); // pushed all along
+        let v = b.with(|s, _| s.acc_m_s2.y += if k < 300 { 0.0 } else { 7.0 }); // a constant push
         assert!(!v.faults.contains(HealthCause::FieldDisturbed), "{k}");
     }
 }
 
 #[test]
-fn a_silent_magnetometer_is_noticed_and_may_be_absent() {
+fn a_silent_magnetometer_is_detected_unless_absent() {
     for expect_mag in [true, false] {
-        let mut b = Bench::new();
+        let mut b = Rig::new();
         b.config.expect_mag = expect_mag;
-        let mut noticed = None;
+        let mut detected = None;
         for n in 1..=200 {
             let v = b.with(|s, _| s.mag_ut = None);
-            if v.faults.contains(HealthCause::MagSilent) && noticed.is_none() {
-                noticed = Some(f64::from(n) * DT);
+            if v.faults.contains(HealthCause::MagSilent) && detected.is_none() {
+                detected = Some(f64::from(n) * DT);
             }
         }
-        assert_eq!(noticed.is_some(), expect_mag);
-        assert!(noticed.is_none_or(|t| (0.2..0.206).contains(&t)), "{noticed:?}");
+        assert_eq!(detected.is_some(), expect_mag);
+        assert!(detected.is_none_or(|t| (0.2..0.206).contains(&t)), "{detected:?}");
     }
 }
 
 #[test]
-fn a_shaken_tip_coasts_then_holds() {
-    let mut b = Bench::new();
-    b.warm();
+fn a_shaken_tip_coasts_and_then_holds() {
+    let mut b = Rig::new();
+    b.settle();
     for n in 1..=2600 {
         let v = b.with(|s, _| s.acc_m_s2.x += 6.0); // |a| = 11.5
         assert!(v.faults.contains(HealthCause::AccelDisturbed) && v.gyro && !v.acc && !v.mag);
@@ -360,7 +363,7 @@ fn a_shaken_tip_coasts_then_holds() {
 }
 
 #[test]
-fn every_policy_can_be_written_and_bad_limits_are_named() {
+fn policies_are_parsed_and_invalid_limits_are_named() {
     let text = "frozen_after = 0\n[policy]\nspike = { do = \"hold\" }\nnack = { do = \"coast_on_gyro\", for_s = 0.5 }\n";
     let c: HealthConfig = toml::from_str(text).expect("valid");
     assert_eq!((c.policy.spike, c.policy.nack), (Policy::Hold, Policy::CoastOnGyro { for_s: 0.5 }));
@@ -373,7 +376,7 @@ fn every_policy_can_be_written_and_bad_limits_are_named() {
 }
 
 #[test]
-fn names_are_unique_and_match_serde() {
+fn names_match_serde() {
     for (i, c) in HealthCause::ALL.into_iter().enumerate() {
         assert_eq!(c as usize, i);
         assert_eq!(serde_json::to_string(&c).expect("plain"), format!("\"{}\"", c.name()));
@@ -382,12 +385,12 @@ fn names_are_unique_and_match_serde() {
 }
 
 #[test]
-fn a_field_that_is_disturbed_time_and_again_takes_longer_to_be_believed() {
-    let (config, mut state) = (HealthConfig::default(), HealthState::default());
+fn repeated_field_disturbances_lengthen_the_recovery() {
+    let (config, mut monitor) = (HealthConfig::default(), SensorMonitor::default());
     let field = Vector3::new(20.0, 0.0, -45.0);
-    state.set_reference(FieldReference::from_rest(&Vector3::new(0.0, 0.0, 9.81), &field));
+    monitor.set_known(KnownErrors::default(), &Vector3::new(0.0, 0.0, 9.81), Some(&field));
     let mut t = 0.0;
-    let mut judge = |state: &mut HealthState, times: f64| {
+    let mut assess = |times: f64| {
         t += 0.01;
         let sample = ImuSample {
             t: Seconds(t),
@@ -395,21 +398,21 @@ fn a_field_that_is_disturbed_time_and_again_takes_longer_to_be_believed() {
             acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
             mag_ut: Some(field * times),
         };
-        Health::judge(&config, state, TimedReading { now: Seconds(t), outcome: ImuReading::Sample(sample, Quality::default()) })
+        monitor.assess(&config, Seconds(t), &ImuReading::Sample(sample, Quality::default()))
     };
     let mut waits = Vec::new();
     for _ in 0..5 {
-        judge(&mut state, 1.4);
+        assess(1.4);
         let mut wait = 1;
-        while !judge(&mut state, 1.0).mag {
+        while !assess(1.0).mag {
             wait += 1;
         }
         waits.push(wait);
     }
     assert_eq!(waits, [10, 20, 40, 80, 160]);
     for _ in 0..7000 {
-        judge(&mut state, 1.0);
+        assess(1.0);
     }
-    judge(&mut state, 1.4);
-    assert!((0..10).any(|_| judge(&mut state, 1.0).mag), "a minute of peace is forgiven");
+    assess(1.4);
+    assert!((0..10).any(|_| assess(1.0).mag), "after an undisturbed minute the recovery is short again");
 }

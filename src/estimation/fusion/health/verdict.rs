@@ -1,28 +1,28 @@
-//! What the judge answers.
+//! The result of assessing one reading.
 
 use super::cause::{CauseSet, HealthCause};
 
-/// The harshest thing a verdict asks for, in rising order.
+/// The strictest consequence of a verdict, in rising order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum HealthAction {
-    /// Use everything there is.
+    /// Use all sensors.
     Use,
-    /// Gyroscope and accelerometer only.
+    /// Use gyroscope and accelerometer only.
     GravityOnly,
-    /// Gyroscope only.
+    /// Use the gyroscope only.
     CoastOnGyro,
-    /// Nothing of this reading.
+    /// Use nothing of this reading.
     Skip,
-    /// Nothing may move.
+    /// Hold the pistons.
     Hold,
 }
 
-/// A fault that is over.
+/// Causes that have been cleared.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Recovered {
-    /// The causes that were cleared by this reading.
+    /// The causes that this reading cleared.
     pub causes: CauseSet,
-    /// The longest any of them was in force, s.
+    /// The longest time that any of them was in force, s.
     pub after_s: f64,
 }
 
@@ -33,36 +33,36 @@ pub struct HealthVerdict {
     pub gyro: bool,
     /// The filter may correct with the accelerometer.
     pub acc: bool,
-    /// The filter may correct with the magnetometer (there is a new value and it is sound).
+    /// The filter may correct with the magnetometer: there is a new, valid value.
     pub mag: bool,
     /// The pistons must be held.
     pub hold: bool,
     /// No usable gyroscope sample for longer than [`super::HealthConfig::blind_max_s`].
     pub blind: bool,
-    /// What is wrong with this very reading.
+    /// Faults of this reading.
     pub faults: CauseSet,
-    /// What is still counted against the sensor, recovering causes included.
+    /// Causes in force, including those that are recovering.
     pub in_force: CauseSet,
     /// Causes that came into force with this reading.
     pub raised: CauseSet,
-    /// The leaps that were refused just before were true: enough readings in a row have said the same.
+    /// The jumps rejected just before were true: enough readings in a row agree with them.
     pub confirmed: bool,
     /// Causes that this reading cleared, if any.
     pub recovered: Option<Recovered>,
 }
 
 impl HealthVerdict {
-    /// The verdict in one word.
+    /// The strictest consequence of the verdict.
     #[must_use]
     pub fn action(&self) -> HealthAction {
-        let shut_out = |c: &HealthCause| matches!(c, HealthCause::MagOverflow | HealthCause::MagSilent | HealthCause::FieldDisturbed);
+        let magnetic = |c| matches!(c, HealthCause::MagOverflow | HealthCause::MagSilent | HealthCause::FieldDisturbed);
         if self.hold {
             HealthAction::Hold
         } else if !self.gyro {
             HealthAction::Skip
         } else if !self.acc {
             HealthAction::CoastOnGyro
-        } else if !self.mag && self.in_force.iter().any(|c| shut_out(&c)) {
+        } else if !self.mag && self.in_force.iter().any(magnetic) {
             HealthAction::GravityOnly
         } else {
             HealthAction::Use

@@ -1,12 +1,7 @@
 //! Settings of the error-state filter. `_rt_s` marks a noise density (its unit times √s or per √s).
 
-use crate::estimation::fusion::limits::{self, OutOfRange};
-use crate::estimation::fusion::rest::RestConfig;
-use serde::{Deserialize, Serialize};
-
 /// Settings of the error-state filter.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MekfConfig {
     /// Length of a block between corrections, seconds. Default 0.035. Bigger: less arithmetic, and
     /// corrections come later and in larger steps.
@@ -79,8 +74,6 @@ pub struct MekfConfig {
     pub disturbed_ratio: f64,
     /// Time constant of the running misfit, seconds. Default 1. Bigger: a disturbance is remembered longer.
     pub misfit_tau_s: f64,
-    /// When the sensor counts as still.
-    pub rest: RestConfig,
 }
 
 impl Default for MekfConfig {
@@ -113,49 +106,6 @@ impl Default for MekfConfig {
             iron_unsure_rt_s: 0.5,
             disturbed_ratio: 1.5,
             misfit_tau_s: 1.0,
-            rest: RestConfig::default(),
         }
-    }
-}
-
-impl MekfConfig {
-    /// Refuses settings that are not finite or far from anything sensible.
-    ///
-    /// # Errors
-    /// The first setting that is out of range, with its range.
-    pub fn validate(&self) -> Result<(), OutOfRange> {
-        let d = Self::default();
-        let above_zero = 1e-9;
-        let rows = [
-            ("block_s", self.block_s, d.block_s, 1e-4, 0.5),
-            ("first_tilt_deg", self.first_tilt_deg, d.first_tilt_deg, 0.01, 90.0),
-            ("gyro_wander_deg_rt_s", self.gyro_wander_deg_rt_s, d.gyro_wander_deg_rt_s, 0.0, 10.0),
-            ("gyro_nonlinearity_rt_s", self.gyro_nonlinearity_rt_s, d.gyro_nonlinearity_rt_s, 0.0, 1.0),
-            ("bias_sigma_deg_s", self.bias_sigma_deg_s, d.bias_sigma_deg_s, above_zero, 20.0),
-            ("bias_wander_deg_s_rt_s", self.bias_wander_deg_s_rt_s, d.bias_wander_deg_s_rt_s, 0.0, 10.0),
-            ("rest_bias_sigma_deg_s", self.rest_bias_sigma_deg_s, d.rest_bias_sigma_deg_s, above_zero, 10.0),
-            ("scale_sigma", self.scale_sigma, d.scale_sigma, 0.0, 0.2),
-            ("scale_max", self.scale_max, d.scale_max, 0.0, 0.5),
-            ("velocity_sigma_m_s", self.velocity_sigma_m_s, d.velocity_sigma_m_s, 0.01, 1000.0),
-            ("velocity_memory_s", self.velocity_memory_s, d.velocity_memory_s, above_zero, 1000.0),
-            ("acc_floor_m_s_rt_s", self.acc_floor_m_s_rt_s, d.acc_floor_m_s_rt_s, 0.0, 10.0),
-            ("acc_fault_rt_s", self.acc_fault_rt_s, d.acc_fault_rt_s, 0.0, 10.0),
-            ("latency_ms", self.latency_ms, d.latency_ms, 0.0, self.latency_max_ms),
-            ("latency_sigma_ms", self.latency_sigma_ms, d.latency_sigma_ms, 0.0, 1000.0),
-            ("latency_max_ms", self.latency_max_ms, d.latency_max_ms, 0.0, 1000.0),
-            ("field_sigma_ut", self.field_sigma_ut, d.field_sigma_ut, 0.01, 1000.0),
-            ("field_memory_s", self.field_memory_s, d.field_memory_s, above_zero, 1000.0),
-            ("rest_field_weight", self.rest_field_weight, d.rest_field_weight, 1e-6, 1.0),
-            ("first_field_sigma_ut", self.first_field_sigma_ut, d.first_field_sigma_ut, 0.001, 1000.0),
-            ("field_wander_ut_rt_s", self.field_wander_ut_rt_s, d.field_wander_ut_rt_s, 0.0, 1000.0),
-            ("horizontal_field_min_ut", self.horizontal_field_min_ut, d.horizontal_field_min_ut, 0.01, 100.0),
-            ("iron_sigma_ut", self.iron_sigma_ut, d.iron_sigma_ut, 0.0, 1000.0),
-            ("iron_wander_ut_rt_s", self.iron_wander_ut_rt_s, d.iron_wander_ut_rt_s, 0.0, 1000.0),
-            ("iron_unsure_rt_s", self.iron_unsure_rt_s, d.iron_unsure_rt_s, 0.0, 1000.0),
-            ("disturbed_ratio", self.disturbed_ratio, d.disturbed_ratio, 1.0, 1000.0),
-            ("misfit_tau_s", self.misfit_tau_s, d.misfit_tau_s, above_zero, 1000.0),
-        ];
-        limits::check(&rows)?;
-        self.rest.validate()
     }
 }

@@ -1,4 +1,4 @@
-//! What the filter observes: a body that stays in reach, a sensor at rest, and the Earth's field.
+//! Observations of the filter: bounded velocity, standstill, and the Earth's field.
 
 use super::block::FieldMean;
 use super::covariance::{ATTITUDE, BIAS, Covariance, Errors, FIELD, IRON, LATENCY, VELOCITY};
@@ -6,15 +6,15 @@ use super::{Mekf, MekfConfig};
 use crate::estimation::fusion::intake;
 use nalgebra::Vector3;
 
-/// Velocity of a sensor at rest, m/s, and how long its error lasts, s.
-const REST_VELOCITY_M_S: f64 = 0.02;
-const REST_VELOCITY_MEMORY_S: f64 = 0.1;
-/// How long an error of the gyroscope's slow mean lasts, s.
-const REST_BIAS_MEMORY_S: f64 = 0.5;
-/// A single reading may raise the misfit to at most this many times its running mean.
-const MISFIT_LEAP_MAX: f64 = 100.0;
+/// Velocity of a sensor at standstill, m/s, 1 σ, and its correlation time, s.
+const STILL_VELOCITY_M_S: f64 = 0.02;
+const STILL_VELOCITY_MEMORY_S: f64 = 0.1;
+/// Correlation time of an error of the gyroscope's slow mean, s.
+const STILL_BIAS_MEMORY_S: f64 = 0.5;
+/// Largest ratio of the misfit of a single reading to its running mean: it limits the effect of one reading.
+const MISFIT_STEP_MAX: f64 = 100.0;
 
-/// What one axis of a field residual owes to which errors.
+/// Gains of one axis of a field residual: pairs of error index and derivative.
 type Row = [(usize, f64); 8];
 
 /// Rows of a field residual (reading minus model, world axes): `−φ × y − ∂y/∂τ δτ + (δh, 0, δz) + R δm`.
@@ -35,7 +35,7 @@ fn rows(reading: &FieldMean) -> [Row; 3] {
     })
 }
 
-/// Takes the first field reading, which defines north: its residual is nothing.
+/// Processes the first field reading, which defines north: its residual is zero by definition.
 pub fn first_field(covariance: &mut Covariance, errors: &mut Errors, reading: &FieldMean, variance_ut2: f64) {
     for row in rows(reading) {
         covariance.observe(errors, &row, 0.0, variance_ut2);
@@ -43,54 +43,54 @@ pub fn first_field(covariance: &mut Covariance, errors: &mut Errors, reading: &F
 }
 
 impl Mekf {
-    /// Velocity near zero, always; exactly zero, and the gyroscope reading its bias, at rest.
+    /// Observes a velocity near zero; at standstill a velocity of zero and the gyroscope bias.
     pub(super) fn observe_motion(&mut self, errors: &mut Errors, dt_s: f64) {
         let c = &self.config;
-        let (v, at_rest) = (self.estimate.velocity_m_s, self.rest.at_rest());
+        let (v, standstill) = (self.estimate.velocity_m_s, self.standstill.standstill());
         let near_zero = c.velocity_sigma_m_s.powi(2) * c.velocity_memory_s / dt_s;
-        let at_zero = REST_VELOCITY_M_S.powi(2) * REST_VELOCITY_MEMORY_S / dt_s;
-        let variance = if at_rest { at_zero.min(near_zero) } else { near_zero };
+        let at_zero = STILL_VELOCITY_M_S.powi(2) * STILL_VELOCITY_MEMORY_S / dt_s;
+        let variance = if standstill { at_zero.min(near_zero) } else { near_zero };
         for k in 0..2 {
             self.covariance.observe(errors, &[(VELOCITY + k, 1.0)], -v[k], variance);
         }
-        if at_rest {
-            let off = self.rest.gyro_mean_rad_s() - self.estimate.bias_rad_s;
-            let variance = c.rest_bias_sigma_deg_s.to_radians().powi(2) * REST_BIAS_MEMORY_S / dt_s;
+        if standstill {
+            let off = self.standstill.gyro_mean_rad_s() - self.estimate.bias_rad_s;
+            let variance = c.rest_bias_sigma_deg_s.to_radians().powi(2) * STILL_BIAS_MEMORY_S / dt_s;
             for k in 0..3 {
                 self.covariance.observe(errors, &[(BIAS + k, 1.0)], off[k], variance);
             }
         }
     }
 
-    /// The Earth's field, weighed by how well it has been fitting.
+    /// Observes the Earth's field, weighted by its recent misfit.
     pub(super) fn observe_field(&mut self, errors: &mut Errors, reading: &FieldMean, dt_s: f64) {
         let Some(earth) = self.estimate.field_ut else { return };
         let model = Vector3::new(earth.x, 0.0, earth.y) + reading.to_world * self.estimate.iron_ut;
         let residual = reading.world_ut - model;
         let rows = rows(reading);
-        let foreseen = rows.iter().map(|row| self.covariance.variance_of(&row[..3])).sum::<f64>() / 3.0;
-        let misfit = self.weigh_misfit(residual.norm_squared() / 3.0, dt_s);
+        let predicted = rows.iter().map(|row| self.covariance.variance_of(&row[..3])).sum::<f64>() / 3.0;
+        let misfit = self.track_misfit(residual.norm_squared() / 3.0, dt_s);
         let c = &self.config;
-        let usual = c.field_sigma_ut.powi(2);
-        let bearable = usual * c.disturbed_ratio.powi(2) + foreseen;
-        let excess = (misfit / bearable).max(1.0);
+        let nominal = c.field_sigma_ut.powi(2);
+        let tolerated = nominal * c.disturbed_ratio.powi(2) + predicted;
+        let excess = (misfit / tolerated).max(1.0);
         self.disturbed = excess > 1.0;
         if self.disturbed {
-            let unsure = c.iron_unsure_rt_s.powi(2) * (misfit - bearable) * dt_s;
-            self.covariance.grow(IRON, 3, unsure);
+            let growth = c.iron_unsure_rt_s.powi(2) * (misfit - tolerated) * dt_s;
+            self.covariance.grow(IRON, 3, growth);
         }
-        let stillness = if self.rest.at_rest() { c.rest_field_weight } else { 1.0 };
-        let variance = usual * excess * c.field_memory_s / dt_s / stillness;
+        let weight = if self.standstill.standstill() { c.rest_field_weight } else { 1.0 };
+        let variance = nominal * excess * c.field_memory_s / dt_s / weight;
         for (row, part) in rows.iter().zip(residual.iter()) {
             self.covariance.observe(errors, row, *part, variance);
         }
     }
 
-    /// Running mean square misfit; a leap counts at once.
-    fn weigh_misfit(&mut self, now_ut2: f64, dt_s: f64) -> f64 {
+    /// Updates the running mean square misfit; a sudden increase counts at once.
+    fn track_misfit(&mut self, now_ut2: f64, dt_s: f64) -> f64 {
         let MekfConfig { field_sigma_ut, misfit_tau_s, .. } = self.config;
         let running = &mut self.misfit_ut2;
         *running += intake::share(dt_s, misfit_tau_s) * (now_ut2 - *running);
-        running.max(now_ut2.min(MISFIT_LEAP_MAX * running.max(field_sigma_ut.powi(2))))
+        running.max(now_ut2.min(MISFIT_STEP_MAX * running.max(field_sigma_ut.powi(2))))
     }
 }

@@ -1,4 +1,4 @@
-//! The covariance of the error state: what is uncertain, and together with what.
+//! Covariance of the error state.
 //!
 //! Order of the 20 error states (true = estimate ⊕ error):
 //!
@@ -12,13 +12,15 @@
 //! | 16..19 | m | µT, sensor axes | hard iron |
 //! | 19 | τ | s | age of a magnetometer reading |
 //!
-//! Scalar observations are taken one by one (Bierman 1977): no matrix is ever inverted.
+//! Observations are processed one scalar at a time (Bierman 1977), so that no matrix is inverted.
 
 use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// Number of error states.
 pub const DIM: usize = 20;
-/// First attitude error; the third of them is the heading.
+/// Gravity, m/s². An error of a percent is negligible, since the direction dominates.
+pub const GRAVITY_M_S2: f64 = 9.81;
+/// First attitude error; the third one is the heading.
 pub const ATTITUDE: usize = 0;
 /// First gyroscope bias error.
 pub const BIAS: usize = 3;
@@ -26,7 +28,7 @@ pub const BIAS: usize = 3;
 pub const SCALE: usize = 6;
 /// First horizontal velocity error.
 pub const VELOCITY: usize = 12;
-/// Errors of the field's north and vertical part.
+/// Errors of the north and vertical part of the field.
 pub const FIELD: usize = 14;
 /// First hard-iron error.
 pub const IRON: usize = 16;
@@ -36,7 +38,7 @@ pub const LATENCY: usize = 19;
 /// The error state itself.
 pub type Errors = SVector<f64, DIM>;
 
-/// How errors flowed into one another over a block of samples.
+/// Propagation of errors over a block of samples.
 #[derive(Debug, Clone, Copy)]
 pub struct Flow {
     /// φ per b, seconds: minus the integral of R.
@@ -62,25 +64,25 @@ impl Covariance {
     pub fn sigma(&self, k: usize) -> f64 {
         self.0[(k, k)].max(0.0).sqrt()
     }
-    /// False once a number has run away.
+    /// False if a variance is negative or not finite.
     #[must_use]
     pub fn is_sane(&self) -> bool {
         self.0.diagonal().iter().all(|v| v.is_finite() && *v >= 0.0)
     }
-    /// Adds variance to `count` errors from `first` on.
+    /// Adds `variance` to `count` errors, starting at `first`.
     pub fn grow(&mut self, first: usize, count: usize, variance: f64) {
         for k in first..first + count {
             self.0[(k, k)] += variance;
         }
     }
-    /// Makes one error independent of all others, with this standard deviation.
+    /// Makes an error independent of all others, with standard deviation `sigma`.
     pub fn isolate(&mut self, k: usize, sigma: f64) {
         self.0.row_mut(k).fill(0.0);
         self.0.column_mut(k).fill(0.0);
         self.0[(k, k)] = sigma * sigma;
     }
 
-    /// P ← F P Fᵀ. Velocity first, by the attitude error at the block's start; then attitude.
+    /// P ← F P Fᵀ: first the velocity, by the attitude error at the start of the block, then the attitude.
     pub fn flow(&mut self, flow: &Flow) {
         let pull = flow.velocity_by_tilt_m_s;
         self.couple(&[(VELOCITY, ATTITUDE + 1, pull), (VELOCITY + 1, ATTITUDE, -pull)]);
@@ -118,10 +120,10 @@ impl Covariance {
         row.iter().map(|&(j, a)| row.iter().map(|&(k, b)| a * b * self.0[(j, k)]).sum::<f64>()).sum::<f64>()
     }
 
-    /// Takes one scalar observation `innovation = Σ gain · error + noise` into `errors` and itself.
+    /// Processes one scalar observation `innovation = Σ gain · error + noise`.
     ///
-    /// `row` holds (error, gain) pairs, `variance` is the noise's. An observation that would make the
-    /// covariance lose its meaning is left out.
+    /// `row` holds (error, gain) pairs and `variance` is that of the noise. An observation that is not finite, or
+    /// whose innovation variance is not positive, is ignored.
     pub fn observe(&mut self, errors: &mut Errors, row: &[(usize, f64)], innovation: f64, variance: f64) {
         let mut spread = Errors::zeros();
         let mut expected = 0.0;
@@ -142,13 +144,13 @@ impl Covariance {
 mod tests {
     use super::*;
 
-    fn tangled() -> Covariance {
+    fn correlated() -> Covariance {
         let root = SMatrix::<f64, DIM, DIM>::from_fn(|r, c| ((r * 7 + c * 3) % 11) as f64 / 11.0 + f64::from(r == c));
         Covariance(root * root.transpose())
     }
 
     #[test]
-    fn flow_is_the_full_product() {
+    fn flow_equals_the_full_matrix_product() {
         let flow = Flow {
             attitude_by_bias: Matrix3::from_fn(|r, c| -0.03 * (1.0 + r as f64 - 0.5 * c as f64)),
             attitude_by_scale: SMatrix::from_fn(|r, c| 0.02 * (c as f64 - r as f64)),
@@ -161,15 +163,15 @@ mod tests {
         by_gyro.fixed_view_mut::<3, 3>(ATTITUDE, BIAS).copy_from(&flow.attitude_by_bias);
         by_gyro.fixed_view_mut::<3, 6>(ATTITUDE, SCALE).copy_from(&flow.attitude_by_scale);
         let f = by_gyro * by_tilt;
-        let mut p = tangled();
+        let mut p = correlated();
         let want = f * p.0 * f.transpose();
         p.flow(&flow);
         assert!((p.0 - want).amax() < 1e-9, "{}", (p.0 - want).amax());
     }
 
     #[test]
-    fn observing_is_the_kalman_update() {
-        let p0 = tangled();
+    fn an_observation_equals_the_kalman_update() {
+        let p0 = correlated();
         let row = [(2, 15.0), (FIELD, 1.0), (IRON + 1, -0.4)];
         let mut h = Errors::zeros();
         for (k, gain) in row {
@@ -184,6 +186,6 @@ mod tests {
         assert!((p.0 - (p0.0 - gain * h.transpose() * p0.0)).amax() < 1e-9);
         let before = p.sigma(2);
         p.observe(&mut errors, &row, f64::NAN, 4.0);
-        assert_eq!(p.sigma(2), before, "a NaN is no observation");
+        assert_eq!(p.sigma(2), before, "a NaN is ignored");
     }
 }

@@ -1,27 +1,27 @@
-//! Error-state Kalman filter that learns the sensor's faults along with the orientation.
+//! Error-state Kalman filter that estimates sensor errors along with the orientation.
 //!
-//! A multiplicative extended Kalman filter (Lefferts, Markley & Shuster 1982) in the world frame. The
-//! faults it estimates are the ones that 9-DoF recordings with an optical reference show to matter:
+//! A multiplicative extended Kalman filter (Lefferts, Markley & Shuster 1982) in the world frame. It estimates the
+//! sensor errors that dominate 9-DoF recordings with an optical reference:
 //!
-//! * the **gyroscope's scale and skew** s: `ω = (1 + s)(measured − b)`. A few tenths of a percent, and at
-//!   400 °/s that, not the bias, is what makes the heading drift;
-//! * the **age τ of a magnetometer reading**, some 14 ms on a part read through an auxiliary bus: at
-//!   400 °/s a field that is 5° late. Observable as `∂(R m)/∂τ = −ω × R m`;
-//! * **hard iron** m that came after calibration, such as a magnet or a phone on the body:
-//!   constant in sensor axes, hence told from the room's field as soon as the sensor turns.
+//! * **gyroscope scale and skew** s: `ω = (1 + s)(measured − b)`. At 400 °/s a few tenths of a percent, not the
+//!   bias, make the heading drift;
+//! * **age τ of a magnetometer reading**, about 14 ms for a part that is read through an auxiliary bus: at 400 °/s
+//!   the field is 5° late. It is observable through `∂(R m)/∂τ = −ω × R m`;
+//! * **hard iron** m that was added after calibration, such as a magnet or a phone on the body. It is constant in
+//!   sensor axes and separates from the field of the room as soon as the sensor turns.
 //!
-//! What gravity says is taken through velocity: a body that stays in reach has a velocity near zero over
-//! seconds, so the specific force minus gravity, integrated, must come back to nothing; a tilt error
-//! makes it grow by g φ instead. The heading enters nowhere in that (an invariant error, after Barrau &
-//! Bonnabel 2017), so shaking cannot turn it. At rest the gyroscope reads b and the velocity is zero.
+//! Gravity enters through the velocity. A body that stays within reach has a mean velocity near zero over seconds,
+//! so the integral of specific force minus gravity must return to zero; a tilt error φ makes it grow by g φ. The
+//! heading does not enter (an invariant error, after Barrau & Bonnabel 2017), so shaking cannot turn it. At
+//! standstill the gyroscope measures b and the velocity is zero.
 //!
-//! The field model is `R(t − τ) measured = (h, 0, z) + R m + noise`. Field error in a room lasts for
-//! seconds at a place, so it is white noise of the same power over `field_memory_s`. When the misfit
-//! exceeds what a room does, readings lose weight in proportion, and the hard iron becomes uncertain
-//! by as much: a magnet on the body is learnt and taken away, one in the room stays refused.
+//! The field model is `R(t − τ) measured = (h, 0, z) + R m + noise`. The field error in a room lasts for seconds at
+//! one place and is modelled as white noise of the same power over `field_memory_s`. When the misfit exceeds the
+//! error of a room, readings lose weight in proportion and the uncertainty of the hard iron grows: a magnet on the
+//! body is then estimated and subtracted, one in the room stays rejected.
 //!
-//! [`covariance`] holds the error states, [`block`] the sums between corrections, `correct` the
-//! observations. How it was set and cross-validated: `docs/fusion.md`.
+//! [`covariance`] holds the error states, [`block`] the sums between corrections, `correct` the observations.
+//! `docs/fusion.md` describes the settings and their cross-validation.
 
 pub mod block;
 mod config;
@@ -30,55 +30,54 @@ pub mod covariance;
 
 pub use config::MekfConfig;
 
+use super::filter::{FilterFlags, OrientationFilter, level};
 use super::intake::{self, Step, Usable};
-use super::rest::RestDetector;
-use super::{Flags, OrientationFilter, level};
+use super::standstill::StandstillDetector;
 use crate::primitives::frames::{Rotation, Sensor, World};
 use crate::primitives::sample::ImuSample;
 use block::Block;
-use covariance::{ATTITUDE, BIAS, Covariance, DIM, Errors, FIELD, IRON, LATENCY, SCALE, VELOCITY};
+use covariance::{ATTITUDE, BIAS, Covariance, DIM, Errors, FIELD, GRAVITY_M_S2, IRON, LATENCY, SCALE, VELOCITY};
 use nalgebra::{SVector, UnitQuaternion, Vector2, Vector3};
 
-/// Gravity, m/s²: only its direction matters to within a percent.
-const GRAVITY_M_S2: f64 = 9.81;
-/// Rate that a lost gyroscope sample may hide, rad/s.
-const HIDDEN_RATE_RAD_S: f64 = 1.0;
-/// Force that a lost accelerometer sample may hide, m/s².
-const HIDDEN_PUSH_M_S2: f64 = 3.0;
-/// Rate beyond which the first sample is one in motion, rad/s, and the tilt error that may then hide in it, rad.
+/// Rate that a lost gyroscope sample may have missed, rad/s, 1 σ.
+const MISSED_RATE_RAD_S: f64 = 1.0;
+/// Specific force that a lost accelerometer sample may have missed, m/s², 1 σ.
+const MISSED_FORCE_M_S2: f64 = 3.0;
+/// Rate above which the first sample counts as taken in motion, rad/s, and the additional tilt error of its
+/// levelling, rad.
 const MOVING_RAD_S: f64 = 0.2;
 const MOVING_TILT_RAD: f64 = 0.2;
-/// Tilt uncertainty at which a field reading may define north, rad: the dip turns tilt into heading.
+/// Largest tilt uncertainty at which a field reading may define north, rad: the dip turns tilt into heading.
 const LEVEL_ENOUGH_RAD: f64 = 0.06;
-/// Heading uncertainty before there is a north, rad: large, and small enough to linearise.
+/// Heading uncertainty before north is found, rad: large, but small enough for the linearisation.
 const HEADING_UNKNOWN_RAD: f64 = 1.0;
 /// Uncertainty of the Earth's field before the first reading, µT.
 const FIELD_UNKNOWN_UT: f64 = 30.0;
 
-/// The estimate that the covariance's errors belong to.
+/// The estimate to which the error states refer.
 #[derive(Debug, Clone, Copy)]
 struct Estimate {
     r_world_sensor: UnitQuaternion<f64>,
     bias_rad_s: Vector3<f64>,
-    /// xx, yy, zz, xy, xz, yz.
+    /// Scale and skew errors xx, yy, zz, xy, xz, yz.
     scale: SVector<f64, 6>,
     velocity_m_s: Vector2<f64>,
-    /// North and up components of the Earth's field, µT, once there is a north.
+    /// North and up components of the Earth's field, µT, once north is found.
     field_ut: Option<Vector2<f64>>,
     iron_ut: Vector3<f64>,
     latency_s: f64,
-    /// Direction of the last reading, rad, by which the output is turned until there is a north.
+    /// Direction of the last field reading, rad, by which the output is turned until north is found.
     provisional_rad: f64,
 }
 
-/// The filter.
+/// The filter and its state.
 #[derive(Debug, Clone)]
 pub struct Mekf {
     config: MekfConfig,
     estimate: Estimate,
     covariance: Covariance,
     block: Block,
-    rest: RestDetector,
+    standstill: StandstillDetector,
     rate: Vector3<f64>,
     last_mag: Option<Vector3<f64>>,
     /// Running mean square of the field's misfit per axis, µT².
@@ -88,7 +87,7 @@ pub struct Mekf {
 }
 
 impl Mekf {
-    /// A filter that levels itself on the first sample.
+    /// A filter that levels itself with the first sample.
     #[must_use]
     pub fn new(config: MekfConfig) -> Self {
         let estimate = Estimate {
@@ -106,7 +105,7 @@ impl Mekf {
             estimate,
             covariance: Covariance::from_sigmas(&first_sigmas(&config)),
             block: Block::default(),
-            rest: RestDetector::new(config.rest),
+            standstill: StandstillDetector::default(),
             rate: Vector3::zeros(),
             last_mag: None,
             misfit_ut2: 0.0,
@@ -131,7 +130,8 @@ impl Mekf {
         self.estimate.scale
     }
 
-    /// Levels on a force; what was learnt of the sensor stays. A sensor in motion is levelled badly.
+    /// Levels the orientation from a specific force and keeps the estimated sensor errors. Motion makes the levelling
+    /// less certain.
     fn level_on(&mut self, acc: &Vector3<f64>, gyro: Option<Vector3<f64>>) {
         self.estimate.r_world_sensor = level(acc, None).quat();
         self.estimate.velocity_m_s = Vector2::zeros();
@@ -153,13 +153,13 @@ impl Mekf {
         self.levelled = true;
     }
 
-    /// Rest, and the rate that a gyroscope sample means once its faults are taken away.
-    fn take_gyro(&mut self, seen: &Usable, dt_s: f64) {
-        match (seen.gyro_rad_s, seen.acc_m_s2) {
-            (Some(gyro), Some(acc)) => _ = self.rest.update(&gyro, &acc, dt_s),
-            _ => self.rest.miss(dt_s),
+    /// Updates the standstill detector and the rate, with the estimated gyroscope errors removed.
+    fn update_rate(&mut self, usable: &Usable, dt_s: f64) {
+        match (usable.gyro_rad_s, usable.acc_m_s2) {
+            (Some(gyro), Some(acc)) => _ = self.standstill.update(&gyro, &acc, dt_s),
+            _ => self.standstill.miss(dt_s),
         }
-        match seen.gyro_rad_s {
+        match usable.gyro_rad_s {
             Some(gyro) => {
                 let (w, s) = (gyro - self.estimate.bias_rad_s, &self.estimate.scale);
                 self.rate = w + Vector3::new(
@@ -169,25 +169,25 @@ impl Mekf {
                 );
             }
             None => {
-                let hidden = HIDDEN_RATE_RAD_S * dt_s;
-                self.block.hidden_turn_rad2 += hidden * hidden;
+                let missed = MISSED_RATE_RAD_S * dt_s;
+                self.block.missed_turn_rad2 += missed * missed;
             }
         }
     }
 
-    /// Turns the estimate by one sample and adds the sample to the block.
-    fn integrate(&mut self, seen: &Usable, dt_s: f64) {
+    /// Integrates one sample into the estimate and adds it to the block.
+    fn integrate(&mut self, usable: &Usable, dt_s: f64) {
         let rotation = self.estimate.r_world_sensor * UnitQuaternion::from_scaled_axis(self.rate * dt_s);
         self.estimate.r_world_sensor = rotation;
         self.block.add_turning(&rotation.to_rotation_matrix().into_inner(), &self.rate, dt_s);
-        match seen.acc_m_s2 {
+        match usable.acc_m_s2 {
             Some(acc) => self.block.add_force(&(rotation * acc), dt_s),
             None => {
-                let hidden = HIDDEN_PUSH_M_S2 * dt_s;
-                self.block.hidden_push_m2_s2 += hidden * hidden;
+                let missed = MISSED_FORCE_M_S2 * dt_s;
+                self.block.missed_velocity_m2_s2 += missed * missed;
             }
         }
-        let Some(mag) = seen.mag_ut.filter(|m| self.last_mag != Some(*m)) else { return };
+        let Some(mag) = usable.mag_ut.filter(|m| self.last_mag != Some(*m)) else { return };
         self.last_mag = Some(mag);
         let then = rotation * UnitQuaternion::from_scaled_axis(-self.rate * self.estimate.latency_s);
         if self.estimate.field_ut.is_none() {
@@ -197,7 +197,7 @@ impl Mekf {
         }
     }
 
-    /// The first reading on a level sensor defines north, as well as the room and the hard iron let it.
+    /// The first field reading of a levelled sensor defines north, to within the errors of room and hard iron.
     fn find_north(&mut self, world_ut: &Vector3<f64>) {
         self.estimate.provisional_rad = world_ut.y.atan2(world_ut.x);
         if self.covariance.sigma(ATTITUDE).max(self.covariance.sigma(ATTITUDE + 1)) > LEVEL_ENOUGH_RAD {
@@ -224,7 +224,7 @@ impl Mekf {
         self.inject(&errors);
     }
 
-    /// Moves the covariance over the block, takes its observations, and starts the next.
+    /// Propagates the covariance over the block, processes its observations and starts the next block.
     fn close_block(&mut self) {
         let block = std::mem::take(&mut self.block);
         self.estimate.velocity_m_s += block.gained_m_s;
@@ -245,17 +245,17 @@ impl Mekf {
         let dt_s = block.length_s;
         let squared = |sigma: f64| sigma * sigma;
         self.covariance.flow(&block.flow());
-        let wander = c.gyro_wander_deg_rt_s.to_radians() * if self.rest.at_rest() { 0.1 } else { 1.0 };
+        let wander = c.gyro_wander_deg_rt_s.to_radians() * if self.standstill.standstill() { 0.1 } else { 1.0 };
         let turn = (squared(wander) + squared(c.gyro_nonlinearity_rt_s) * block.turning_sq()) * dt_s;
-        self.covariance.grow(ATTITUDE, 3, turn + block.hidden_turn_rad2);
+        self.covariance.grow(ATTITUDE, 3, turn + block.missed_turn_rad2);
         self.covariance.grow(BIAS, 3, squared(c.bias_wander_deg_s_rt_s.to_radians()) * dt_s);
-        let push = (squared(c.acc_floor_m_s_rt_s) + squared(c.acc_fault_rt_s) * block.pushing_sq()) * dt_s;
-        self.covariance.grow(VELOCITY, 2, push + block.hidden_push_m2_s2);
+        let push = (squared(c.acc_floor_m_s_rt_s) + squared(c.acc_fault_rt_s) * block.force_sq()) * dt_s;
+        self.covariance.grow(VELOCITY, 2, push + block.missed_velocity_m2_s2);
         self.covariance.grow(FIELD, 2, squared(c.field_wander_ut_rt_s) * dt_s);
         self.covariance.grow(IRON, 3, squared(c.iron_wander_ut_rt_s) * dt_s);
     }
 
-    /// Adds the errors found to the estimate.
+    /// Adds the estimated errors to the estimate.
     fn inject(&mut self, errors: &Errors) {
         let e = &mut self.estimate;
         let turn: Vector3<f64> = errors.fixed_rows::<3>(ATTITUDE).into_owned();
@@ -304,22 +304,22 @@ fn first_sigmas(c: &MekfConfig) -> Errors {
 
 impl OrientationFilter for Mekf {
     fn update(&mut self, sample: &ImuSample, dt_s: f64) {
-        let seen = intake::usable(sample);
+        let usable = intake::usable(sample);
         let dt_s = match intake::step(dt_s) {
             Step::Go(dt_s) => dt_s,
             Step::Gap => {
                 self.levelled = false;
-                self.rest.miss(dt_s);
+                self.standstill.miss(dt_s);
                 1e-3
             }
             Step::Ignore => return,
         };
         if !self.levelled {
-            let Some(acc) = seen.acc_m_s2 else { return };
-            self.level_on(&acc, seen.gyro_rad_s);
+            let Some(acc) = usable.acc_m_s2 else { return };
+            self.level_on(&acc, usable.gyro_rad_s);
         }
-        self.take_gyro(&seen, dt_s);
-        self.integrate(&seen, dt_s);
+        self.update_rate(&usable, dt_s);
+        self.integrate(&usable, dt_s);
         if self.block.length_s >= self.config.block_s {
             self.close_block();
         }
@@ -333,11 +333,11 @@ impl OrientationFilter for Mekf {
         self.estimate.bias_rad_s
     }
 
-    fn flags(&self) -> Flags {
-        Flags {
+    fn flags(&self) -> FilterFlags {
+        FilterFlags {
             levelled: self.levelled,
             north_found: self.estimate.field_ut.is_some(),
-            at_rest: self.rest.at_rest(),
+            standstill: self.standstill.standstill(),
             field_disturbed: self.disturbed,
         }
     }

@@ -13,7 +13,7 @@ use retroflex::config::board::Board;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
-use retroflex::estimation::fusion::estimator::Choice;
+use retroflex::estimation::fusion::estimator::EstimatorName;
 use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::model::bend::Bend;
 use retroflex::primitives::units::Mm;
@@ -21,7 +21,7 @@ use tip::{Field, TipPlant};
 
 const DT_S: f64 = 0.005;
 
-fn config(plant: &TipPlant, filter: Choice) -> LoopConfig {
+fn config(plant: &TipPlant, filter: EstimatorName) -> LoopConfig {
     let mut config = assemble(&Board::default(), &Calibration::default(), &Gains::default());
     // the calibration of the unit, as good as Algorithm 1 makes it
     config.lines = plant.lines;
@@ -39,7 +39,7 @@ struct Life {
 }
 
 impl Life {
-    fn new(plant: TipPlant, filter: Choice) -> Self {
+    fn new(plant: TipPlant, filter: EstimatorName) -> Self {
         let config = config(&plant, filter);
         let state = LoopState::new(&config);
         Self { plant, config, state, input: Input { dt_s: DT_S, ..Input::default() }, with_base_imu: false }
@@ -86,7 +86,7 @@ impl Life {
     }
 }
 
-fn rmse(seed: u64, tilt_deg: f64, field: Field, filter: Choice) -> f64 {
+fn rmse(seed: u64, tilt_deg: f64, field: Field, filter: EstimatorName) -> f64 {
     let mut plant = TipPlant::new(seed, tilt_deg, DT_S);
     plant.field = field;
     let mut life = Life::new(plant, filter);
@@ -109,10 +109,10 @@ fn the_bend_estimator_is_the_best_in_the_loop() {
     ];
     let tilts = [20.0, 55.0, 90.0, 125.0, 160.0];
     println!("closed-loop bend RMSE, degrees, over {} attitudes of the base", tilts.len());
-    println!("{:18} {}", "", Choice::ALL.map(|c| format!("{:>10}", c.as_str())).concat());
+    println!("{:18} {}", "", EstimatorName::ALL.map(|c| format!("{:>10}", c.as_str())).concat());
     let mut table = Vec::new();
     for (name, field) in cases {
-        let row = Choice::ALL.map(|filter| {
+        let row = EstimatorName::ALL.map(|filter| {
             let each: Vec<f64> = tilts.iter().enumerate().map(|(i, &tilt)| rmse(10 + i as u64, tilt, field, filter)).collect();
             (rms(&each), each.iter().copied().fold(0.0, f64::max))
         });
@@ -143,7 +143,7 @@ const AXES: [[f64; 3]; 4] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], 
 #[test]
 fn a_base_imu_takes_the_turn_of_the_base_off() {
     for (i, axis) in AXES.into_iter().enumerate() {
-        let mut life = Life::new(TipPlant::new(30 + i as u64, 50.0, DT_S), Choice::Bend);
+        let mut life = Life::new(TipPlant::new(30 + i as u64, 50.0, DT_S), EstimatorName::Bend);
         life.with_base_imu = true;
         life.align();
         life.command(40.0, 60.0);
@@ -164,7 +164,7 @@ fn a_base_imu_takes_the_turn_of_the_base_off() {
 fn without_a_base_imu_a_turn_is_flagged_and_mended_on_request() {
     for (i, axis) in AXES.into_iter().enumerate() {
         for over_s in [0.2, 0.5, 0.9] {
-            let mut life = Life::new(TipPlant::new(40 + i as u64, 50.0, DT_S), Choice::Bend);
+            let mut life = Life::new(TipPlant::new(40 + i as u64, 50.0, DT_S), EstimatorName::Bend);
             life.align();
             for (bend, dir) in [(30.0, 0.0), (40.0, 60.0)] {
                 life.command(bend, dir);
@@ -196,7 +196,7 @@ fn without_a_base_imu_a_turn_is_flagged_and_mended_on_request() {
 fn a_base_that_turns_slowly_earns_a_word_and_a_healthy_tip_none() {
     let poses = [(60.0, 0.0), (50.0, 120.0), (60.0, 240.0), (40.0, 60.0), (65.0, 180.0), (55.0, 300.0)];
     for (i, axis) in [[0.0, 0.0, 1.0], [0.5, -0.7, 0.5], [0.3, 0.2, 1.0]].into_iter().enumerate() {
-        let mut life = Life::new(TipPlant::new(60 + i as u64, 50.0, DT_S), Choice::Bend);
+        let mut life = Life::new(TipPlant::new(60 + i as u64, 50.0, DT_S), EstimatorName::Bend);
         life.align();
         let round = |life: &mut Life, seconds: f64| {
             let mut doubted = false;

@@ -1,0 +1,171 @@
+//! Rejects a disturbed magnetic field.
+//!
+//! The gate compares strength and dip of the field with a slowly adapting reference and rejects a field that
+//! differs, for a limited time. A different field that stays constant while the sensor turns becomes the new
+//! reference (after Laidig & Seel 2023, section 3.6). Strength and dip do not depend on the heading, which is the
+//! quantity to protect.
+
+use super::intake::share;
+use nalgebra::Vector3;
+
+/// Largest relative difference of the strength from the reference.
+const STRENGTH_SHARE: f64 = 0.1;
+/// Largest difference of the dip from the reference, degrees.
+const DIP_DEG: f64 = 10.0;
+/// Time constant with which the reference follows an accepted field, s.
+const REFERENCE_TAU_S: f64 = 20.0;
+/// Time for which the field must agree before it is accepted again, s.
+const REGAIN_S: f64 = 0.5;
+/// Longest full rejection, s: after a minute the gyroscope may have drifted further than a disturbed field deviates.
+const REJECT_MAX_S: f64 = 60.0;
+/// Weight of a field that is still disturbed after [`REJECT_MAX_S`].
+const WEIGHT_AFTER_REJECTION: f64 = 0.5;
+/// Time of turning over which a different field must stay constant to become the reference, s.
+const ACCEPT_S: f64 = 20.0;
+/// Angular rate above which a constant field is significant, °/s: a still sensor sees any field as constant.
+const TURNING_DEG_S: f64 = 20.0;
+
+/// Strength and dip of a magnetic field.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FieldShape {
+    /// Strength, µT.
+    pub strength_ut: f64,
+    /// Dip below the horizon, rad.
+    pub dip_rad: f64,
+}
+
+impl FieldShape {
+    /// Shape of a field given in the world frame, µT.
+    #[must_use]
+    pub fn of(field_world: &Vector3<f64>) -> Self {
+        Self { strength_ut: field_world.norm(), dip_rad: (-field_world.z).atan2(field_world.xy().norm()) }
+    }
+    fn near(&self, other: &Self) -> bool {
+        (self.strength_ut - other.strength_ut).abs() < STRENGTH_SHARE * other.strength_ut
+            && (self.dip_rad - other.dip_rad).abs() < DIP_DEG.to_radians()
+    }
+    fn follow(&mut self, target: &Self, share: f64) {
+        self.strength_ut += share * (target.strength_ut - self.strength_ut);
+        self.dip_rad += share * (target.dip_rad - self.dip_rad);
+    }
+}
+
+/// Accepts or rejects the magnetic field.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct FieldGate {
+    shapes: Option<Shapes>,
+    agreed_s: f64,
+    rejected_s: f64,
+    disturbed: bool,
+}
+
+/// The reference field and the candidate that may replace it.
+#[derive(Debug, Clone, Copy)]
+struct Shapes {
+    reference: FieldShape,
+    candidate: FieldShape,
+    candidate_s: f64,
+}
+
+impl FieldGate {
+    /// True while the field differs from the reference.
+    #[must_use]
+    pub fn disturbed(&self) -> bool {
+        self.disturbed
+    }
+    /// Takes the field in the world frame (µT), the angular rate (rad/s) and the time since the previous field.
+    /// Returns the weight of its heading, 0 to 1. The first field becomes the reference.
+    pub fn update(&mut self, field_world: &Vector3<f64>, turning_rad_s: f64, dt_s: f64) -> f64 {
+        let now = FieldShape::of(field_world);
+        let first = Shapes { reference: now, candidate: now, candidate_s: 0.0 };
+        let mut shapes = self.shapes.unwrap_or(first);
+        self.compare(&mut shapes, &now, dt_s);
+        self.update_candidate(&mut shapes, &now, turning_rad_s, dt_s);
+        self.shapes = Some(shapes);
+        self.weight(dt_s)
+    }
+
+    fn compare(&mut self, shapes: &mut Shapes, now: &FieldShape, dt_s: f64) {
+        if !now.near(&shapes.reference) {
+            self.agreed_s = 0.0;
+            self.disturbed = true;
+            return;
+        }
+        self.agreed_s += dt_s;
+        if self.agreed_s >= REGAIN_S {
+            self.disturbed = false;
+            shapes.reference.follow(now, share(dt_s, REFERENCE_TAU_S));
+        }
+    }
+
+    fn update_candidate(&mut self, shapes: &mut Shapes, now: &FieldShape, turning_rad_s: f64, dt_s: f64) {
+        if !now.near(&shapes.candidate) {
+            (shapes.candidate, shapes.candidate_s) = (*now, 0.0);
+            return;
+        }
+        shapes.candidate.follow(now, share(dt_s, REFERENCE_TAU_S));
+        if turning_rad_s >= TURNING_DEG_S.to_radians() {
+            shapes.candidate_s += dt_s;
+        }
+        if self.disturbed && shapes.candidate_s >= ACCEPT_S {
+            shapes.reference = shapes.candidate;
+            self.agreed_s = REGAIN_S;
+            self.disturbed = false;
+        }
+    }
+
+    fn weight(&mut self, dt_s: f64) -> f64 {
+        if !self.disturbed {
+            self.rejected_s = (self.rejected_s - 2.0 * dt_s).max(0.0);
+            1.0
+        } else if self.rejected_s < REJECT_MAX_S {
+            self.rejected_s += dt_s;
+            0.0
+        } else {
+            WEIGHT_AFTER_REJECTION
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EARTH: Vector3<f64> = Vector3::new(16.0, 0.0, -41.0);
+
+    #[test]
+    fn a_magnet_is_rejected_for_a_limited_time() {
+        let mut gate = FieldGate::default();
+        for _ in 0..500 {
+            assert_eq!(gate.update(&EARTH, 0.0, 0.01), 1.0);
+        }
+        let magnet = EARTH + Vector3::new(0.0, 25.0, 10.0);
+        for _ in 0..5900 {
+            assert_eq!(gate.update(&magnet, 0.0, 0.01), 0.0);
+        }
+        assert!(gate.disturbed());
+        for _ in 0..200 {
+            gate.update(&magnet, 0.0, 0.01);
+        }
+        assert_eq!(gate.update(&magnet, 0.0, 0.01), 0.5, "the rejection is limited");
+        for _ in 0..60 {
+            gate.update(&EARTH, 0.0, 0.01);
+        }
+        assert_eq!(gate.update(&EARTH, 0.0, 0.01), 1.0);
+    }
+
+    #[test]
+    fn a_new_field_is_accepted_only_while_turning() {
+        let room = Vector3::new(22.0, 0.0, -52.0);
+        for (turning, accepted) in [(0.0, false), (1.0, true)] {
+            let mut gate = FieldGate::default();
+            for _ in 0..200 {
+                gate.update(&EARTH, turning, 0.01);
+            }
+            for _ in 0..2500 {
+                gate.update(&room, turning, 0.01);
+            }
+            assert_eq!(!gate.disturbed(), accepted, "turning at {turning} rad/s");
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! Interfaces of the generic orientation filters and of the estimators in the loop.
+
+use crate::estimation::fusion::base::BaseTurn;
+use crate::model::bend::Bend;
+use crate::primitives::frames::{Base, Rotation, Sensor, Tip, World};
+use crate::primitives::sample::ImuSample;
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
+
+/// Status of an orientation filter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct FilterFlags {
+    /// A usable accelerometer sample has levelled the filter. Until then the orientation is the identity.
+    pub levelled: bool,
+    /// A usable magnetometer sample has set the heading. Until then the heading is arbitrary.
+    pub north_found: bool,
+    /// The sensor stands still, so that the gyroscope measures its bias.
+    pub standstill: bool,
+    /// The magnetic field differs from the reference; the heading depends on the gyroscope alone.
+    pub field_disturbed: bool,
+}
+
+/// A filter that turns samples into an orientation, one sample at a time.
+pub trait OrientationFilter {
+    /// Processes one sample, `dt_s` seconds after the previous one.
+    ///
+    /// `dt_s` may vary. A step that is not positive and finite is ignored. A step longer than
+    /// [`super::intake::GAP_MAX_S`] levels the filter again from the sample; the estimated sensor errors are kept.
+    fn update(&mut self, sample: &ImuSample, dt_s: f64);
+    /// Orientation of the sensor after the last sample (world: z up, x to magnetic north).
+    fn orientation(&self) -> Rotation<World, Sensor>;
+    /// Estimated gyroscope bias in the sensor frame, rad/s.
+    fn gyro_bias_rad_s(&self) -> Vector3<f64>;
+    /// Status after the last sample.
+    fn flags(&self) -> FilterFlags;
+    /// Sets the undisturbed field: strength in µT and dip in rad, positive below the horizon. Filters that find
+    /// the field themselves ignore it.
+    fn set_field_reference(&mut self, _strength_ut: f64, _dip_rad: f64) {}
+}
+
+/// Sampling periods that a filter is built for, seconds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Periods {
+    /// Between gyroscope and accelerometer samples.
+    pub imu_s: f64,
+    /// Between magnetometer samples, repeated ones included.
+    pub mag_s: f64,
+}
+
+/// Which parts of a sample may correct the estimate, and whether the pistons stand still.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MeasurementMask {
+    /// Correct with the accelerometer.
+    pub acc: bool,
+    /// Correct with the magnetometer.
+    pub mag: bool,
+    /// The pistons have not moved for a while.
+    pub still: bool,
+}
+
+/// An estimator of the tip's orientation in the base frame, as the loop uses it.
+pub trait TipEstimator {
+    /// Processes one sample, `dt_s` after the previous one, with the base turned by `base` since alignment.
+    fn update(&mut self, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, base: &BaseTurn);
+    /// Processes the first sample after `gap_s` without usable samples.
+    fn recover(&mut self, sample: &ImuSample, gap_s: f64, mask: MeasurementMask, base: &BaseTurn);
+    /// Tip in the base.
+    fn r_base_tip(&self) -> Rotation<Base, Tip>;
+    /// True unless the estimator considers the magnetic field disturbed.
+    fn trusts_field(&self) -> bool;
+
+    /// Estimated bend: the one nearest to the rotation since alignment.
+    fn bend(&self) -> Bend {
+        Bend::nearest(&self.r_base_tip())
+    }
+    /// Largest standard deviation of the bend vector, rad; `None` for an estimator without a covariance.
+    fn sigma_rad(&self) -> Option<f64> {
+        None
+    }
+    /// Change of the bend by the last correction, beyond the integrated rate, rad; zero where it is not known.
+    fn correction(&self) -> Vector2<f64> {
+        Vector2::zeros()
+    }
+    /// Widens the covariance for samples that are missing over `gap_s`, rad/s² being the largest angular
+    /// acceleration of the tip.
+    fn widen_for_gap(&mut self, _acceleration_max_rad_s2: f64, _gap_s: f64) {}
+    /// Reports that a rate was rejected that may have been true, so that the next readings are tested for a jump.
+    fn suspect_jump(&mut self) {}
+    /// Returns true once after each jump that gravity and field have confirmed.
+    fn take_reacquired(&mut self) -> bool {
+        false
+    }
+}
+
+/// Orientation in which `up` and the horizontal part of `field` (sensor frame) are the world's z and x.
+///
+/// The triad method of Black (1964) with the accelerometer as the exact vector. Without a usable field the result
+/// is the shortest rotation that levels, and the heading is arbitrary.
+#[must_use]
+pub fn level(up: &Vector3<f64>, field: Option<&Vector3<f64>>) -> Rotation<World, Sensor> {
+    let up = up.normalize();
+    let west = field.map(|m| up.cross(m)).and_then(|w| w.try_normalize(1e-9));
+    let q = match west {
+        Some(west) => {
+            let north = west.cross(&up);
+            let rows = nalgebra::Matrix3::from_rows(&[north.transpose(), west.transpose(), up.transpose()]);
+            UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(rows))
+        }
+        None => UnitQuaternion::rotation_between(&up, &Vector3::z())
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)),
+    };
+    Rotation::assert_frames(q)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levelling_finds_every_attitude_including_upside_down() {
+        let field = Vector3::new(20.0, 0.0, -40.0);
+        for q in [
+            UnitQuaternion::identity(),
+            UnitQuaternion::from_euler_angles(3.0, -0.4, 2.9),
+            UnitQuaternion::from_euler_angles(0.0, 0.0, std::f64::consts::PI),
+            UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0),
+        ] {
+            let (up, mag) = (q.inverse() * Vector3::z(), q.inverse() * field);
+            assert!(level(&up, Some(&mag)).quat().angle_to(&q) < 1e-9);
+            assert!((level(&up, None).apply(&up) - Vector3::z()).norm() < 1e-9);
+        }
+    }
+}

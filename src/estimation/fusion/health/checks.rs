@@ -1,0 +1,217 @@
+//! Finds the faults of one reading, from its values and from the readings before it.
+
+use super::cause::{CauseSet, HealthCause};
+use super::config::HealthConfig;
+use super::reading::{FieldReference, ImuReading, Quality, ReadFault, dip};
+use crate::primitives::sample::ImuSample;
+use nalgebra::{Rotation3, Vector3};
+
+/// Standard gravity, m/s²: assumed until the alignment has measured the norm of the specific force.
+const GRAVITY_M_S2: f64 = 9.81;
+
+/// Estimated errors of the sensor, which are not disturbances.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct KnownErrors {
+    /// Estimated accelerometer bias, m/s², subtracted before the norm is checked.
+    pub acc_bias_m_s2: Vector3<f64>,
+    /// Additional tolerance of the norm for the uncertainty of that estimate, m/s².
+    pub acc_margin_m_s2: f64,
+    /// Estimated field of the tip's own iron, µT, subtracted before strength and dip are checked.
+    pub iron_ut: Vector3<f64>,
+    /// Additional tolerance of the field for the uncertainty of that estimate, µT.
+    pub iron_margin_ut: f64,
+}
+
+/// Result of the checks of one reading.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Findings {
+    /// Causes found in this reading.
+    pub faults: CauseSet,
+    /// Causes that this reading could have shown.
+    pub tested: CauseSet,
+    /// The jumps rejected just before were true.
+    pub confirmed: bool,
+}
+
+impl Findings {
+    fn test(&mut self, cause: HealthCause, fault: bool) {
+        self.tested.insert(cause);
+        if fault {
+            self.faults.insert(cause);
+        }
+    }
+}
+
+/// What the checks remember of earlier readings.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Checks {
+    reference: Option<FieldReference>,
+    gravity_m_s2: Option<f64>,
+    known: KnownErrors,
+    /// Last finite sample.
+    last: Option<ImuSample>,
+    /// Last sample that was no spike.
+    last_plausible: Option<ImuSample>,
+    last_was_sample: bool,
+    /// Identical samples in a row.
+    repeated: u32,
+    /// Samples in a row that agree with each other after a jump.
+    agreeing: u32,
+    bus_failures: u32,
+    /// Time of the last magnetometer value, s.
+    last_mag_s: Option<f64>,
+    /// Specific force of the vertical in sensor axes, propagated by the gyroscope, m/s².
+    up: Option<Vector3<f64>>,
+}
+
+impl Checks {
+    /// Sets the estimated sensor errors; the references are recomputed from the raw means of the alignment.
+    pub fn set_known(&mut self, known: KnownErrors, acc_rest: &Vector3<f64>, mag_rest: Option<&Vector3<f64>>) {
+        let acc = acc_rest - known.acc_bias_m_s2;
+        self.reference = mag_rest.and_then(|mag| FieldReference::from_rest(&acc, &(mag - known.iron_ut)));
+        self.gravity_m_s2 = Some(acc.norm());
+        self.known = known;
+    }
+
+    /// Checks one reading at time `now`, s; `shaken` is true while the accelerometer counts as disturbed.
+    pub fn inspect(&mut self, config: &HealthConfig, now: f64, reading: &ImuReading, shaken: bool) -> Findings {
+        let found = match reading {
+            ImuReading::Sample(sample, quality) => self.inspect_sample(config, now, sample, *quality, shaken),
+            ImuReading::Failed(fault) => self.inspect_failure(config, *fault),
+            ImuReading::Nothing => {
+                let stale = self.last.is_some_and(|last| now - last.t.0 > config.stale_after_s);
+                let faults = if stale { CauseSet::of(HealthCause::StaleTimestamp) } else { CauseSet::EMPTY };
+                Findings { faults, ..Findings::default() }
+            }
+        };
+        self.last_was_sample = matches!(reading, ImuReading::Sample(..));
+        found
+    }
+
+    fn inspect_failure(&mut self, config: &HealthConfig, fault: ReadFault) -> Findings {
+        let (cause, on_the_bus) = match fault {
+            ReadFault::Nack | ReadFault::Bus => (HealthCause::Nack, true),
+            ReadFault::ShortRead => (HealthCause::ShortRead, true),
+            ReadFault::WrongId => (HealthCause::WrongId, false),
+            ReadFault::BrownOut => (HealthCause::BrownOut, false),
+        };
+        let mut faults = CauseSet::of(cause);
+        if on_the_bus {
+            self.bus_failures = self.bus_failures.saturating_add(1);
+            if self.bus_failures >= config.stuck_after {
+                faults.insert(HealthCause::StuckBus);
+            }
+        }
+        Findings { faults, ..Findings::default() }
+    }
+
+    fn inspect_sample(&mut self, config: &HealthConfig, now: f64, sample: &ImuSample, quality: Quality, shaken: bool) -> Findings {
+        let mut found = Findings::default();
+        self.bus_failures = 0;
+        for cause in [HealthCause::Nack, HealthCause::ShortRead, HealthCause::StuckBus, HealthCause::WrongId, HealthCause::BrownOut] {
+            found.test(cause, false);
+        }
+        found.test(HealthCause::NotFinite, !sample.is_finite() || !sample.t.0.is_finite());
+        if found.faults.contains(HealthCause::NotFinite) {
+            return found; // no other check is meaningful, and the values must not be stored
+        }
+        self.check_clock(config, now, sample, &mut found);
+        self.check_repetition(config, sample, quality, &mut found);
+        found.test(HealthCause::Saturated, quality.gyro_load >= config.saturated_at);
+        self.check_spike(config, sample, &mut found);
+        let gravity = self.gravity_m_s2.unwrap_or(GRAVITY_M_S2);
+        let force = (sample.acc_m_s2 - self.known.acc_bias_m_s2).norm();
+        let disturbed = (force - gravity).abs() > config.acc_norm_tolerance_m_s2 + self.known.acc_margin_m_s2;
+        found.test(HealthCause::AccelDisturbed, disturbed || quality.acc_load >= config.saturated_at);
+        if found.faults.contains(HealthCause::Spike) || found.faults.contains(HealthCause::Saturated) {
+            self.up = None; // the gyroscope may have missed part of the rotation
+        }
+        self.propagate_vertical(config, sample, !disturbed && !shaken);
+        self.check_magnetometer(config, now, sample, quality, &mut found);
+        self.last = Some(*sample);
+        found
+    }
+
+    fn check_clock(&self, config: &HealthConfig, now: f64, sample: &ImuSample, found: &mut Findings) {
+        let t = sample.t.0;
+        let step = self.last.map_or(f64::NAN, |last| t - last.t.0); // NaN: the first sample passes every comparison
+        found.test(HealthCause::StaleTimestamp, now - t > config.stale_after_s || step == 0.0);
+        let jump = step > config.jump_max_s && self.last_was_sample;
+        found.test(HealthCause::JumpingTimestamp, step < 0.0 || jump || t - now > config.jump_max_s);
+    }
+
+    fn check_repetition(&mut self, config: &HealthConfig, sample: &ImuSample, quality: Quality, found: &mut Findings) {
+        let same = self.last.is_some_and(|s| s.gyro_rad_s == sample.gyro_rad_s && s.acc_m_s2 == sample.acc_m_s2);
+        self.repeated = if same { self.repeated.saturating_add(1) } else { 0 };
+        let enabled = quality.expect_noise && config.frozen_after > 0;
+        found.test(HealthCause::Frozen, enabled && self.repeated >= config.frozen_after);
+    }
+
+    /// A jump is a spike unless [`HealthConfig::spike_confirm`] samples in a row agree on the new value.
+    fn check_spike(&mut self, config: &HealthConfig, sample: &ImuSample, found: &mut Findings) {
+        let near = |other: &Option<ImuSample>| other.as_ref().is_none_or(|o| reachable(config, o, sample));
+        let mut spike = !near(&self.last_plausible);
+        if spike {
+            self.agreeing = if near(&self.last) { self.agreeing + 1 } else { 0 };
+            spike = self.agreeing < config.spike_confirm;
+            found.confirmed = !spike;
+        }
+        if !spike {
+            self.agreeing = 0;
+            self.last_plausible = Some(*sample);
+        }
+        found.test(HealthCause::Spike, spike);
+    }
+
+    fn check_magnetometer(&mut self, config: &HealthConfig, now: f64, sample: &ImuSample, quality: Quality, found: &mut Findings) {
+        let since = *self.last_mag_s.get_or_insert(now);
+        if quality.mag_overflow || sample.mag_ut.is_some() {
+            found.test(HealthCause::MagOverflow, quality.mag_overflow);
+            found.test(HealthCause::MagSilent, false);
+            self.last_mag_s = Some(now);
+        } else if config.expect_mag && now - since > config.mag_silent_after_s {
+            found.test(HealthCause::MagSilent, true);
+        }
+        if let (Some(mag), Some(reference)) = (&sample.mag_ut, &self.reference) {
+            let field = mag - self.known.iron_ut;
+            let disturbed = field_disturbed(config, reference, self.up.as_ref(), &field, self.known.iron_margin_ut);
+            found.test(HealthCause::FieldDisturbed, disturbed);
+        }
+    }
+
+    /// Propagates the vertical with the gyroscope and corrects it slowly with a calm accelerometer, so that the dip
+    /// can be checked while the tip is shaken.
+    fn propagate_vertical(&mut self, config: &HealthConfig, sample: &ImuSample, calm: bool) {
+        let dt = self.last.map_or(0.0, |last| sample.t.0 - last.t.0);
+        let bridged = (0.0..=config.jump_max_s).contains(&dt);
+        self.up = match self.up.filter(|_| bridged) {
+            Some(up) => {
+                let turned = Rotation3::new(-sample.gyro_rad_s * dt) * up;
+                let gain = if calm { (dt / config.vertical_memory_s).min(1.0) } else { 0.0 };
+                Some(turned * (1.0 - gain) + sample.acc_m_s2 * gain)
+            }
+            None => calm.then_some(sample.acc_m_s2),
+        };
+    }
+}
+
+fn reachable(config: &HealthConfig, from: &ImuSample, to: &ImuSample) -> bool {
+    let dt = (to.t.0 - from.t.0).clamp(0.0, config.jump_max_s);
+    let gyro_max = config.gyro_jump_allowed_rad_s + config.angular_acceleration_max_rad_s2 * dt;
+    (to.gyro_rad_s - from.gyro_rad_s).norm() <= gyro_max && (to.acc_m_s2 - from.acc_m_s2).norm() <= config.acc_jump_allowed_m_s2
+}
+
+/// True if strength or dip of the field differ from the reference; without a vertical only the strength is checked.
+pub(super) fn field_disturbed(
+    config: &HealthConfig,
+    reference: &FieldReference,
+    up: Option<&Vector3<f64>>,
+    field: &Vector3<f64>,
+    margin_ut: f64,
+) -> bool {
+    let margin = margin_ut / reference.norm_ut;
+    let strength_off = (field.norm() / reference.norm_ut - 1.0).abs() > config.field_norm_tolerance + margin;
+    let dip_max = config.field_dip_tolerance_deg.to_radians() + margin.min(1.0).asin();
+    let dip_off = |up| dip(up, field).is_none_or(|d| (d - reference.dip_rad).abs() > dip_max);
+    strength_off || up.is_some_and(dip_off)
+}

@@ -1,0 +1,151 @@
+//! The monitor: tracks every cause over time and derives the verdict.
+
+use super::cause::{CauseSet, HealthCause};
+use super::checks::{Checks, Findings, KnownErrors};
+use super::config::{HealthConfig, Policy};
+use super::reading::ImuReading;
+use super::verdict::{HealthVerdict, Recovered};
+use crate::primitives::units::Seconds;
+use nalgebra::Vector3;
+
+/// A disturbance that returns within this time counts as the same one, s.
+const RETURN_S: f64 = 60.0;
+/// Number of returns up to which the recovery time doubles: 2¹⁰ times ten values at 100 Hz are 100 s.
+const RETURNS_MAX: u32 = 10;
+
+/// History of one cause.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Track {
+    /// Time at which it came into force, s; `None` while it is clear.
+    since: Option<f64>,
+    /// Good readings in a row since.
+    good: u32,
+    /// How often it has come into force.
+    times: u32,
+    /// Time at which it was last cleared, s.
+    cleared: Option<f64>,
+    /// Returns in a row, each within [`RETURN_S`].
+    returns: u32,
+}
+
+/// Assesses the readings of one sensor. It has a fixed size and is cloned for replay.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SensorMonitor {
+    tracks: [Track; HealthCause::ALL.len()],
+    checks: Checks,
+    /// Time of the last usable gyroscope sample, s.
+    used_s: Option<f64>,
+}
+
+impl SensorMonitor {
+    /// Sets the estimated sensor errors. `acc_rest` and `mag_rest` are the raw means of the alignment, from which
+    /// the references of gravity and field are computed.
+    pub fn set_known(&mut self, known: KnownErrors, acc_rest: &Vector3<f64>, mag_rest: Option<&Vector3<f64>>) {
+        self.checks.set_known(known, acc_rest, mag_rest);
+    }
+    /// Causes that are in force.
+    #[must_use]
+    pub fn in_force(&self) -> CauseSet {
+        let mut set = CauseSet::EMPTY;
+        HealthCause::ALL.into_iter().filter(|c| self.track(*c).since.is_some()).for_each(|c| set.insert(c));
+        set
+    }
+    /// How often a cause has come into force since the start.
+    #[must_use]
+    pub fn times(&self, cause: HealthCause) -> u32 {
+        self.track(cause).times
+    }
+    fn track(&self, cause: HealthCause) -> &Track {
+        &self.tracks[cause as usize]
+    }
+
+    /// Assesses one reading; `now` is on the clock of the sample stamps.
+    pub fn assess(&mut self, config: &HealthConfig, now: Seconds, reading: &ImuReading) -> HealthVerdict {
+        let shaken = self.track(HealthCause::AccelDisturbed).since.is_some();
+        let found = self.checks.inspect(config, now.0, reading, shaken);
+        let (raised, recovered) = self.update_tracks(config, now.0, &found);
+        let verdict = self.apply_policies(config, now.0, reading, found.faults);
+        HealthVerdict { raised, recovered, confirmed: found.confirmed, ..verdict }
+    }
+
+    /// Advances the track of every cause by one reading; returns the causes raised and those cleared.
+    fn update_tracks(&mut self, config: &HealthConfig, now: f64, found: &Findings) -> (CauseSet, Option<Recovered>) {
+        let (mut raised, mut cleared, mut after_s) = (CauseSet::EMPTY, CauseSet::EMPTY, 0.0_f64);
+        for cause in HealthCause::ALL {
+            let track = &mut self.tracks[cause as usize];
+            if found.faults.contains(cause) {
+                track.good = 0;
+                if track.since.is_none() {
+                    track.since = Some(now);
+                    track.times = track.times.saturating_add(1);
+                    let soon = track.cleared.is_some_and(|cleared| now - cleared < RETURN_S);
+                    track.returns = if soon { track.returns.saturating_add(1) } else { 0 };
+                    raised.insert(cause);
+                }
+            } else if let Some(since) = track.since
+                && found.tested.contains(cause)
+            {
+                track.good += 1;
+                if track.good >= readings_to_clear(config, cause, track.returns) {
+                    (track.since, track.cleared) = (None, Some(now));
+                    cleared.insert(cause);
+                    after_s = after_s.max(now - since);
+                }
+            }
+        }
+        (raised, (!cleared.is_empty()).then_some(Recovered { causes: cleared, after_s }))
+    }
+
+    /// Applies the policies of all causes in force to the reading.
+    fn apply_policies(&mut self, config: &HealthConfig, now: f64, reading: &ImuReading, faults: CauseSet) -> HealthVerdict {
+        let sample = if let ImuReading::Sample(sample, _) = reading { Some(sample) } else { None };
+        let (mut gyro, mut acc, mut mag) = (sample.is_some(), sample.is_some(), sample.is_some_and(|s| s.mag_ut.is_some()));
+        let mut hold = false;
+        let in_force = self.in_force();
+        for cause in in_force.iter() {
+            let since = self.track(cause).since.unwrap_or(now);
+            match config.policy.of(cause) {
+                Policy::Skip => gyro &= !faults.contains(cause),
+                Policy::GravityOnly => mag = false,
+                Policy::CoastOnGyro { for_s } => {
+                    (acc, mag) = (false, false);
+                    hold |= now - since > for_s;
+                }
+                Policy::Hold => {
+                    hold = true;
+                    gyro &= !faults.contains(cause);
+                }
+            }
+        }
+        gyro &= !faults.contains(HealthCause::NotFinite); // under any policy: it would corrupt the filter
+        let used = *self.used_s.get_or_insert(now);
+        let blind = !gyro && now - used > config.blind_max_s;
+        if gyro {
+            self.used_s = Some(now);
+        }
+        let (raised, confirmed, recovered) = (CauseSet::EMPTY, false, None);
+        HealthVerdict {
+            gyro,
+            acc: acc && gyro,
+            mag: mag && gyro,
+            hold: hold || blind,
+            blind,
+            faults,
+            in_force,
+            raised,
+            confirmed,
+            recovered,
+        }
+    }
+}
+
+/// Good readings in a row that clear a cause. A field that motors disturb again and again matches the reference now
+/// and then by chance, so every return doubles the number.
+fn readings_to_clear(config: &HealthConfig, cause: HealthCause, returns: u32) -> u32 {
+    match cause {
+        HealthCause::FieldDisturbed => config.recover_mag_samples.saturating_mul(1 << returns.min(RETURNS_MAX)),
+        HealthCause::MagOverflow | HealthCause::MagSilent => config.recover_mag_samples,
+        HealthCause::AccelDisturbed => config.recover_acc_samples,
+        _ => config.recover_samples,
+    }
+}

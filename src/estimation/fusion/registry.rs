@@ -1,0 +1,128 @@
+//! The generic orientation filters by name: the only place that lists them.
+//!
+//! | name | filter | purpose |
+//! |---|---|---|
+//! | `madgwick` | gradient descent (Madgwick 2010) on the `ahrs` crate, with bias, gate and levelled inputs | the least arithmetic |
+//! | `vqf` | Laidig & Seel 2023 as published, on the `vqf-rs` crate | the reference |
+//! | `vqf-long` | the same with a longer magnetometer time constant | rooms with iron |
+//! | `mekf` | error-state Kalman filter that also estimates gyroscope scale, hard iron and magnetometer latency | the most accurate |
+//!
+//! A new filter needs its own file, a line in `fusion/mod.rs` and its entries in [`FilterName`] and [`Filter`].
+
+use crate::estimation::fusion::filter::{OrientationFilter, Periods};
+use crate::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
+use crate::estimation::fusion::mekf::{Mekf, MekfConfig};
+use crate::estimation::fusion::vqf::{Vqf, VqfConfig};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::ops::{Deref, DerefMut};
+use std::str::FromStr;
+
+/// A filter with its shipped settings, by the name that files and the command line use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FilterName {
+    /// [`Madgwick`] with its default settings.
+    Madgwick,
+    /// [`Vqf`] with the settings of its authors.
+    Vqf,
+    /// [`Vqf`] with the magnetometer time constant [`super::vqf::TAU_MAG_LONG_S`].
+    VqfLong,
+    /// [`Mekf`] with its default settings.
+    Mekf,
+}
+
+impl FilterName {
+    /// Every filter, simplest first.
+    pub const ALL: [Self; 4] = [Self::Madgwick, Self::Vqf, Self::VqfLong, Self::Mekf];
+
+    /// The name as files and the command line write it.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Madgwick => "madgwick",
+            Self::Vqf => "vqf",
+            Self::VqfLong => "vqf-long",
+            Self::Mekf => "mekf",
+        }
+    }
+
+    /// A new filter with its shipped settings.
+    #[must_use]
+    pub fn build(self, periods: Periods) -> Filter {
+        match self {
+            Self::Madgwick => Filter::Madgwick(Madgwick::new(MadgwickConfig::default())),
+            Self::Vqf => Filter::Vqf(Vqf::new(periods, VqfConfig::default())),
+            Self::VqfLong => Filter::Vqf(Vqf::new(periods, VqfConfig::long())),
+            Self::Mekf => Filter::Mekf(Mekf::new(MekfConfig::default())),
+        }
+    }
+}
+
+/// A filter by value; it dereferences to [`OrientationFilter`].
+#[derive(Debug, Clone)]
+#[allow(clippy::large_enum_variant, reason = "lives in the state of the loop, which may not allocate")]
+pub enum Filter {
+    /// Gradient descent.
+    Madgwick(Madgwick),
+    /// VQF, with any time constants.
+    Vqf(Vqf),
+    /// Error-state Kalman filter.
+    Mekf(Mekf),
+}
+
+impl Deref for Filter {
+    type Target = dyn OrientationFilter;
+    fn deref(&self) -> &Self::Target {
+        match self {
+            Self::Madgwick(f) => f,
+            Self::Vqf(f) => f,
+            Self::Mekf(f) => f,
+        }
+    }
+}
+
+impl DerefMut for Filter {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        match self {
+            Self::Madgwick(f) => f,
+            Self::Vqf(f) => f,
+            Self::Mekf(f) => f,
+        }
+    }
+}
+
+/// A name that belongs to no filter.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("there is no filter \"{name}\"; use one of {}", FilterName::ALL.map(FilterName::as_str).join(", "))]
+pub struct UnknownFilter {
+    /// The name as given.
+    pub name: String,
+}
+
+impl fmt::Display for FilterName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for FilterName {
+    type Err = UnknownFilter;
+    fn from_str(name: &str) -> Result<Self, UnknownFilter> {
+        Self::ALL.into_iter().find(|f| f.as_str() == name).ok_or_else(|| UnknownFilter { name: name.to_owned() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_round_trip_and_unknown_names_are_refused() {
+        for f in FilterName::ALL {
+            assert_eq!(f.as_str().parse(), Ok(f));
+            assert_eq!(serde_json::to_string(&f).unwrap(), format!("\"{f}\""));
+        }
+        assert!("kalman".parse::<FilterName>().unwrap_err().to_string().contains("madgwick, vqf, vqf-long, mekf"));
+    }
+}

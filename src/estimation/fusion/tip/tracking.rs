@@ -1,0 +1,255 @@
+//! Tracking of an aligned tip: gaps, rejected rates, corrections and re-alignment around the estimators.
+
+use super::types::{FuseConfig, FusionInput, TipEstimate};
+use crate::estimation::fusion::align::{AlignState, Alignment};
+use crate::estimation::fusion::base::{BaseTracker, BaseTurn};
+use crate::estimation::fusion::bend::BendFilter;
+use crate::estimation::fusion::correction_smoother::CorrectionSmoother;
+use crate::estimation::fusion::estimator::Estimator;
+use crate::estimation::fusion::filter::MeasurementMask;
+use crate::estimation::fusion::health::{HealthCause, HealthConfig, HealthVerdict, ImuReading, KnownErrors, Quality};
+use crate::estimation::fusion::second::Second;
+use crate::model::bend::Bend;
+use crate::primitives::sample::ImuSample;
+use crate::primitives::units::Seconds;
+use nalgebra::{Vector2, Vector3};
+
+/// Standard deviations of the estimated sensor errors by which the limits of the sensor monitor are widened.
+const MARGIN_SIGMAS: f64 = 3.0;
+/// Uncertainty of the bend during a re-alignment, rad (2°), 1 σ.
+const REALIGN_SIGMA_RAD: f64 = 0.035;
+/// Least time between two saved states of the bend filter, s.
+const SAVE_PERIOD_S: f64 = 0.5;
+/// Longest gap that is integrated, in sampling periods.
+const BRIDGED_PERIODS: f64 = 6.0;
+
+/// Rates that were rejected as spikes since the last used sample. They are used after all if the next readings
+/// confirm them.
+#[derive(Debug, Clone, Copy, Default)]
+struct RejectedRates {
+    /// Their integral, rad.
+    turn_rad: Vector3<f64>,
+    /// Stamp of the last of them, s.
+    until_s: Option<f64>,
+}
+
+/// State of the fusion after alignment.
+#[derive(Debug, Clone)]
+pub(super) struct Tracker {
+    pub alignment: Alignment,
+    /// Limits of the sensor monitor for the sampling periods of this source.
+    pub limits: HealthConfig,
+    /// The source had noise during the first alignment.
+    noisy: bool,
+    pub estimator: Estimator,
+    second: Second,
+    smoother: CorrectionSmoother,
+    /// Last sample that was used.
+    pub last: Option<ImuSample>,
+    rejected: RejectedRates,
+    /// Rate of the bend at the last sample, by the gyroscope, rad/s.
+    bend_rate: Vector2<f64>,
+    /// Extrapolation of the bend since the last sample, rad.
+    extrapolation: Vector2<f64>,
+    /// Bend filter at the last undisturbed moment.
+    pub saved: Option<BendFilter>,
+    saved_at_s: f64,
+    /// Still stretch of a requested re-alignment, and the bend of the tip during it.
+    pub realignment: Option<(AlignState, Bend)>,
+}
+
+impl Tracker {
+    pub fn new(config: &FuseConfig, alignment: &Alignment) -> Self {
+        let (imu_s, mag_s) = alignment.periods_s();
+        let second = Estimator::new(config.filter.second(), &config.bend, alignment, config.second.period_s);
+        Self {
+            alignment: *alignment,
+            limits: config.health.for_periods(imu_s, alignment.mag_rest_ut.map(|_| mag_s)),
+            noisy: alignment.noisy(),
+            estimator: Estimator::new(config.filter, &config.bend, alignment, 0.0),
+            second: Second::new(second),
+            smoother: CorrectionSmoother::default(),
+            last: None,
+            rejected: RejectedRates::default(),
+            bend_rate: Vector2::zeros(),
+            extrapolation: Vector2::zeros(),
+            saved: None,
+            saved_at_s: f64::NEG_INFINITY,
+            realignment: None,
+        }
+    }
+
+    /// Expects noise of every source that had noise during alignment.
+    pub fn expecting_noise(&self, reading: ImuReading) -> ImuReading {
+        match reading {
+            ImuReading::Sample(sample, quality) => {
+                let expect_noise = quality.expect_noise || self.noisy;
+                ImuReading::Sample(sample, Quality { expect_noise, ..quality })
+            }
+            other => other,
+        }
+    }
+
+    pub fn save(&mut self, now: Seconds) {
+        if now.0 - self.saved_at_s > SAVE_PERIOD_S {
+            self.saved = self.bend_filter().cloned();
+            self.saved_at_s = now.0;
+        }
+    }
+
+    pub fn update(&mut self, config: &FuseConfig, verdict: &HealthVerdict, input: &FusionInput, base: &BaseTracker) {
+        if verdict.recovered.is_some() {
+            self.smoother.arm();
+        }
+        let (true, ImuReading::Sample(sample, _)) = (verdict.gyro, &input.tip) else {
+            // between samples, and at the start of a gap, the bend continues at its last rate
+            let age_s = self.last.map_or(0.0, |last| input.now.0 - last.t.0);
+            self.extrapolation = self.bend_rate * age_s.clamp(0.0, self.limits.blind_max_s);
+            self.reject(verdict, &input.tip);
+            return;
+        };
+        let mask = MeasurementMask { acc: verdict.acc, mag: verdict.mag, still: input.still && !verdict.hold };
+        let period_s = self.alignment.periods_s().0;
+        let gap_s = self.last.map_or(period_s, |last| sample.t.0 - last.t.0);
+        if gap_s <= 0.0 {
+            return;
+        }
+        if gap_s <= (BRIDGED_PERIODS * period_s).max(self.limits.jump_max_s) {
+            if gap_s - period_s > 0.5 * period_s && !verdict.confirmed {
+                self.estimator.widen_for_gap(self.limits.angular_acceleration_max_rad_s2, gap_s);
+                self.smoother.arm();
+            }
+            self.step(config, &self.bridge(sample, gap_s, verdict.confirmed), gap_s, mask, &base.turn());
+        } else {
+            self.resume(sample, gap_s, mask, &base.turn());
+        }
+        (self.last, self.extrapolation, self.rejected) = (Some(*sample), Vector2::zeros(), RejectedRates::default());
+        self.continue_realignment(config, sample, verdict);
+    }
+
+    /// Restarts both estimators after a gap that is too long to integrate.
+    fn resume(&mut self, sample: &ImuSample, gap_s: f64, mask: MeasurementMask, turn: &BaseTurn) {
+        let before = self.estimator.bend().0 + self.extrapolation;
+        self.estimator.recover(sample, gap_s, mask, turn);
+        self.second.recover(sample, gap_s, mask, turn);
+        self.smoother.arm();
+        self.smoother.step(&(self.estimator.bend().0 - before), 0.0);
+    }
+
+    /// Records a rate that was rejected as a spike or as saturated, since it may have been true.
+    fn reject(&mut self, verdict: &HealthVerdict, tip: &ImuReading) {
+        let (spike, saturated) = (verdict.faults.contains(HealthCause::Spike), verdict.faults.contains(HealthCause::Saturated));
+        if spike || saturated {
+            self.estimator.suspect_jump();
+        }
+        if let (true, false, ImuReading::Sample(sample, _)) = (spike, saturated, tip) {
+            let since_s = self.rejected.until_s.or(self.last.map(|last| last.t.0)).map_or(0.0, |before| sample.t.0 - before);
+            self.rejected.turn_rad += sample.gyro_rad_s * since_s;
+            self.rejected.until_s = Some(sample.t.0);
+        }
+    }
+
+    /// The sample with the mean rate over the gap before it: the mean of both ends over lost samples, the integral
+    /// of the rejected rates if they were confirmed.
+    fn bridge(&self, sample: &ImuSample, gap_s: f64, confirmed: bool) -> ImuSample {
+        let gyro_rad_s = match (&self.last, self.rejected.until_s) {
+            (Some(_), Some(until_s)) if confirmed => (self.rejected.turn_rad + sample.gyro_rad_s * (sample.t.0 - until_s)) / gap_s,
+            (Some(last), _) if gap_s > 1.5 * self.alignment.periods_s().0 => (sample.gyro_rad_s + last.gyro_rad_s) / 2.0,
+            _ => sample.gyro_rad_s,
+        };
+        ImuSample { gyro_rad_s, ..*sample }
+    }
+
+    fn step(&mut self, config: &FuseConfig, sample: &ImuSample, dt_s: f64, mask: MeasurementMask, turn: &BaseTurn) {
+        let before = self.estimator.bend().0;
+        self.estimator.update(sample, dt_s, mask, turn);
+        if self.estimator.take_reacquired() {
+            self.smoother.arm();
+            self.second.recover(sample, dt_s, mask, turn);
+        }
+        let correction = self.estimator.correction();
+        self.bend_rate = (self.estimator.bend().0 - before - correction) / dt_s;
+        self.smoother.step(&correction, dt_s);
+        if self.second.add(&config.second, sample, dt_s, mask, turn) {
+            let up = self.alignment.acc_rest_m_s2;
+            let field = mask.mag && self.estimator.trusts_field() && self.second.estimator.trusts_field();
+            let rate_rad_s = (sample.gyro_rad_s - self.alignment.gyro_bias_rad_s).norm();
+            self.second.compare(&config.second, &*self.estimator, &up, field, rate_rad_s);
+        }
+    }
+
+    /// Adds a sample to the still stretch of a re-alignment, if one is requested, and completes it.
+    fn continue_realignment(&mut self, config: &FuseConfig, sample: &ImuSample, verdict: &HealthVerdict) {
+        let Some((state, bend)) = &mut self.realignment else { return };
+        let Some(now) = state.add(&config.align, sample).filter(|_| verdict.acc && !verdict.hold) else { return };
+        let bend = *bend;
+        self.realignment = None;
+        let estimate = self.estimate().bend.0;
+        let straight = bend.rotation();
+        self.alignment = Alignment {
+            acc_rest_m_s2: straight.apply(&now.acc_rest_m_s2),
+            mag_rest_ut: now.mag_rest_ut.map(|m| straight.apply(&m)),
+            ..now
+        };
+        if let (Estimator::Bend(f), Some(saved)) = (&mut self.estimator, self.saved.take()) {
+            // later estimates of the sensor errors contain the turn of the base
+            *f = saved;
+        }
+        self.rebase(config, &now, bend);
+        if let Some(f) = self.bend_filter() {
+            self.alignment = f.alignment();
+        }
+        self.smoother.arm();
+        self.smoother.offset = estimate - self.estimator.bend().0;
+    }
+
+    pub fn assume(&mut self, config: &FuseConfig, bend: Bend, acc_m_s2: &Vector3<f64>, mag_ut: Option<Vector3<f64>>) {
+        let bent = bend.rotation().inverse();
+        let mag_rest_ut = self.alignment.mag_rest_ut.and(mag_ut);
+        let now = Alignment { acc_rest_m_s2: bent.apply(acc_m_s2), mag_rest_ut: mag_rest_ut.map(|m| bent.apply(&m)), ..self.alignment };
+        self.alignment = Alignment { acc_rest_m_s2: *acc_m_s2, mag_rest_ut, ..self.alignment };
+        self.rebase(config, &now, bend);
+    }
+
+    fn rebase(&mut self, config: &FuseConfig, now: &Alignment, bend: Bend) {
+        self.estimator.rebase(config.filter, &config.bend, now, bend, REALIGN_SIGMA_RAD);
+        self.second.estimator.rebase(config.filter.second(), &config.bend, now, bend, REALIGN_SIGMA_RAD);
+    }
+
+    /// The bend filter, whether it is the selected or the second estimator.
+    pub fn bend_filter(&self) -> Option<&BendFilter> {
+        self.estimator.as_bend().or_else(|| self.second.estimator.as_bend())
+    }
+
+    /// Sensor errors as estimated by the bend filter.
+    pub fn known_errors(&self) -> Option<KnownErrors> {
+        let f = self.bend_filter()?;
+        let (acc_bias_m_s2, acc_sigma_m_s2) = f.acc_bias_m_s2();
+        let (iron_ut, iron_sigma_ut) = f.mag_bias_ut();
+        Some(KnownErrors {
+            acc_bias_m_s2,
+            acc_margin_m_s2: MARGIN_SIGMAS * acc_sigma_m_s2,
+            iron_ut,
+            iron_margin_ut: MARGIN_SIGMAS * iron_sigma_ut,
+        })
+    }
+
+    pub fn estimate(&self) -> TipEstimate {
+        let bend = self.estimator.bend();
+        let mut estimate = TipEstimate {
+            r_base_tip: self.estimator.r_base_tip(),
+            bend,
+            sigma_rad: self.estimator.sigma_rad(),
+            disagrees: self.second.disagrees(),
+            disagreement_rad: self.second.angle_rad(),
+        };
+        let offset = self.smoother.offset + self.extrapolation;
+        if offset.norm_squared() > 0.0 {
+            // smoothing and extrapolation apply to the bend; the twist stays
+            estimate.bend = Bend(bend.0 + offset);
+            let twist = bend.rotation().inverse() * estimate.r_base_tip;
+            estimate.r_base_tip = estimate.bend.rotation() * twist;
+        }
+        estimate
+    }
+}
