@@ -1,5 +1,5 @@
-//! How long one tick takes, and how many simulated seconds pass in a second: `cargo bench --bench tick`.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a bench that cannot start has nothing to say")]
+//! Duration of a tick, and simulated seconds per second: `cargo bench --bench tick`.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a failed set-up ends the benchmark")]
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
@@ -38,7 +38,7 @@ fn config() -> LoopConfig {
     for_world(&assemble(&board, &calib, &Gains::default()), &sim())
 }
 
-/// What a loop is told during a minute of the experiment, recorded once.
+/// Inputs of the loop during one minute of the experiment.
 fn inputs(config: &LoopConfig) -> Vec<Input> {
     let (mut world, mut state) = (sim(), LoopState::new(config));
     let mut input = Input { dt_s: world.info().period_s, ..Input::default() };
@@ -56,7 +56,7 @@ fn inputs(config: &LoopConfig) -> Vec<Input> {
     all
 }
 
-/// Fusion to steps, averaged over a minute of the experiment: one item is one tick.
+/// From fusion to steps, averaged over one minute of the experiment; one item is one tick.
 #[divan::bench(sample_count = 20)]
 fn one_tick(bencher: Bencher<'_, '_>) {
     let config = config();
@@ -71,7 +71,7 @@ fn one_tick(bencher: Bencher<'_, '_>) {
     });
 }
 
-/// The closed arm of `evaluate` on the paper twin at 1 kHz: one item is one simulated second.
+/// The closed arm of `evaluate` on the paper twin at 1 kHz; one item is one simulated second.
 #[divan::bench(sample_count = 5)]
 fn closed_arm(bencher: Bencher<'_, '_>) {
     let config = config();
@@ -82,7 +82,7 @@ fn closed_arm(bencher: Bencher<'_, '_>) {
     });
 }
 
-/// The plant alone: one item is one simulated second.
+/// The plant alone; one item is one simulated second.
 #[divan::bench(sample_count = 5)]
 fn plant_alone(bencher: Bencher<'_, '_>) {
     bencher.counter(ItemsCount::new(20usize)).bench_local(|| {

@@ -1,4 +1,4 @@
-//! Commissioning and homing on simulated machines that are wired wrong, leak, or have switches.
+//! Commissioning and homing on simulated machines with wrong wiring, leaks, or home switches.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -12,13 +12,11 @@ use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::plant::PlantConfig;
 use retroflex::simulation::sim::Sim;
 use retroflex::supervisor::commission::homing::{self, Homed, HomingConfig, HomingError};
-use retroflex::supervisor::commission::manual_motion::{Hand, HandError};
+use retroflex::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use retroflex::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
-use retroflex::supervisor::machine::{Machine, Sensed};
-use retroflex::supervisor::machine::{MachineError, MachineInfo};
+use retroflex::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};
 
-/// A simulated machine whose lines reach other bellows, whose motors turn the wrong way, whose sensor is
-/// turned, or whose line is cut.
+/// A simulated machine with exchanged lines, inverted motors, a rotated sensor or a cut line.
 struct Miswired {
     inner: Lockstep<Sim>,
     reaches: [usize; 3],
@@ -46,15 +44,15 @@ impl Machine for Miswired {
             let n = if self.inverted[i] { -wanted.0[i] } else { wanted.0[i] };
             there[self.reaches[i]] = if self.cut == Some(i) { 0 } else { n };
         }
-        let mut said = self.inner.turn(now, &Steps(there))?;
-        // what was pulsed, whatever came of it
-        said.counted = *wanted;
-        if let ImuReading::Sample(s, _) = &mut said.imu {
+        let mut sensed = self.inner.turn(now, &Steps(there))?;
+        // the steps that were made, whatever they caused
+        sensed.counted = *wanted;
+        if let ImuReading::Sample(s, _) = &mut sensed.imu {
             let r = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -self.turned_rad);
             (s.gyro_rad_s, s.acc_m_s2) = (r * s.gyro_rad_s, r * s.acc_m_s2);
         }
-        said.inputs.emergency_stop = now.0 > self.pressed_after_s;
-        Ok(said)
+        sensed.inputs.emergency_stop = now.0 > self.pressed_after_s;
+        Ok(sensed)
     }
     fn energise(&mut self, on: bool) {
         self.inner.energise(on);
@@ -74,25 +72,25 @@ impl Machine for Miswired {
 fn commission(mut m: Miswired, hold_s: f64) -> Result<Findings, TrialError> {
     let geometry = common::twin().geometry.law();
     let mut wait = |next| Some(next);
-    trial::run(&mut Hand::new(&mut m, &mut wait), &TrialConfig { hold_s, ..TrialConfig::new(geometry) }, &mut |_| ())
+    trial::run(&mut ManualMotion::new(&mut m, &mut wait), &TrialConfig { hold_s, ..TrialConfig::new(geometry) }, &mut |_| ())
 }
 
 #[test]
-fn a_machine_wired_as_the_board_says_passes() {
+fn a_machine_wired_according_to_the_board_file_passes() {
     let f = commission(machine(|_| ()), 10.0).unwrap();
-    println!("{}", f.words());
-    assert!(f.is_good(), "{}", f.words());
+    println!("{}", f.report());
+    assert!(f.is_good(), "{}", f.report());
 }
 
 #[test]
-fn wrong_wiring_is_named_in_plain_words() {
+fn wrong_wiring_is_identified() {
     type Spoil = fn(&mut Miswired);
     let cases: [(Spoil, &str); 5] = [
         (|m| m.reaches = [0, 2, 1], "line 2 reaches bellow 3; line 3 reaches bellow 2"),
-        (|m| m.inverted = [false, false, true], "motor 3 turns the wrong way"),
+        (|m| m.inverted = [false, false, true], "motor 3 turns in the wrong direction"),
         (
             |m| (m.reaches, m.inverted) = ([1, 0, 2], [true, false, false]),
-            "line 1 reaches bellow 2; line 2 reaches bellow 1; motor 1 turns the wrong way",
+            "line 1 reaches bellow 2; line 2 reaches bellow 1; motor 1 turns in the wrong direction",
         ),
         (|m| m.reaches = [1, 2, 0], "line 1 reaches bellow 2"),
         (|m| m.turned_rad = -0.8, "the sensor is turned by -4"),
@@ -101,44 +99,44 @@ fn wrong_wiring_is_named_in_plain_words() {
         let mut m = machine(|_| ());
         spoil(&mut m);
         let f = commission(m, 0.0).unwrap();
-        assert!(!f.is_good() && f.words().contains(words), "`{words}` is not in:\n{}", f.words());
+        assert!(!f.is_good() && f.report().contains(words), "`{words}` is not in:\n{}", f.report());
     }
     let cut = Miswired { cut: Some(1), ..machine(|_| ()) };
     let f = commission(cut, 0.0).unwrap();
-    assert!(f.words().contains("channel 2: NOTHING MOVES") && f.wiring.is_none(), "{}", f.words());
+    assert!(f.report().contains("channel 2: NO MOTION") && f.wiring.is_none(), "{}", f.report());
 }
 
 #[test]
-fn a_leak_is_found_on_its_line_and_tight_lines_are_not_blamed() {
+fn a_leak_is_attributed_to_its_line_only() {
     for (channel, rate) in [(0, 0.02), (2, 0.05)] {
         let m = machine(|c| c.effects.leak.as_mut().unwrap().rate_per_s[channel] = rate);
         let f = commission(m, 10.0).unwrap();
-        assert_eq!(f.leaks(), [0, 1, 2].map(|i| i == channel), "{}", f.words());
+        assert_eq!(f.leaks(), [0, 1, 2].map(|i| i == channel), "{}", f.report());
         let found = f.leak_per_s[channel].unwrap();
-        assert!(found > 0.3 * rate && found < 1.5 * rate, "{rate} a second, found {found}");
+        assert!(found > 0.3 * rate && found < 1.5 * rate, "{rate} per second, measured {found}");
     }
 }
 
 #[test]
-fn the_red_button_and_a_caller_who_wants_no_more_end_a_move() {
+fn the_emergency_stop_and_the_caller_can_end_a_move() {
     let m = Miswired { pressed_after_s: 1.5, ..machine(|_| ()) };
-    assert!(matches!(commission(m, 0.0), Err(TrialError::Hand(HandError::EmergencyStop))));
+    assert!(matches!(commission(m, 0.0), Err(TrialError::Motion(ManualMotionError::EmergencyStop))));
     let mut m = machine(|_| ());
     let mut wait = |next: Seconds| (next.0 < 0.5).then_some(next);
-    let mut hand = Hand::new(&mut m, &mut wait);
+    let mut hand = ManualMotion::new(&mut m, &mut wait);
     hand.energise(true).unwrap();
-    assert!(matches!(hand.go([5.0; 3], 1.0, &mut |_| false), Err(HandError::Cancelled)));
+    assert!(matches!(hand.go([5.0; 3], 1.0, &mut |_| false), Err(ManualMotionError::Cancelled)));
     assert!(hand.stands_mm()[0] < 0.6, "half a second at 1 mm/s");
 }
 
-/// Three racks with home switches; where they stand at the start is not known to the counts.
+/// Three racks with home switches. The counts do not contain the initial positions.
 struct Racks {
     info: MachineInfo,
     start_mm: [f64; 3],
     zero: [i32; 3],
     counted: [i32; 3],
     on: bool,
-    /// Where the switches close, mm; a second closing is off by `play_mm`.
+    /// Position at which the switches close, mm; every second closing differs by `play_mm`.
     closes_mm: f64,
     play_mm: f64,
     closings: u32,
@@ -173,7 +171,7 @@ impl Machine for Racks {
     }
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         if self.on {
-            // at most 30 mm/s, as the motion of real hardware
+            // at most 30 mm/s, like real hardware
             for i in 0..3 {
                 self.counted[i] += (wanted.0[i] - self.counted[i]).clamp(-2, 2);
             }
@@ -210,13 +208,13 @@ impl Machine for Racks {
 fn home(racks: &mut Racks) -> Result<Homed, HomingError> {
     let config = HomingConfig { speed_mm_s: 4.0, back_off_mm: 2.0, repeat_max_mm: 0.09, at_mm: [-30.0; 3], search_max_mm: 62.0 };
     let mut wait = |next| Some(next);
-    let mut hand = Hand::new(racks, &mut wait);
+    let mut hand = ManualMotion::new(racks, &mut wait);
     hand.energise(true).unwrap();
     homing::with_switches(&mut hand, &config)
 }
 
 #[test]
-fn homing_finds_zero_from_anywhere() {
+fn homing_finds_zero_from_any_position() {
     for start_mm in [[0.0, 3.0, -12.0], [25.0, -30.5, 30.0], [-29.99, -31.0, 7.77]] {
         let mut racks = Racks::new(start_mm);
         let homed = home(&mut racks).unwrap();
@@ -229,12 +227,12 @@ fn homing_finds_zero_from_anywhere() {
 }
 
 #[test]
-fn bad_switches_are_named() {
+fn faulty_switches_are_identified() {
     let mut never = Racks { closes_mm: -200.0, ..Racks::new([0.0; 3]) };
     assert!(home(&mut never).unwrap_err().to_string().contains("channel 1 did not close within 62 mm"));
     let mut stuck = Racks { stuck: true, ..Racks::new([0.0; 3]) };
     assert!(home(&mut stuck).unwrap_err().to_string().contains("channel 1 stays closed"));
     let mut loose = Racks { play_mm: 0.4, ..Racks::new([0.0; 3]) };
     let words = home(&mut loose).unwrap_err().to_string();
-    assert!(words.contains("apart twice") && words.contains("repeat_max_mm"), "{words}");
+    assert!(words.contains("mm apart") && words.contains("repeat_max_mm"), "{words}");
 }

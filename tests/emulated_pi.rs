@@ -182,7 +182,7 @@ fn commissioning_finds_this_machine_wired_right() {
         let (code, out, err) = run(rig, &["commission", "--board", &board, "--hold", "2"]);
         println!("{out}\n{err}");
         assert_eq!(code, 0);
-        assert!(out.contains("wiring: as the board says"), "{out}");
+        assert!(out.contains("wiring: agrees with the board file"), "{out}");
         let chip = &rig.world().chip;
         assert_eq!((chip.counted, chip.lost, chip.torn), ([0; 3], 0, 0));
     });

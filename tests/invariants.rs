@@ -1,4 +1,4 @@
-//! What must hold bit for bit: equal seeds give equal frames, and the loop never sees the truth.
+//! Invariants to the last bit: equal seeds give equal frames, and the loop never reads the true orientation.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -32,7 +32,7 @@ fn frames(world: &mut dyn World) -> Vec<Frame> {
     all
 }
 
-/// Bits of everything in a frame that the loop decided; `==` would let −0 pass for 0 and NaN for unequal.
+/// Bits of the results in a frame. The operator `==` would treat −0 as 0 and NaN as unequal.
 fn bits(frame: &Frame) -> Vec<u64> {
     let numbers =
         [frame.t.0, frame.error.x, frame.error.y, frame.feedback.x, frame.feedback.y, frame.dynamics.lag_s, frame.dynamics.delay_s];
@@ -49,27 +49,27 @@ fn equal_seeds_give_equal_frames_to_the_last_bit() {
     for (x, y) in a.iter().zip(&b) {
         assert_eq!(bits(x), bits(y), "at {} s", x.t.0);
     }
-    assert!(a.iter().zip(&other).any(|(x, y)| bits(x) != bits(y)), "noise of another seed is other noise");
+    assert!(a.iter().zip(&other).any(|(x, y)| bits(x) != bits(y)), "another seed must give other noise");
 }
 
-/// A world whose judge is told lies.
-struct Liar<W>(W);
+/// A world that reports a wrong true orientation.
+struct WrongTruth<W>(W);
 
-impl<W: World> World for Liar<W> {
+impl<W: World> World for WrongTruth<W> {
     fn info(&self) -> &MachineInfo {
         self.0.info()
     }
     fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError> {
         let reply = self.0.step(steps)?;
-        let lie = UnitQuaternion::from_scaled_axis(Vector3::new(reply.t.0.sin(), 0.7, -0.2 * reply.t.0));
-        Ok(Reply { truth: Some(Rotation::assert_frames(lie)), ..reply })
+        let wrong = UnitQuaternion::from_scaled_axis(Vector3::new(reply.t.0.sin(), 0.7, -0.2 * reply.t.0));
+        Ok(Reply { truth: Some(Rotation::assert_frames(wrong)), ..reply })
     }
 }
 
 #[test]
-fn the_loop_never_sees_the_truth() {
-    let (honest, lied_to) = (frames(&mut unit(5, 1)), frames(&mut Liar(unit(5, 1))));
-    for (x, y) in honest.iter().zip(&lied_to) {
+fn the_loop_never_reads_the_true_orientation() {
+    let (right, wrong) = (frames(&mut unit(5, 1)), frames(&mut WrongTruth(unit(5, 1))));
+    for (x, y) in right.iter().zip(&wrong) {
         assert_eq!(bits(x), bits(y), "at {} s", x.t.0);
     }
 }

@@ -1,4 +1,4 @@
-//! A tick allocates nothing: a counting allocator watches it work.
+//! A tick does not allocate: a counting allocator checks it.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![allow(unsafe_code, reason = "a global allocator is unsafe to implement; this one only counts and forwards")]
 
@@ -18,12 +18,12 @@ use std::cell::Cell;
 struct Counting;
 
 thread_local! {
-    /// Allocations of this thread; the harness has threads of its own.
+    /// Allocations of this thread; the test harness has others.
     static TAKEN: Cell<u64> = const { Cell::new(0) };
 }
 
 fn count() {
-    // a thread that is being taken down has no counter any more, and no tick
+    // a thread that is ending has no counter and runs no tick
     let _ = TAKEN.try_with(|n| n.set(n.get() + 1));
 }
 
@@ -31,21 +31,20 @@ fn taken() -> u64 {
     TAKEN.with(Cell::get)
 }
 
-// SAFETY: every call goes to the system's allocator with the caller's own arguments, whose contract
-// is the same; the counter has no part in it
+// SAFETY: every call forwards the caller's arguments unchanged to the system allocator, which has the same contract
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
-        // SAFETY: forwarded as it came
+        // SAFETY: forwarded unchanged
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: forwarded as it came
+        // SAFETY: forwarded unchanged
         unsafe { System.dealloc(at, layout) }
     }
     unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count();
-        // SAFETY: forwarded as it came
+        // SAFETY: forwarded unchanged
         unsafe { System.realloc(at, layout, size) }
     }
 }
@@ -53,7 +52,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Allocations during ticks alone, over alignment, moves and rests, in closed loop with everything on.
+/// Allocations during the ticks of an alignment, moves and holds in closed loop with all functions enabled.
 fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
     let mut state = LoopState::new(config);
     let mut input = Input { dt_s: world.info().period_s, ..Input::default() };
@@ -69,17 +68,17 @@ fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
         let reply = world.step(&frame.steps).unwrap();
         input = Input { t: reply.t, imu: ImuReading::from_world(reply.imu), steps: frame.steps, command: None, ..input };
     }
-    assert!(state.fusion.estimate().is_some_and(|f| f.bend.beta() > 0.1), "it was to move");
+    assert!(state.fusion.estimate().is_some_and(|f| f.bend.beta() > 0.1), "the tip must have moved");
     during
 }
 
 #[test]
-fn a_tick_allocates_nothing() {
+fn a_tick_does_not_allocate() {
     let mut world = unit(1, 1);
     let lines = [2.2, 2.5, 2.2].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.85 });
     let config = LoopConfig { lines, ..for_world(&uncalibrated(), &world) };
     let before = taken();
     drop(std::hint::black_box(vec![1u8; 64]));
-    assert!(taken() > before, "the counter counts");
+    assert!(taken() > before, "the counter must count");
     assert_eq!(during_ticks(&config, &mut world), 0);
 }

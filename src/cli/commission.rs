@@ -37,12 +37,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let config = TrialConfig { stroke_mm: args.stroke, hold_s: args.hold, ..TrialConfig::new(board.geometry.law()) };
     let findings = manual_motion::at_hand(machine.as_mut(), |hand| {
         trial::run(hand, &config, &mut |step| eprintln!("{step}")).map_err(|e| match e {
-            TrialError::Hand(e) => manual_motion::ended(e),
+            TrialError::Motion(e) => manual_motion::ended(e),
             e => miette!("{e}"),
         })
     })?;
     drop(machine);
-    output::print(&findings.words());
+    output::print(&findings.report());
     if let (true, Some(wiring)) = (args.write, &findings.wiring) {
         write_back(&args.board, &board, wiring)?;
     }

@@ -59,7 +59,7 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
     let homed = manual_motion::at_hand(machine.as_mut(), |hand| {
         hand.energise(true).map_err(manual_motion::ended)?;
         let homed = homing::with_switches(hand, &config).map_err(|e| match e {
-            homing::HomingError::Hand(e) => manual_motion::ended(e),
+            homing::HomingError::Motion(e) => manual_motion::ended(e),
             e => miette!("{e}"),
         })?;
         hand.energise(false).map_err(manual_motion::ended)?;

@@ -9,7 +9,7 @@ use crate::hardware::rt;
 use crate::primitives::units::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
-use crate::supervisor::commission::manual_motion::{Hand, HandError};
+use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use crate::supervisor::machine::Machine;
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::Path;
@@ -54,7 +54,7 @@ pub fn told(path: &Path, error: HardwareError) -> miette::Report {
 ///
 /// # Errors
 /// What `work` says.
-pub fn at_hand<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut Hand<'_>) -> Result<T>) -> Result<T> {
+pub fn at_hand<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut ManualMotion<'_>) -> Result<T>) -> Result<T> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
@@ -72,14 +72,14 @@ pub fn at_hand<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut Hand<'_>) ->
         rt::sleep_until_ns(zero_ns + (next.0 * 1e9) as u64);
         Some(clock())
     };
-    work(&mut Hand::new(machine, &mut wait))
+    work(&mut ManualMotion::new(machine, &mut wait))
 }
 
 /// What ended a move, as a report: pins that fail are hardware (exit code 3).
 #[must_use]
-pub fn ended(error: HandError) -> miette::Report {
+pub fn ended(error: ManualMotionError) -> miette::Report {
     match &error {
-        HandError::Alarm { .. } | HandError::NotSwitched(_) | HandError::World(_) => {
+        ManualMotionError::Alarm { .. } | ManualMotionError::NotSwitched(_) | ManualMotionError::World(_) => {
             Unreachable { what: "the machine".to_owned(), why: error.to_string() }.into()
         }
         _ => miette!("{error}"),

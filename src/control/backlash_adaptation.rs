@@ -1,44 +1,42 @@
-//! How much of each backlash a nudge of the feedback may jump: learned from what the jumps did.
+//! Learns how much of the backlash a reversal by feedback may cross.
 //!
-//! At a resting set-point the feedback now and then turns a piston round. A jump over a gap that is
-//! believed too wide (rubber hysteresis passes for backlash in an identification) throws the tip past
-//! its target, the feedback turns the same piston back, and the loop hunts for ever. A piston that
-//! turns twice within a short time is the mark of that, whatever the period: its share shrinks. A
-//! single turn after which the error stays where it was has fallen short: it takes another small bite
-//! of the gap at once, and its share grows by that. Every channel has a gap of its own, and so a share
-//! of its own.
+//! While the set-point rests, the feedback sometimes reverses a piston. If the assumed backlash is too wide (hysteresis of
+//! the rubber looks like backlash to an identification), crossing all of it moves the tip past its target, the feedback
+//! reverses the same piston again, and the loop hunts. Two reversals of a piston within a short time indicate hunting at
+//! any period: the share to cross shrinks. A single reversal that leaves the error unchanged fell short: the piston
+//! crosses a further increment at once, and the share grows by it. Each channel has its own backlash and share.
 
 use nalgebra::Vector2;
 
-/// Least share that a reversal jumps.
+/// Smallest share that a reversal crosses.
 const SHARE_MIN: f64 = 0.05;
-/// Two turns of one piston within this time are hunting, s.
+/// Two reversals of one piston within this time, plus its response time, indicate hunting, s.
 const HUNTING_S: f64 = 0.6;
-/// Factor on hunting.
+/// Factor on the share after hunting.
 const SHRINK: f64 = 0.7;
-/// What is added when a jump has fallen short.
-const BITE: f64 = 0.08;
-/// Part of the error that is left when a jump has fallen short.
+/// Increment of the share after a reversal that fell short.
+const INCREMENT: f64 = 0.08;
+/// Remaining fraction of the error above which a reversal fell short.
 const SHORT: f64 = 0.8;
 
-/// One channel: the share learned so far, the time since it last turned, and the jump that is watched.
+/// One channel: the learned share, the time since its last reversal, and error and age of the reversal under observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Channel {
     share: f64,
-    since_turn_s: f64,
-    watched: Option<(Vector2<f64>, f64)>,
+    since_reversal_s: f64,
+    observed: Option<(Vector2<f64>, f64)>,
 }
 
-/// What a jump is given before it counts as short.
+/// When a reversal counts as too short.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Patience {
-    /// Time after which the tip has answered a jump, s.
+    /// Time within which the tip responds to a reversal, s.
     pub answer_s: f64,
-    /// Error below which it is not worth another bite, rad.
+    /// Error below which no further increment is worthwhile, rad.
     pub worth_rad: f64,
 }
 
-/// What is learned of the three channels.
+/// The learned shares of the three channels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BacklashAdaptation {
     channels: [Channel; 3],
@@ -46,55 +44,55 @@ pub struct BacklashAdaptation {
 
 impl Default for BacklashAdaptation {
     fn default() -> Self {
-        Self { channels: [Channel { share: 0.9, since_turn_s: f64::INFINITY, watched: None }; 3] }
+        Self { channels: [Channel { share: 0.9, since_reversal_s: f64::INFINITY, observed: None }; 3] }
     }
 }
 
 impl BacklashAdaptation {
-    /// Share of the gap that a nudge of channel `i` (0 to 2) jumps, 0.05..=1.
+    /// Share of the backlash that a reversal of channel `i` (0 to 2) crosses, 0.05..=1.
     #[must_use]
     pub fn share(&self, i: usize) -> f64 {
         self.channels[i].share
     }
 
-    /// One tick at a resting set-point: which pistons turned round, and what is the error to the target
-    /// (rad)? Returns the further share of its gap that each channel is to jump now.
-    pub fn step(&mut self, turned: [bool; 3], error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> [f64; 3] {
+    /// One tick at a resting set-point with the pistons that `reversed` and the error to the target, rad. Returns the
+    /// further share of its backlash that each channel crosses now.
+    pub fn step(&mut self, reversed: [bool; 3], error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> [f64; 3] {
         let mut increments = [0.0; 3];
-        for ((channel, turned), increment) in self.channels.iter_mut().zip(turned).zip(&mut increments) {
-            *increment = channel.step(turned, error, patience, dt_s);
+        for ((channel, reversed), increment) in self.channels.iter_mut().zip(reversed).zip(&mut increments) {
+            *increment = channel.step(reversed, error, patience, dt_s);
         }
         increments
     }
 
-    /// The set-point moves: what happens now says nothing about a jump.
+    /// Ends the observation because the set-point moves. The shares stay.
     pub fn forget(&mut self) {
         for c in &mut self.channels {
-            *c = Channel { share: c.share, since_turn_s: f64::INFINITY, watched: None };
+            *c = Channel { share: c.share, since_reversal_s: f64::INFINITY, observed: None };
         }
     }
 }
 
 impl Channel {
-    fn step(&mut self, turned: bool, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> f64 {
+    fn step(&mut self, reversed: bool, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> f64 {
         let &Patience { answer_s, worth_rad } = patience;
-        self.since_turn_s += dt_s;
-        if turned {
-            let hunting = self.since_turn_s < HUNTING_S + answer_s;
-            self.since_turn_s = 0.0;
-            self.watched = if hunting { None } else { Some((*error, 0.0)) };
+        self.since_reversal_s += dt_s;
+        if reversed {
+            let hunting = self.since_reversal_s < HUNTING_S + answer_s;
+            self.since_reversal_s = 0.0;
+            self.observed = if hunting { None } else { Some((*error, 0.0)) };
             if hunting {
                 self.share = (self.share * SHRINK).max(SHARE_MIN);
             }
-        } else if let Some((before, age_s)) = &mut self.watched {
+        } else if let Some((before, age_s)) = &mut self.observed {
             *age_s += dt_s;
             if *age_s >= answer_s {
                 let left = error.dot(before) / before.norm_squared().max(1e-12);
-                // others may have moved the tip meanwhile: the watch goes on from here
+                // other channels may have moved the tip in the meantime: the observation continues from here
                 (*before, *age_s) = (*error, 0.0);
                 let short = (SHORT..1.0 / SHORT).contains(&left) && error.norm() > worth_rad;
                 if short && self.share < 1.0 {
-                    let increment = BITE.min(1.0 - self.share);
+                    let increment = INCREMENT.min(1.0 - self.share);
                     self.share += increment;
                     return increment;
                 }
@@ -110,38 +108,38 @@ mod tests {
 
     const PATIENT: Patience = Patience { answer_s: 0.1, worth_rad: 0.005 };
     const QUIET: [bool; 3] = [false; 3];
-    const TURN: [bool; 3] = [false, true, false];
+    const REVERSAL: [bool; 3] = [false, true, false];
 
     #[test]
-    fn a_piston_that_turns_to_and_fro_shrinks_the_share_at_any_period() {
+    fn hunting_shrinks_the_share_at_any_period() {
         for period in [4, 18, 40] {
             let mut r = BacklashAdaptation::default();
             for k in 0..600 {
-                r.step(if k % period == 0 { TURN } else { QUIET }, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
+                r.step(if k % period == 0 { REVERSAL } else { QUIET }, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
             }
             assert!(r.share(1) < 0.1, "{period} {}", r.share(1));
-            assert_eq!([r.share(0), r.share(2)], [0.9; 2], "the others have gaps of their own");
+            assert_eq!([r.share(0), r.share(2)], [0.9; 2], "the other channels keep their shares");
         }
     }
 
     #[test]
-    fn one_turn_that_moves_nothing_grows_it() {
+    fn a_reversal_that_falls_short_grows_the_share() {
         let mut r = BacklashAdaptation::default();
         r.channels[1].share = 0.5;
-        r.step(TURN, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
-        let mut bitten = 0.0;
+        r.step(REVERSAL, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
+        let mut crossed = 0.0;
         for _ in 0..50 {
-            bitten += r.step(QUIET, &Vector2::new(0.01, 0.0), &PATIENT, 0.01)[1];
+            crossed += r.step(QUIET, &Vector2::new(0.01, 0.0), &PATIENT, 0.01)[1];
         }
-        // four or five answers fit into that time
+        // four or five response times fit into that time
         assert!(r.share(1) > 0.8 && r.share(1) <= 0.9);
-        assert!((r.share(1) - 0.5 - bitten).abs() < 1e-12, "what it takes now it takes next time");
+        assert!((r.share(1) - 0.5 - crossed).abs() < 1e-12, "the next reversal crosses what this one crossed in total");
     }
 
     #[test]
-    fn one_turn_that_did_its_work_changes_nothing() {
+    fn a_successful_reversal_keeps_the_share() {
         let mut r = BacklashAdaptation::default();
-        r.step(TURN, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
+        r.step(REVERSAL, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
         for _ in 0..50 {
             r.step(QUIET, &Vector2::new(0.001, 0.0), &PATIENT, 0.01);
         }
@@ -149,11 +147,11 @@ mod tests {
     }
 
     #[test]
-    fn a_moving_setpoint_ends_the_watch() {
+    fn a_moving_setpoint_ends_the_observation() {
         let mut r = BacklashAdaptation::default();
-        r.step(TURN, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
+        r.step(REVERSAL, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
         r.forget();
-        r.step(TURN, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
+        r.step(REVERSAL, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
         assert_eq!(r.share(1), 0.9);
     }
 }

@@ -1,13 +1,12 @@
-//! Moving a point to a target under a speed and an acceleration limit.
+//! Moves a point to a target under a speed and an acceleration limit.
 //!
-//! The law is the braking parabola: the fastest speed from which the point can still stop is
-//! `√(2 a d)`, so that is the speed wanted at distance `d`, and the speed itself may change by `a dt`
-//! a tick. Re-targeting at any moment is nothing special. Used for the bend set-point (a point in the
-//! bend plane), for the centre length and for each piston.
+//! From distance `d` the point can stop if its speed is at most `√(2 a d)` (the braking parabola). The point aims for that
+//! speed, and its velocity changes by at most `a dt` per tick. The target may change at any time. The bend set-point (a
+//! point in the bend plane), the centre length and each piston use this profile.
 
 use nalgebra::SVector;
 
-/// Speed and acceleration limits, in the point's own unit.
+/// Speed and acceleration limits in the unit of the point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pace {
     /// Largest speed, unit/s.
@@ -16,7 +15,7 @@ pub struct Pace {
     pub acceleration: f64,
 }
 
-/// A moving point: where it is and how fast it goes.
+/// A moving point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Follower<const D: usize> {
     /// Position.
@@ -32,7 +31,7 @@ impl<const D: usize> Follower<D> {
         Self { at, velocity: SVector::zeros() }
     }
 
-    /// One tick towards `target`; the position then.
+    /// One tick towards `target`; returns the new position.
     pub fn step(&mut self, target: &SVector<f64, D>, pace: &Pace, dt_s: f64) -> SVector<f64, D> {
         let to_go = target - self.at;
         let distance = to_go.norm();
@@ -41,10 +40,10 @@ impl<const D: usize> Follower<D> {
             *self = Self::resting(*target);
             return self.at;
         }
-        // brake one tick early: the parabola is continuous, the ticks are not
+        // brake half a tick early, because the parabola is continuous and the ticks are not
         let braking = (2.0 * pace.acceleration * distance).sqrt() - 0.5 * change_max;
         let speed = braking.max(0.0).min(pace.speed).min(distance / dt_s);
-        // passing exactly over the target at speed, no direction is left: brake
+        // exactly at the target with a velocity there is no direction to the target: brake
         let wanted = if distance > 0.0 { to_go * (speed / distance) } else { SVector::zeros() };
         let mut change = wanted - self.velocity;
         let size = change.norm();
@@ -56,7 +55,7 @@ impl<const D: usize> Follower<D> {
         self.at
     }
 
-    /// True once the point rests on `target`.
+    /// True once the point has reached `target`.
     #[must_use]
     pub fn arrived(&self, target: &SVector<f64, D>) -> bool {
         self.at == *target
@@ -96,14 +95,14 @@ mod tests {
     }
 
     #[test]
-    fn passing_over_the_target_is_no_division_by_zero() {
+    fn passing_over_the_target_does_not_divide_by_zero() {
         let mut f = Follower::<1> { at: nalgebra::Vector1::new(1.0), velocity: nalgebra::Vector1::new(0.5) };
         f.step(&nalgebra::Vector1::new(1.0), &Pace { speed: 1.0, acceleration: 10.0 }, 0.001);
         assert!(f.at.x.is_finite() && f.velocity.x < 0.5);
     }
 
     #[test]
-    fn takes_about_the_time_of_a_trapezoid() {
+    fn takes_the_time_of_a_trapezoidal_profile() {
         let pace = Pace { speed: 1.0, acceleration: 10.0 };
         let mut f = Follower::<1>::resting(nalgebra::Vector1::zeros());
         let target = nalgebra::Vector1::new(1.0);

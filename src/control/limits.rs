@@ -1,7 +1,7 @@
-//! What the pistons may be asked for, and what the answer was cut by.
+//! Static limits of bellows and pistons.
 //!
-//! The bellow's 14-29 mm is a limit on the *estimated bellow*, not on the command: feedback must be
-//! free to over-drive a lossy line. Travel and pressure bound the piston itself.
+//! The range of a bellow, 14 to 29 mm, limits the target shape, not the command: feedback must be able to overdrive a
+//! lossy line. Travel and pressure limit the piston itself.
 
 use crate::model::transmission::Line;
 use nalgebra::Vector3;
@@ -11,9 +11,9 @@ use nalgebra::Vector3;
 pub struct ActuatorLimits {
     /// Piston travel either way from rest, mm (rack of 60 mm: 30).
     pub travel_mm: f64,
-    /// Gauge pressure per mm of air that the piston compresses, kPa/mm.
+    /// Gauge pressure per mm of compressed air, kPa/mm.
     pub pressure_kpa_per_mm: f64,
-    /// Largest gauge pressure, either sign, kPa (the paper stays under 6 PSI = 41.4 kPa).
+    /// Largest gauge pressure of either sign, kPa (the paper stays below 6 PSI = 41.4 kPa).
     pub pressure_max_kpa: f64,
     /// Shortest bellow, mm.
     pub bellow_min_mm: f64,
@@ -21,22 +21,22 @@ pub struct ActuatorLimits {
     pub bellow_max_mm: f64,
 }
 
-/// The limit that cut a request, if any; several at once show the last stage that cut.
+/// The limit that cut a request; if several do, the last one of the command path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Cut {
-    /// Nothing was cut.
+    /// None.
     #[default]
     None,
-    /// The wanted shape needs a bellow shorter or longer than it can be.
+    /// The target shape exceeds the range of a bellow.
     Bellow,
-    /// The piston would leave its rack.
+    /// The target exceeds the travel of a piston.
     Travel,
-    /// The line would exceed its pressure.
+    /// The target exceeds the pressure limit of a line.
     Pressure,
 }
 
 impl ActuatorLimits {
-    /// Scales a wanted length change q (mm) towards rest until every bellow is within its range.
+    /// Scales the length changes q (mm) towards zero until every bellow is within its range.
     #[must_use]
     pub fn bellows(&self, q_mm: &Vector3<f64>, rest_length_mm: f64) -> (Vector3<f64>, Cut) {
         let (shortest, longest) = (self.bellow_min_mm - rest_length_mm, self.bellow_max_mm - rest_length_mm);
@@ -47,9 +47,8 @@ impl ActuatorLimits {
         if scale < 1.0 { (q_mm * scale, Cut::Bellow) } else { (*q_mm, Cut::None) }
     }
 
-    /// Length that all bellows must take or give (mm) so that no piston leaves its travel. Bending needs
-    /// differences only, so a channel that runs out of rack is helped by the other two; where even that
-    /// is not enough the excess is shared.
+    /// Length to add to all bellows (mm) so that no piston exceeds its travel. Bending depends on differences only, so the
+    /// other two channels can relieve one at its limit. If that is not enough, the excess is shared.
     #[must_use]
     pub fn relief(&self, q_mm: &Vector3<f64>, lines: &[Line; 3]) -> f64 {
         let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -61,8 +60,8 @@ impl ActuatorLimits {
         if low > high { (low + high) / 2.0 } else { 0.0f64.clamp(low, high) }
     }
 
-    /// Bounds piston targets (mm) by travel and by pressure; `q_mm` is the bellow change they go with,
-    /// so `piston − q` is the air that is compressed.
+    /// Limits piston targets (mm) by travel and pressure. `q_mm` is the estimated bellow change, so `piston − q` is the
+    /// compressed air.
     #[must_use]
     pub fn pistons(&self, piston_mm: &Vector3<f64>, q_mm: &Vector3<f64>) -> (Vector3<f64>, Cut) {
         let mut cut = Cut::None;
@@ -91,7 +90,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nothing_leaves_its_range(
+        fn limited_values_are_within_their_ranges(
             q in prop::array::uniform3(-40.0..40.0f64),
             u in prop::array::uniform3(-80.0..80.0f64),
         ) {
@@ -107,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn a_channel_out_of_rack_is_helped_by_the_others() {
+    fn the_other_channels_relieve_one_at_its_limit() {
         let lossy = |k_epsilon| Line { k_epsilon, k_lambda_mm: 1.0 };
         let lines = [lossy(2.2), lossy(5.0), lossy(2.2)];
         let q = Vector3::new(-2.65, 5.29, -2.65);
@@ -120,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_allowed_is_left_alone() {
+    fn permitted_values_stay_unchanged() {
         let q = Vector3::new(-5.3, 2.6, 2.6);
         assert_eq!(LIMITS.bellows(&q, 20.0), (q, Cut::None));
         let u = q * 3.2;

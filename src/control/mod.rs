@@ -1,4 +1,4 @@
-//! From a wanted bend to piston targets: set-point profile, feedback, limits, mode.
+//! From a target bend to piston targets: set-point profile, feedback, limits, learning.
 
 pub mod backlash_adaptation;
 pub mod follow;

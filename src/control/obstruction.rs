@@ -1,34 +1,34 @@
-//! A tip that is pushed and does not come: wall, blocked line or a motor that is off.
+//! Detects a tip that does not follow the feedback: an obstacle, a blocked line, or a motor that is off.
 //!
-//! While the set-point rests, the feedback grows until the tip answers. If it has grown by a good
-//! deal and the tip has followed by less than a fraction of it, more pressure is not the remedy: the
-//! integrator is told to stop and the loop says so. A new target starts the watch again, and so does a
-//! tip that goes back against the push: a line that has weakened lets it sink, a thing that comes pushes
-//! it, and whether pushing helps against either is to be seen from where it came to rest.
+//! While the set-point rests, the feedback grows until the tip responds. If the feedback has grown considerably and the
+//! tip has followed by less than a given fraction, more pressure does not help: the integrator stops and the loop reports
+//! an obstruction. A new target restarts the detection. So does a tip that moves against the feedback, because a weak
+//! line or an approaching obstacle causes that; whether feedback helps then shows from the new position.
 
 use nalgebra::Vector2;
 
-/// When pushing counts as futile.
+/// Thresholds of the detector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ObstructionConfig {
-    /// Feedback added since the set-point came to rest before anything is said, rad.
+    /// Growth of the feedback since the set-point came to rest that is required for a decision, rad.
     pub push_rad: f64,
-    /// Fraction of that push that a free tip follows at the least.
+    /// Fraction of that growth by which a free tip follows at least.
     pub follow_min: f64,
-    /// Error below which nobody minds, rad.
+    /// Error below which no obstruction is reported, rad.
     pub error_rad: f64,
 }
 
-/// What the watch remembers.
+/// The detector.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ObstructionDetector {
-    begun: Option<(Vector2<f64>, Vector2<f64>)>,
-    /// The tip is held by something; the integrator stands still.
+    /// Feedback and estimate at the start of the observation, rad.
+    start: Option<(Vector2<f64>, Vector2<f64>)>,
+    /// The tip does not follow; the integrator stops.
     pub blocked: bool,
 }
 
 impl ObstructionDetector {
-    /// One tick with the feedback in the command, the felt bend and the error, all rad.
+    /// One tick with the feedback, the estimated bend and the error, rad.
     pub fn step(
         &mut self,
         config: &ObstructionConfig,
@@ -41,13 +41,13 @@ impl ObstructionDetector {
             *self = Self::default();
             return;
         }
-        let (feedback0, felt0) = *self.begun.get_or_insert((*feedback, *estimate));
+        let (feedback0, estimate0) = *self.start.get_or_insert((*feedback, *estimate));
         let push = feedback - feedback0;
         let size = push.norm();
-        if (estimate - felt0).dot(&push) < -size * BACK_RAD {
-            self.begun = Some((*feedback, *estimate));
+        if (estimate - estimate0).dot(&push) < -size * BACK_RAD {
+            self.start = Some((*feedback, *estimate));
         } else if size > config.push_rad && error.norm() > config.error_rad {
-            let followed = (estimate - felt0).dot(&push) / (size * size);
+            let followed = (estimate - estimate0).dot(&push) / (size * size);
             self.blocked |= followed < config.follow_min;
         } else if error.norm() < config.error_rad {
             self.blocked = false;
@@ -55,7 +55,7 @@ impl ObstructionDetector {
     }
 }
 
-/// Way back that is more than noise, rad (0.2°).
+/// Motion against the feedback that exceeds the noise, rad (0.2°).
 const BACK_RAD: f64 = 0.0035;
 
 #[cfg(test)]
@@ -75,14 +75,14 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_is_told_from_a_soft_line() {
+    fn an_obstacle_is_distinguished_from_a_soft_line() {
         assert!(push(0.05));
         assert!(!push(0.5));
     }
 
     #[test]
-    fn a_line_that_weakens_lets_the_tip_sink_and_is_pushed_on() {
-        // sinks by 20° while feedback grows as much, then follows with 0.6, or not at all
+    fn a_tip_that_sinks_is_not_obstructed_until_it_stops_following() {
+        // sinks by 20° while the feedback grows as much, then follows with the given compliance
         let after = |compliance: f64| {
             let mut s = ObstructionDetector::default();
             for i in 0..200 {
@@ -93,12 +93,12 @@ mod tests {
             }
             s.blocked
         };
-        assert!(!after(0.6), "sinking is not standing still");
-        assert!(after(0.05), "it sank and then stands");
+        assert!(!after(0.6), "a sinking tip is not obstructed");
+        assert!(after(0.05), "the tip sank and then does not follow");
     }
 
     #[test]
-    fn a_new_target_starts_again() {
+    fn a_new_target_restarts_the_detection() {
         let mut s = ObstructionDetector { blocked: true, ..ObstructionDetector::default() };
         s.step(&CONFIG, true, &Vector2::zeros(), &Vector2::zeros(), &Vector2::zeros());
         assert!(!s.blocked);

@@ -1,19 +1,18 @@
-//! Spent: the controller has done what it may, and the tip is still off.
+//! Saturation: the controller has reached a limit and the tip is still off target.
 //!
-//! A set-point that rests, an error that stays, and either the integrator at its bound or a piston cut at
-//! its limit: nothing will come of waiting. The wall's watch ([`super::wall`]) asks whether the tip
-//! follows a push; this one only whether there is any push left, so a line that follows too weakly is
-//! said as well.
+//! The monitor reports saturation if the set-point rests, the error persists, and either the integral part is at its
+//! bound or a limit cuts a piston. The obstruction detector ([`super::obstruction`]) checks whether the tip follows the
+//! feedback; this monitor only checks whether more feedback is available, and so also detects a weak line.
 
 use crate::control::limits::Cut;
 
-/// What there is no more of.
+/// The limit that the controller has reached.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Saturation {
-    /// There is more, or no need of it.
+    /// None, or the tip is on target.
     #[default]
     No,
-    /// The integrator is at its bound.
+    /// The integral part is at its bound.
     Feedback,
     /// A piston is at the end of its travel.
     Travel,
@@ -22,62 +21,60 @@ pub enum Saturation {
 }
 
 impl Saturation {
-    /// In words, with the mend; `None` where nothing is amiss.
+    /// Message with advice; `None` without saturation.
     #[must_use]
     pub fn words(self) -> Option<&'static str> {
         match self {
             Self::No => None,
             Self::Feedback => Some(
-                "feedback is at its bound (`loop.integral_max_deg`) and the tip is still not there: look for a line that has \
-                 weakened or something that holds the tip; relax and calibrate again",
+                "the feedback is at its bound (`loop.integral_max_deg`) and the tip is still off target: look for a weak line or an \
+                 obstruction; relax and calibrate again",
             ),
             Self::Travel => Some(
-                "a piston is at the end of its travel and the tip is still not there: ask for less bend, or look for a line \
-                 that leaks or holds air",
+                "a piston is at the end of its travel and the tip is still off target: request less bend, or look for a line \
+                 that leaks or contains air",
             ),
             Self::Pressure => Some(
-                "a line is at its greatest pressure and the tip is still not there: ask for less bend, or look for a kink or \
-                 something that holds the tip",
+                "a line is at its pressure limit and the tip is still off target: request less bend, or look for a kink or an \
+                 obstruction",
             ),
         }
     }
 }
 
-/// How long it must have been so, s.
-const FOR_S: f64 = 1.0;
+/// Time after which saturation is reported, s.
+const REPORT_AFTER_S: f64 = 1.0;
 
-/// The watch's memory.
+/// The monitor.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SaturationMonitor {
-    spent: Saturation,
-    for_s: f64,
-    now: Saturation,
+    /// Limit reached in the last tick, and for how long, s.
+    present: Saturation,
+    present_s: f64,
+    reported: Saturation,
 }
 
 impl SaturationMonitor {
-    /// One tick: whether the set-point moves, whether the error is worth a word, whether the integrator is
-    /// at its bound, and what cut the pistons.
+    /// One tick. `off`: the error matters; `full`: the integral part is at its bound; `cut`: the limit that cut the pistons.
     pub fn step(&mut self, moving: bool, off: bool, full: bool, cut: Cut, dt_s: f64) {
-        let spent = match cut {
+        let present = match cut {
             _ if moving || !off => Saturation::No,
             Cut::Travel => Saturation::Travel,
             Cut::Pressure => Saturation::Pressure,
             Cut::None | Cut::Bellow if full => Saturation::Feedback,
             Cut::None | Cut::Bellow => Saturation::No,
         };
-        self.for_s = if spent == self.spent { self.for_s + dt_s } else { 0.0 };
-        self.spent = spent;
-        if spent == Saturation::No {
-            self.now = Saturation::No;
-        } else if self.for_s >= FOR_S {
-            self.now = spent;
+        self.present_s = if present == self.present { self.present_s + dt_s } else { 0.0 };
+        self.present = present;
+        if present == Saturation::No || self.present_s >= REPORT_AFTER_S {
+            self.reported = present;
         }
     }
 
-    /// What there is no more of, for long.
+    /// Saturation that has lasted long enough to be reported.
     #[must_use]
     pub fn now(&self) -> Saturation {
-        self.now
+        self.reported
     }
 }
 
@@ -94,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_said_once_it_lasts_and_only_when_the_tip_is_off() {
+    fn saturation_is_reported_after_a_second_if_the_tip_is_off_target() {
         assert_eq!(after(1.1, false, true, true, Cut::None), Saturation::Feedback);
         assert_eq!(after(0.9, false, true, true, Cut::None), Saturation::No);
         assert_eq!(after(1.1, false, true, true, Cut::Travel), Saturation::Travel);
@@ -102,8 +99,8 @@ mod tests {
         assert_eq!(after(3.0, true, true, true, Cut::None), Saturation::No);
         assert_eq!(after(3.0, false, false, true, Cut::Travel), Saturation::No);
         assert_eq!(after(3.0, false, true, false, Cut::None), Saturation::No);
-        for spent in [Saturation::Feedback, Saturation::Travel, Saturation::Pressure] {
-            assert!(spent.words().is_some_and(|w| w.contains("still not there")));
+        for saturation in [Saturation::Feedback, Saturation::Travel, Saturation::Pressure] {
+            assert!(saturation.words().is_some_and(|w| w.contains("still off target")));
         }
     }
 }

@@ -1,29 +1,28 @@
-//! The rest latch: once the tip is where it was told, nothing moves.
+//! The standstill latch: the pistons stop once the tip is on target.
 //!
-//! A loop with play and a felt bend that has noise would push the pistons to and fro inside the
-//! backlash for ever. The latch closes when the error has stayed inside an inner band for a while and
-//! opens when its smoothed value leaves an outer band or a new target comes; closed, targets and
-//! integrator are frozen.
+//! With backlash and a noisy estimate, a loop would move the pistons to and fro within the backlash for ever. The latch
+//! closes when the smoothed error has stayed within an inner band for some time, and opens when it leaves an outer band
+//! or the set-point moves. While it is closed, targets and integrator are frozen.
 
 /// Bands of the latch, radians and seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StandstillConfig {
-    /// The latch closes inside this error, rad.
+    /// Error below which the latch closes, rad.
     pub close_rad: f64,
-    /// … after the error has stayed there this long, s.
+    /// Time for which the error must stay below `close_rad`, s.
     pub close_after_s: f64,
-    /// The latch opens beyond this error, rad.
+    /// Error above which the latch opens, rad.
     pub open_rad: f64,
-    /// Smoothing of the error that opens the latch, s.
+    /// Time constant for smoothing the error, s.
     pub smooth_s: f64,
 }
 
-/// What the latch remembers.
+/// The latch.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StandstillLatch {
     smoothed: nalgebra::Vector2<f64>,
     inside_s: f64,
-    /// Closed: the pistons are left alone.
+    /// The pistons do not move.
     pub closed: bool,
 }
 
@@ -50,7 +49,7 @@ mod tests {
     const CONFIG: StandstillConfig = StandstillConfig { close_rad: 0.002, close_after_s: 0.05, open_rad: 0.005, smooth_s: 0.03 };
 
     #[test]
-    fn closes_after_a_while_inside_and_opens_outside() {
+    fn closes_inside_the_inner_band_and_opens_outside_the_outer() {
         let mut s = StandstillLatch::default();
         for _ in 0..30 {
             s.step(&CONFIG, Vector2::new(0.001, 0.0), false, 0.001);
@@ -63,7 +62,7 @@ mod tests {
         for _ in 0..200 {
             s.step(&CONFIG, Vector2::new(0.004, 0.0), false, 0.001);
         }
-        assert!(s.closed, "between the bands it stays");
+        assert!(s.closed, "between the bands the latch keeps its state");
         for _ in 0..200 {
             s.step(&CONFIG, Vector2::new(0.006, 0.0), false, 0.001);
         }

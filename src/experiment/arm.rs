@@ -1,4 +1,4 @@
-//! One arm of the experiment: 120 held states on a fresh world, scored against the truth.
+//! One arm of the experiment: 120 held states on a fresh world, scored against the true orientation.
 
 use crate::control::tick::Command;
 use crate::experiment::rig::{Rig, RigError};
@@ -8,32 +8,32 @@ use crate::primitives::units::Mm;
 use nalgebra::Vector2;
 use serde::Serialize;
 
-/// What one held state came to.
+/// Result of one held state.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Held {
     /// Desired bend, degrees.
     pub bend_deg: f64,
     /// Desired direction, degrees.
     pub dir_deg: f64,
-    /// Approached from smaller bends.
+    /// The previous bend was smaller.
     pub outward: bool,
-    /// Mean of desired − true bend over the scored part, degrees.
+    /// Mean of desired minus true bend over the scored part, degrees.
     pub bend_error_deg: f64,
-    /// Mean square of it, degrees².
+    /// Mean square of desired minus true bend, degrees².
     pub bend_error_sq: f64,
-    /// Mean square of the angle between desired and true tip, degrees².
+    /// Mean square of the angle between desired and true tip orientation, degrees².
     pub orientation_error_sq: f64,
-    /// Mean square of the angle between felt and true bend vector, degrees².
+    /// Mean square of the difference between estimated and true bend vector, degrees².
     pub estimate_error_sq: f64,
-    /// Time after which the bend error stays within 1°, s; the whole hold if it never does.
+    /// Time until the bend error stays within 1°, s; the whole hold if it does not.
     pub settle_s: f64,
-    /// Largest less smallest true bend over the scored part, degrees.
+    /// Peak-to-peak motion of the true bend over the scored part, degrees.
     pub peak_to_peak_deg: f64,
-    /// The loop said that the tip is held by something.
+    /// The loop detected an obstruction.
     pub blocked: bool,
-    /// The loop said that the base has moved.
+    /// The loop detected a motion of the base.
     pub base_moved: bool,
-    /// The loop stopped the pistons for want of a sensor.
+    /// The loop stopped the pistons because of the sensors.
     pub stopped: bool,
     /// Lag in use at the end, s.
     pub lag_s: f64,
@@ -43,7 +43,7 @@ pub struct Held {
     pub feedback_deg: f64,
 }
 
-/// An arm's figures.
+/// Result of one arm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ArmResult {
     /// Arm name.
@@ -52,33 +52,33 @@ pub struct ArmResult {
     pub bend_rmse_deg: f64,
     /// RMSE of the tip orientation, degrees.
     pub orientation_rmse_deg: f64,
-    /// RMSE of the felt bend vector against the true one, degrees: what the sensing alone errs by.
+    /// RMSE of the estimated bend vector, degrees.
     pub estimate_rmse_deg: f64,
-    /// Median time to stay within 1°, s.
+    /// Median settling time to 1°, s.
     pub settle_s_median: f64,
-    /// Largest movement within a scored part, degrees.
+    /// Largest motion within a scored part, degrees.
     pub peak_to_peak_max_deg: f64,
-    /// Held states.
+    /// Number of held states.
     pub states: usize,
-    /// States in which the loop reported a tip that is held.
+    /// Number of states with a detected obstruction.
     pub blocked: usize,
-    /// States in which the loop reported a base that has moved.
+    /// Number of states with a detected motion of the base.
     pub base_moved: usize,
-    /// States in which the loop stopped the pistons for want of a sensor.
+    /// Number of states in which the sensors stopped the pistons.
     pub stopped: usize,
     /// k_ε in use at the end.
     pub k_eps_end: [f64; 3],
-    /// State by state.
+    /// The held states.
     pub held: Vec<Held>,
 }
 
-/// Settling is to this bend error, degrees.
+/// Bend error of a settled tip, degrees.
 const SETTLED_DEG: f64 = 1.0;
 
 /// Runs an arm; `progress` is called after every state.
 ///
 /// # Errors
-/// [`RigError`] from the world, the alignment, or for want of a reference.
+/// [`RigError`] from the world or the alignment, or if there is no reference.
 pub fn run(name: &str, rig: &mut Rig<'_>, poses: &[Pose], progress: &mut dyn FnMut()) -> Result<ArmResult, RigError> {
     rig.align()?;
     let mut held = Vec::with_capacity(poses.len());

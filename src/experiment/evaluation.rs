@@ -1,4 +1,4 @@
-//! The whole evaluation: identify on a plant of its own, then every arm on a fresh one.
+//! The evaluation: identification on a plant of its own, then every arm on a fresh plant.
 
 use crate::control::tick::LoopConfig;
 use crate::experiment::arm::{self, ArmResult};
@@ -11,7 +11,7 @@ use crate::simulation::world::World;
 use crate::supervisor::machine::MachineError;
 use serde::Serialize;
 
-/// What is compensated.
+/// An arm: what the controller compensates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Arm {
     /// Kinematics alone.
@@ -20,15 +20,15 @@ pub enum Arm {
     Extension,
     /// Kinematics, extension and backlash.
     Backlash,
-    /// All of it inside the orientation loop.
+    /// All of it, with orientation feedback.
     Closed,
 }
 
 impl Arm {
-    /// All four, in the order of the paper's story.
+    /// All four, in the order of the paper.
     pub const ALL: [Self; 4] = [Self::None, Self::Extension, Self::Backlash, Self::Closed];
 
-    /// Name as on the command line and in results.
+    /// Name on the command line and in results.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -39,7 +39,7 @@ impl Arm {
         }
     }
 
-    /// The loop of this arm, from the one with everything in it.
+    /// Configuration of this arm, derived from that of the closed loop.
     #[must_use]
     pub fn config(self, base: &LoopConfig) -> LoopConfig {
         let lines = match self {
@@ -52,7 +52,7 @@ impl Arm {
     }
 }
 
-/// What a world is opened for; each purpose gets a fresh one.
+/// Purpose of a world; each gets a fresh one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
     /// Algorithm 1.
@@ -61,63 +61,63 @@ pub enum Purpose {
     Arm(Arm),
 }
 
-/// Opens a fresh world at rest.
+/// Opens a fresh world at rest for a purpose.
 pub type Open<'a> = dyn FnMut(Purpose) -> Result<Box<dyn World>, MachineError> + 'a;
 
-/// Worth of one channel's gains.
+/// Uncertainty of the gains of one channel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ChannelFigures {
     /// 1 σ of k_ε.
     pub k_eps_sigma: f64,
     /// 1 σ of k_λ, mm.
     pub k_lambda_sigma_mm: f64,
-    /// Condition number of the channel's scaled normal matrix.
+    /// Condition number of the scaled normal matrix.
     pub condition: f64,
-    /// Root mean square residual of its rows, mm of piston.
+    /// Root mean square residual, mm of piston.
     pub residual_mm: f64,
 }
 
-/// Everything an evaluation found.
+/// Result of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Evaluation {
-    /// The plant's name for itself.
+    /// Name of the plant.
     pub plant: String,
     /// Seed of the built-in plant.
     pub seed: u64,
-    /// Arms in the order asked for.
+    /// Arms in the requested order.
     pub arms: Vec<ArmResult>,
     /// Extension gains used.
     pub k_eps: [f64; 3],
     /// Backlash half-widths used, mm.
     pub k_lambda_mm: [f64; 3],
-    /// Lag used at the start, s.
+    /// Initial lag, s.
     pub lag_s: f64,
-    /// Dead time used at the start, s.
+    /// Initial dead time, s.
     pub delay_s: f64,
     /// Passes of Algorithm 1; 0 with a calibration.
     pub iterations: usize,
-    /// The paper's 2 % were reached (or a calibration was given).
+    /// The identification reached the paper's 2 %, or a calibration was given.
     pub converged: bool,
-    /// `[k_ε, k_λ in mm]` per channel after every pass, from the start on.
+    /// `[k_ε, k_λ in mm]` per channel, initially and after every pass.
     pub history: Vec<[[f64; 2]; 3]>,
-    /// What the identification says of its own worth; empty with a calibration.
+    /// Uncertainty of the identified gains; empty with a calibration.
     pub identified: Vec<ChannelFigures>,
 }
 
 impl Evaluation {
-    /// The arm of that name, if it ran.
+    /// Result of an arm, if it ran.
     #[must_use]
     pub fn arm(&self, arm: Arm) -> Option<&ArmResult> {
         self.arms.iter().find(|a| a.name == arm.name())
     }
 }
 
-/// How an evaluation is to be done.
+/// Plan of an evaluation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// The loop, with its calibration or, if there is none, with the gains to start Algorithm 1 from.
+    /// Configuration of the loop, with the calibrated gains or the initial gains of Algorithm 1.
     pub config: LoopConfig,
-    /// Whether the gains are found first.
+    /// Identify the gains first.
     pub identify: bool,
     /// Arms to run.
     pub arms: Vec<Arm>,
@@ -125,10 +125,10 @@ pub struct Plan {
     pub seed: u64,
 }
 
-/// Runs it; `progress` is told what is going on after every held state.
+/// Runs an evaluation; `progress` receives a description after every held state.
 ///
 /// # Errors
-/// [`IdentifyError`] from a world or from data that do not fix the gains.
+/// [`IdentifyError`] from a world, or if the data do not determine the gains.
 pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> Result<Evaluation, IdentifyError> {
     let mut base = plan.config.clone();
     let mut found = None;
@@ -152,7 +152,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
     Ok(gather(plan, &base, found.as_ref(), plant, arms))
 }
 
-/// The plant's own step and rest length take the board's place.
+/// The configuration with step and rest length of the world in place of those of the board.
 #[must_use]
 pub fn for_world(config: &LoopConfig, world: &dyn World) -> LoopConfig {
     let info = world.info();

@@ -1,7 +1,7 @@
-//! Algorithm 1 of the paper on a world: apply k, hold the poses, solve Eq. 25, repeat to 2 %.
+//! Algorithm 1 of the paper on a world: apply k, hold the poses, solve Eq. 25, repeat until k changes by less than 2 %.
 //!
-//! The bend is measured by the IMU, the side of each piston read from the pulses ([`super::pose`]). The
-//! last pass also tells lag and dead time.
+//! The IMU measures the bend; the counted steps give the side of each piston ([`super::pose`]). The last pass also yields
+//! lag and dead time.
 
 use crate::control::learning::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
 use crate::control::pi::Dynamics;
@@ -15,21 +15,21 @@ use thiserror::Error;
 
 /// The paper's criterion: relative step below 2 %.
 pub const CONVERGED: f64 = 0.02;
-/// Passes after which the iteration is given up.
+/// Largest number of passes.
 pub const PASSES_MAX: usize = 12;
 
-/// Why gains were not found.
+/// Why the identification failed.
 #[derive(Debug, Error)]
 pub enum IdentifyError {
-    /// The rig stopped.
+    /// The rig failed.
     #[error(transparent)]
     Rig(#[from] RigError),
-    /// The data do not fix the gains.
+    /// The data do not determine the gains.
     #[error("identification: {0}")]
     Unidentifiable(#[from] Unidentifiable),
-    /// A gain is outside anything physical.
+    /// A gain is outside the physical range.
     #[error(
-        "identification: channel {channel} came to k_ε = {k_epsilon:.2}, k_λ = {k_lambda_mm:.2} mm; k_ε must lie in 0 to 10 and k_λ in 0 to 3 mm. Check that line {channel} reaches bellow {channel} and that the motor turns the right way"
+        "identification: channel {channel} yields k_ε = {k_epsilon:.2}, k_λ = {k_lambda_mm:.2} mm; k_ε must lie in 0 to 10 and k_λ in 0 to 3 mm. Check that line {channel} reaches bellow {channel} and that the motor turns the right way"
     )]
     Unphysical {
         /// Channel, 1 to 3.
@@ -41,28 +41,28 @@ pub enum IdentifyError {
     },
 }
 
-/// What the identification found.
+/// Result of an identification.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Identified {
     /// Gains with covariance, per channel.
     pub channels: [Estimate; 3],
     /// Lag and dead time.
     pub dynamics: Dynamics,
-    /// Gains after every pass, from the start on.
+    /// Gains initially and after every pass.
     pub history: Vec<[Line; 3]>,
-    /// The 2 % were reached.
+    /// The criterion of 2 % was reached.
     pub converged: bool,
 }
 
 impl Identified {
-    /// The gains alone.
+    /// The gains without their uncertainty.
     #[must_use]
     pub fn lines(&self) -> [Line; 3] {
         self.channels.map(|e| e.line)
     }
 }
 
-/// Algorithm 1 from `config.lines` on, on one world.
+/// Runs Algorithm 1 on one world, starting at `config.lines`.
 ///
 /// # Errors
 /// [`IdentifyError`] from the world or the data.
@@ -92,7 +92,7 @@ pub fn algorithm_1(
     }
 }
 
-/// One pass with a prior: the short calibration of a new tip.
+/// Runs one pass with a prior: the short calibration of a new tip.
 ///
 /// # Errors
 /// [`IdentifyError`] from the world or the data.
@@ -107,7 +107,7 @@ pub fn with_prior(config: &LoopConfig, world: &mut dyn World, poses: &[Pose], pr
     Ok(Identified { channels, dynamics: round.dynamics(&config.dynamics), history: vec![lines, next], converged: true })
 }
 
-/// The gains of `channels`, if a line can have them.
+/// The gains of `channels`, if they are within the physical range.
 ///
 /// # Errors
 /// [`IdentifyError::Unphysical`].
@@ -118,11 +118,11 @@ pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], IdentifyError> {
             return Err(IdentifyError::Unphysical { channel: i + 1, k_epsilon, k_lambda_mm });
         }
     }
-    // a backlash found slightly negative is none
+    // noise may make a small backlash slightly negative
     Ok([0, 1, 2].map(|i: usize| Line { k_lambda_mm: channels[i].line.k_lambda_mm.max(0.0), ..channels[i].line }))
 }
 
-/// One round over all poses.
+/// Holds all poses once.
 fn hold(rig: &mut Rig<'_>, round: &mut Round, progress: &mut dyn FnMut()) -> Result<(), RigError> {
     let mut command = Some(round.command());
     loop {

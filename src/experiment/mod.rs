@@ -1,4 +1,4 @@
-//! The paper's experiment (§V): 120 held states, open loop and closed, and the identification.
+//! The paper's experiment (§V): 120 held states in open and closed loop, and the identification of the gains.
 
 pub mod arm;
 pub mod evaluation;

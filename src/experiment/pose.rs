@@ -1,9 +1,9 @@
-//! Poses held one after the other and measured: the rows of Eq. 22 from frames.
+//! Measures poses held one after the other: the rows of Eq. 22 from frames.
 //!
-//! A pose counts once the set-point has rested; its bend is the mean over the scored seconds. The side
-//! of each piston (Eq. 21) is read from the pulses: a channel's row counts only once its piston has
-//! pushed further than the widest backlash since it last turned. What lies between the poses tells lag
-//! and dead time, by the race of [`crate::control::learning::dynamics`].
+//! A pose is measured once the set-point has rested; its bend is the mean over the scored time. The counted steps give the
+//! side of each piston (Eq. 21): the row of a channel counts only if its piston has moved further than the widest
+//! backlash since its last reversal. The motion between the poses yields lag and dead time
+//! ([`crate::control::learning::dynamics`]).
 
 use crate::control::learning::batch::Measurement;
 use crate::control::learning::dynamics::DynamicsBank;
@@ -15,21 +15,21 @@ use crate::model::bend::Bend;
 use crate::primitives::units::Mm;
 use nalgebra::{Vector2, Vector3};
 
-/// Rest of the set-point before a pose is measured, s: a long way takes longer than a hold.
+/// Time for which the set-point must have rested before a pose is measured, s.
 const RESTED_S: f64 = 0.7;
-/// Longest way that is waited for, s.
+/// Longest time to reach a pose, s.
 const WAY_MAX_S: f64 = 15.0;
-/// Twice the widest backlash half-width that is believed, mm: travel after which a side is certain.
+/// Travel after a reversal that crosses the widest plausible backlash, mm: twice a half-width of 1.2 mm.
 const SIDE_TRAVEL_MM: f64 = 2.4;
 
-/// Where a round of poses is after a frame.
+/// Progress of a round after a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
-    /// On its way, or at rest and being measured.
+    /// The pose is being approached or measured.
     Waiting,
-    /// The pose is over: [`Round::command`] is the next.
+    /// The pose has ended; [`Round::command`] is the next.
     Next,
-    /// All poses are over.
+    /// All poses have ended.
     Over,
 }
 
@@ -42,16 +42,16 @@ pub struct Round {
     since_s: f64,
     rested_s: f64,
     sum: Vector2<f64>,
-    seen: u32,
-    seen_s: f64,
+    samples: u32,
+    measured_s: f64,
     pushes: Pushes,
     bank: DynamicsBank,
-    /// The rows so far; a pose that was not reached in time has none.
+    /// Measurements so far; a pose that was not reached in time has none.
     pub data: Vec<Measurement>,
 }
 
 impl Round {
-    /// A round over `poses`, none of them ordered yet.
+    /// A round before its first command.
     #[must_use]
     pub fn new(geometry: Geometry, poses: Vec<Pose>) -> Self {
         Self {
@@ -62,41 +62,41 @@ impl Round {
             since_s: 0.0,
             rested_s: 0.0,
             sum: Vector2::zeros(),
-            seen: 0,
-            seen_s: 0.0,
+            samples: 0,
+            measured_s: 0.0,
             pushes: Pushes::default(),
             bank: DynamicsBank::default(),
         }
     }
-    /// From the first pose again; which way the pistons push is still known.
+    /// Starts again at the first pose. The sides of the pistons stay known.
     pub fn again(&mut self) {
         self.data.clear();
         self.at = 0;
         self.bank = DynamicsBank::default();
     }
-    /// The pose it is at, from 0, and how many there are.
+    /// Index of the present pose, and the number of poses.
     #[must_use]
     pub fn at(&self) -> (usize, usize) {
         (self.at, self.poses.len())
     }
-    /// What to order for the pose it is at; the last one stays when all are over.
+    /// Command for the present pose, or for the last one when all have ended.
     #[must_use]
     pub fn command(&self) -> Command {
         let bend = self.poses.get(self.at).or(self.poses.last()).map_or(Bend(Vector2::zeros()), Pose::bend);
         Command { bend, length: Mm(self.geometry.rest_length_mm) }
     }
-    /// Lag and dead time as the round showed them, else `before`.
+    /// Lag and dead time of this round, or `before` if it does not determine them.
     #[must_use]
     pub fn dynamics(&self, before: &Dynamics) -> Dynamics {
         self.bank.best(before).unwrap_or(*before)
     }
-    /// Pulses that came before the pose was ordered.
+    /// Follows the pistons before the first command.
     pub fn follow(&mut self, piston_mm: &Vector3<f64>) {
         self.pushes.follow(piston_mm);
     }
-    /// One frame of `dt_s` at the pose that was ordered; `piston_mm` is what was pulsed.
+    /// One frame of `dt_s` after the command; `piston_mm` are the counted positions.
     pub fn step(&mut self, frame: &Frame, piston_mm: &Vector3<f64>, dt_s: f64) -> Step {
-        let half_s = 0.5 * dt_s; // sums of periods meet their bounds to within rounding
+        let half_s = 0.5 * dt_s; // tolerance for rounding in the sums of periods
         self.pushes.follow(piston_mm);
         self.since_s += dt_s;
         self.rested_s = if frame.phase == TickPhase::Holding { self.rested_s + dt_s } else { 0.0 };
@@ -104,29 +104,29 @@ impl Round {
             self.bank.step(frame.bend_from_pistons.0, estimate.bend.0, dt_s);
             if self.since_s > HOLD_S - SCORED_S + half_s && self.rested_s > RESTED_S + half_s {
                 self.sum += estimate.bend.0;
-                self.seen += 1;
-                self.seen_s += dt_s;
+                self.samples += 1;
+                self.measured_s += dt_s;
             }
         }
-        let measured = self.seen_s > SCORED_S - half_s;
+        let measured = self.measured_s > SCORED_S - half_s;
         if measured {
             self.measure();
         } else if self.since_s < WAY_MAX_S - half_s {
             return Step::Waiting;
         }
-        (self.since_s, self.rested_s, self.sum, self.seen, self.seen_s) = (0.0, 0.0, Vector2::zeros(), 0, 0.0);
+        (self.since_s, self.rested_s, self.sum, self.samples, self.measured_s) = (0.0, 0.0, Vector2::zeros(), 0, 0.0);
         self.at += 1;
         if self.at < self.poses.len() { Step::Next } else { Step::Over }
     }
     fn measure(&mut self) {
-        let bend = Bend(self.sum / f64::from(self.seen.max(1)));
+        let bend = Bend(self.sum / f64::from(self.samples.max(1)));
         let bellow_mm = self.geometry.lengths(&Shape { bend, length: Mm(self.geometry.rest_length_mm) });
         let Pushes { last_mm, side, .. } = self.pushes;
         self.data.push(Measurement { piston_mm: last_mm, bellow_mm, side, weight: self.pushes.weight() });
     }
 }
 
-/// Which way each piston pushes and how far it has since it turned.
+/// Direction of each piston, and its travel since the last reversal.
 #[derive(Debug, Clone, Copy, Default)]
 struct Pushes {
     last_mm: Vector3<f64>,
@@ -155,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_side_counts_once_the_piston_has_pushed_past_the_widest_backlash() {
+    fn a_side_counts_once_the_piston_has_crossed_the_widest_backlash() {
         let mut pushes = Pushes::default();
         let mut weights = Vec::new();
         for x in [1.0, 3.0, 2.0, 0.5] {
@@ -163,6 +163,6 @@ mod tests {
             weights.push((pushes.side[0], pushes.weight()[0]));
         }
         assert_eq!(weights, [(1.0, 0.0), (1.0, 1.0), (-1.0, 0.0), (-1.0, 1.0)]);
-        assert_eq!((pushes.side[1], pushes.weight()[1]), (0.0, 0.0), "a piston at rest pushes nowhere");
+        assert_eq!((pushes.side[1], pushes.weight()[1]), (0.0, 0.0), "a piston at rest has no side");
     }
 }

@@ -6,37 +6,37 @@ use crate::simulation::world::{Reply, World};
 use crate::supervisor::machine::MachineError;
 use thiserror::Error;
 
-/// Longest wait for a still tip, s.
+/// Longest duration of the alignment, s.
 const ALIGN_MAX_S: f64 = 20.0;
 
-/// What can stop an experiment.
+/// Why an experiment failed.
 #[derive(Debug, Error)]
 pub enum RigError {
-    /// The world ended.
+    /// The world failed.
     #[error(transparent)]
     World(#[from] MachineError),
-    /// The tip never came to rest.
-    #[error("the tip was not still within {0} s of the start ({1}); alignment needs 2 s of rest with pistons at zero")]
+    /// The tip did not come to rest.
+    #[error("the tip was not still within {0} s of the start ({1}); the alignment needs 2 s of rest with the pistons at zero")]
     NotStill(f64, String),
-    /// The judge has nothing to judge by.
+    /// The world has no reference for the score.
     #[error(
         "the plant gives no `ref`; an evaluation is scored against the true orientation, so the plant must answer with \"ref\":{{\"quat\":[w,x,y,z]}}"
     )]
     NoReference,
 }
 
-/// One loop living in one world.
+/// A loop and its world.
 pub struct Rig<'w> {
-    /// The loop's settings.
+    /// Configuration of the loop.
     pub config: LoopConfig,
-    /// The loop's memory.
+    /// State of the loop.
     pub state: LoopState,
     world: &'w mut dyn World,
     input: Input,
 }
 
 impl<'w> Rig<'w> {
-    /// A fresh loop at rest; nothing has moved yet.
+    /// A fresh loop at rest.
     pub fn new(config: LoopConfig, world: &'w mut dyn World) -> Self {
         let state = LoopState::new(&config);
         let dt_s = world.info().period_s;
@@ -47,7 +47,7 @@ impl<'w> Rig<'w> {
     /// One tick and one period of the world.
     ///
     /// # Errors
-    /// The world's.
+    /// Those of the world.
     pub fn advance(&mut self, command: Option<Command>) -> Result<(Frame, Reply), RigError> {
         self.input.command = command;
         let frame = tick(&self.config, &mut self.state, &self.input);
@@ -57,10 +57,10 @@ impl<'w> Rig<'w> {
         Ok((frame, reply))
     }
 
-    /// Lets time pass until the rest is found.
+    /// Waits for the alignment.
     ///
     /// # Errors
-    /// [`RigError::NotStill`] after 20 s, or the world's.
+    /// [`RigError::NotStill`] after 20 s, or those of the world.
     pub fn align(&mut self) -> Result<(), RigError> {
         while self.state.fusion.estimate().is_none() {
             let (frame, _) = self.advance(None)?;
@@ -71,7 +71,7 @@ impl<'w> Rig<'w> {
         Ok(())
     }
 
-    /// Goes on with other transmission gains; where the pistons stand is kept.
+    /// Continues with other transmission gains; the pistons stay where they are.
     pub fn relearn(&mut self, lines: [crate::model::transmission::Line; 3]) {
         self.config.lines = lines;
         self.state.set_lines(lines);

@@ -1,19 +1,19 @@
-//! Which poses are held, in which order.
+//! Schedules of the poses to be held.
 //!
-//! The paper says 12 directions, 5 angles, 120 states. Read here as: in every direction out through
-//! 15, 30, 45, 60, 75° and back through the same five, so that each angle is met from below and from
-//! above; then straight on to the next direction.
+//! The paper states 12 directions, 5 angles and 120 states. This is read as: in every direction out through 15, 30, 45,
+//! 60 and 75° and back through the same five, so that each angle is reached from below and from above; then directly on
+//! to the next direction.
 
 use crate::model::bend::Bend;
 
-/// A pose that is held.
+/// A pose to be held.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Bend angle β, degrees.
     pub bend_deg: f64,
     /// Bend direction δ, degrees.
     pub dir_deg: f64,
-    /// Approached from smaller bends.
+    /// The previous bend is smaller.
     pub outward: bool,
 }
 
@@ -25,13 +25,13 @@ impl Pose {
     }
 }
 
-/// Seconds a pose is held.
+/// Duration of a hold, s.
 pub const HOLD_S: f64 = 1.5;
-/// Seconds at the end of a hold that are scored.
+/// Scored time at the end of a hold, s.
 pub const SCORED_S: f64 = 0.3;
-/// Angles of the paper, degrees.
+/// Bend angles of the paper, degrees.
 pub const ANGLES_DEG: [f64; 5] = [15.0, 30.0, 45.0, 60.0, 75.0];
-/// Directions of the paper.
+/// Number of directions of the paper.
 pub const DIRECTIONS: usize = 12;
 
 /// The 120 states.
@@ -47,10 +47,9 @@ pub fn paper() -> Vec<Pose> {
         .collect()
 }
 
-/// Twenty-four poses for a calibration with a prior: in every direction out to 70° and back to 40°, so that
-/// each bellow is met strained on both sides of its backlash (poses met from one side alone would let
-/// the extension pass for backlash). Opposite directions follow each other: what grows with time does
-/// not pass for a gain.
+/// The 24 poses of a calibration with a prior: in every direction out to 70° and back to 40°, so that each bellow is
+/// strained on both sides of its backlash; poses from one side only cannot separate extension from backlash. Opposite
+/// directions follow each other, so that a drift does not appear as a gain.
 #[must_use]
 pub fn short() -> Vec<Pose> {
     (0..24)
@@ -67,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_hundred_and_twenty_states_each_angle_from_both_sides() {
+    fn the_paper_schedule_has_120_states_with_each_angle_from_both_sides() {
         let all = paper();
         assert_eq!(all.len(), 120);
         for a in ANGLES_DEG {
@@ -77,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn the_short_form_is_twenty_four_different_poses() {
+    fn the_short_schedule_has_24_different_poses() {
         let all = short();
         assert_eq!(all.len(), 24);
         for (i, a) in all.iter().enumerate() {

@@ -1,18 +1,16 @@
-//! A machine as the service sees it: a world with drivers, input lines and alarms of its own.
+//! The interface to a machine: drivers, input lines, IMUs and alarms.
 //!
 //! ```text
-//!  loop: wait until k·period ─▶ Machine::turn(now, wanted) ─▶ Sensed ─▶ tick, gate ─▶ wanted ─┐
+//!  loop: wait until k·period ─▶ Machine::turn(now, wanted) ─▶ Sensed ─▶ supervisor ─▶ wanted ─┐
 //!         ▲                                                                                   │
 //!         └───────────────────────────────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! The loop owns the clock and hands the time in; a machine never sleeps, locks, allocates or waits for
-//! a device in [`Machine::turn`]: hardware reads its IMU and moves its pins in threads of its own and
-//! exchanges with them through wait-free rings. What goes wrong outside is a value in [`Sensed`]; an
-//! error is only what leaves nothing to talk to.
+//! The loop owns the clock and passes the time as an argument. [`Machine::turn`] never sleeps, locks, allocates or waits
+//! for a device: hardware reads its IMU and drives its pins in threads of its own, connected by wait-free rings. Expected
+//! trouble is a value in [`Sensed`]; an error means that the machine cannot be used any more.
 //!
-//! [`Lockstep`] makes a machine of any [`World`], so the built-in plant, a foreign plant and the
-//! hardware are interchangeable.
+//! The built-in plant, a foreign plant and the hardware all implement [`Machine`] and are interchangeable.
 
 use crate::estimation::fusion::health::ImuReading;
 use crate::motion::lines::Inputs;
@@ -21,66 +19,66 @@ use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
 use thiserror::Error;
 
-/// What came from the machine in one turn.
+/// What the machine reports in one cycle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sensed {
-    /// Time of the turn on the loop's clock, as handed in.
+    /// Time of the cycle on the loop's clock.
     pub t: Seconds,
-    /// The tip's IMU: the newest sample not handed over yet, a failed transfer, or nothing.
+    /// Tip IMU: the newest sample that was not reported before, a failed transfer, or nothing.
     pub imu: ImuReading,
-    /// The base's IMU, where there is one.
+    /// Base IMU, if there is one.
     pub base_imu: Option<ImuSample>,
-    /// Microsteps truly pulsed by now, signed, since zero.
+    /// Microsteps made since zero, signed.
     pub counted: Steps,
     /// The drivers are energised.
     pub energised: bool,
     /// The input lines.
     pub inputs: Inputs,
-    /// What the step generator complains of, until [`Machine::clear`].
+    /// Alarm of the step generator, until [`Machine::clear`].
     pub alarm: Option<Alarm>,
-    /// True tip orientation, where the world knows it: for judges, never for the loop.
+    /// True tip orientation, if the machine is simulated. It serves scoring only; the loop never reads it.
     pub truth: Option<Rotation<Base, Tip>>,
 }
 
-/// What a step generator complains of.
+/// An alarm of the step generator.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Alarm {
-    /// A step was this much later than it may be, s.
+    /// A step was later than permitted.
     Late {
-        /// How late, s.
+        /// Delay, s.
         late_s: f64,
     },
-    /// It ran out of motion while moving and braked.
+    /// The motion queue ran empty during a motion, and the step generator braked.
     Underrun,
-    /// What it was handed jumps, mm.
+    /// The queued motion is discontinuous.
     Discontinuity {
-        /// The jump, mm.
+        /// Size of the jump, mm.
         jump_mm: f64,
     },
-    /// Its pins cannot be written or read.
+    /// The pins cannot be written or read.
     Pins,
-    /// Its thread is gone.
+    /// The step thread has ended.
     Dead,
 }
 
 impl std::fmt::Display for Alarm {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Late { late_s } => write!(f, "a step came {:.1} ms late", late_s * 1e3),
+            Self::Late { late_s } => write!(f, "a step was {:.1} ms late", late_s * 1e3),
             Self::Underrun => f.write_str("the step thread ran out of motion and braked"),
             Self::Discontinuity { jump_mm } => write!(f, "the motion handed to the step thread jumps by {jump_mm:.3} mm"),
             Self::Pins => f.write_str("the pins cannot be written or read"),
-            Self::Dead => f.write_str("the step thread is gone"),
+            Self::Dead => f.write_str("the step thread has ended"),
         }
     }
 }
 
-/// What a world says of itself before time starts.
+/// Properties of a machine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MachineInfo {
     /// Name, for reports.
     pub name: String,
-    /// Length of one step of its time, s.
+    /// Period of a cycle, s.
     pub period_s: f64,
     /// Piston travel per microstep, mm.
     pub step_mm: f64,
@@ -88,7 +86,7 @@ pub struct MachineInfo {
     pub rest_length_mm: f64,
 }
 
-/// Why a world ended.
+/// Why a machine cannot be used any more.
 #[derive(Debug, Error)]
 pub enum MachineError {
     /// The built-in plant cannot run with its parameters.
@@ -97,64 +95,63 @@ pub enum MachineError {
     /// The program could not be started.
     #[error("plant `{program}` cannot be started: {source}; give --plant 'exec:PROGRAM ARG…' with a program on this machine")]
     Start {
-        /// What was to be run.
+        /// The program.
         program: String,
-        /// The system's reason.
+        /// Reason given by the operating system.
         source: std::io::Error,
     },
-    /// A line that is not what the protocol says.
-    #[error("plant said `{line}`: {problem}")]
+    /// A line violates the protocol.
+    #[error("plant sent `{line}`: {problem}")]
     Malformed {
         /// The line, cut to a readable length.
         line: String,
-        /// What is wrong with it and what was expected.
+        /// What is wrong, and what was expected.
         problem: String,
     },
-    /// End of file before its time.
+    /// The plant ended unexpectedly.
     #[error("plant ended after `{last}`{status}; its own error output is above")]
     Died {
-        /// The last good line.
+        /// The last valid line.
         last: String,
         /// Exit status, if known.
         status: String,
     },
-    /// Nothing came for too long.
+    /// The plant did not respond in time.
     #[error("plant was silent for {seconds} s after `{last}`; it must answer every line of steps with one line")]
     Silent {
-        /// How long was waited, s.
+        /// Time waited, s.
         seconds: f64,
-        /// The last good line.
+        /// The last valid line.
         last: String,
     },
 }
 
-/// Something that bends a tip and feels it.
+/// A machine that moves the pistons and measures the tip.
 pub trait Machine: Send {
-    /// What it is.
+    /// Properties of the machine.
     fn info(&self) -> &MachineInfo;
 
-    /// One turn of the loop at `now` (strictly later than the last): takes the counts that are wanted by
-    /// the end of the coming period and hands over what has come since the last turn. Never blocks.
+    /// One cycle at `now`, which is later than in the last cycle. Accepts the counts to be reached by the end of the
+    /// coming period and returns what has arrived since the last cycle. Never blocks.
     ///
     /// # Errors
-    /// [`MachineError`] when the other side is gone for good.
+    /// [`MachineError`] if the machine cannot be used any more.
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError>;
 
-    /// Switches the drivers; off, the air may push the pistons back. Acts within some turns, which
-    /// [`Sensed::energised`] tells.
+    /// Switches the drivers on or off. It takes some cycles until [`Sensed::energised`] follows. The air may push the
+    /// pistons of released drivers back.
     fn energise(&mut self, on: bool);
 
-    /// At rest: the pistons stand at these counts, as remembered or as found at the home switches.
+    /// The resting pistons stand at these counts, as remembered or as found at the home switches.
     fn recount(&mut self, counted: &Steps);
 
-    /// Takes back a latched [`Alarm`], as far as its cause is gone.
+    /// Clears the latched [`Alarm`] if its cause has ended.
     fn clear(&mut self);
 
-    /// True where time is the loop's own and nothing needs to be waited for: a simulation may run as
-    /// fast as both sides can.
+    /// True if time is simulated, so that the loop need not wait for the clock.
     fn is_simulated(&self) -> bool;
 
-    /// What a person should know of it, one line each: real-time grants, devices. For the status.
+    /// Remarks for the status, one line each: devices, real-time privileges.
     fn remarks(&self) -> Vec<String>;
 }
 

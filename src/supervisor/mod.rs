@@ -1,12 +1,13 @@
 //! Supervision of the control loop: modes, safety gate, orders, residual monitor and commissioning.
 //!
-//! * [`mode`]: one table of transitions; nothing else changes the mode.
-//! * [`gate`]: stands between the controller and the step generator and trusts neither.
-//! * [`residual_monitor`]: turns the difference between what the pistons did and what the IMU measured into a cause.
+//! * [`mode`]: the modes and one table of all transitions.
+//! * [`gate`]: the last check between controller and step generator; it relies on neither.
+//! * [`residual_monitor`]: attributes the difference between predicted and estimated bend to a cause, a [`suspicion`].
 //! * [`machine`]: the trait that hardware and simulations implement.
 //! * [`cycle`]: one cycle of the supervised loop, the same on every machine.
+//! * [`commission`]: guarded manual moves, homing, and the wiring and leak tests.
 //!
-//! Everything here is pure: time is passed in, nothing allocates.
+//! The room is pure: time is an argument, and a cycle does not allocate.
 
 pub mod commission;
 pub mod cycle;
@@ -14,3 +15,4 @@ pub mod gate;
 pub mod machine;
 pub mod mode;
 pub mod residual_monitor;
+pub mod suspicion;

@@ -1,30 +1,29 @@
-//! Weighted least squares for the transmission gains (paper, Eq. 18-26) with a prior.
+//! Weighted least squares for the transmission gains (paper, Eq. 18-26), optionally with a prior.
 //!
-//! A measurement j of channel i says `q̃ − q = q k_ε + s k_λ` (Eq. 18-21) with `s = sgn(q̇)` the side
-//! pushed to. `Γ` (Eq. 22-23) is block diagonal by channel, so Eq. 25 falls into three systems of two
-//! unknowns; nothing is lost by solving them so. A row whose side is not known (the piston has not yet
-//! crossed the gap since it turned) has weight 0 (Eq. 26), and a row that stands far off the others (a
-//! pose against a wall) is weighted down by Huber's rule (1964), iterated. A prior from earlier units enters as one
-//! more pair of rows per channel.
+//! A measurement j of channel i states `q̃ − q = q k_ε + s k_λ` (Eq. 18-21), where `s = sgn(q̇)` is the side of the
+//! backlash. `Γ` (Eq. 22-23) is block diagonal by channel, so Eq. 25 separates into three systems of two unknowns. A row
+//! with an unknown side, because the piston has not yet crossed the backlash since its last reversal, has weight 0
+//! (Eq. 26). Huber's rule (1964), iterated, reduces the weight of outliers, such as poses against an obstacle. A prior
+//! from earlier units adds one more pair of rows per channel.
 
 use crate::model::transmission::Line;
 use nalgebra::{Matrix2, Vector2, Vector3};
 use thiserror::Error;
 
-/// One held pose.
+/// Measurement of one held pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measurement {
     /// Piston displacement q̃, mm.
     pub piston_mm: Vector3<f64>,
     /// Bellow length change q from the measured bend, mm.
     pub bellow_mm: Vector3<f64>,
-    /// Side pushed to, −1 or 1, per channel.
+    /// Side of the backlash, −1 or 1, per channel.
     pub side: Vector3<f64>,
-    /// Weight w of each channel's row (Eq. 26); 0 leaves it out.
+    /// Weight w of the row of each channel (Eq. 26); 0 omits it.
     pub weight: Vector3<f64>,
 }
 
-/// What is known of a channel beforehand: mean and standard deviation of both gains.
+/// Prior of one channel: mean and standard deviation of both gains.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior {
     /// Expected gains.
@@ -35,7 +34,7 @@ pub struct Prior {
     pub k_lambda_sigma_mm: f64,
 }
 
-/// Gains of one channel with what the data say of their worth.
+/// Estimated gains of one channel with their uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
     /// The gains.
@@ -46,42 +45,42 @@ pub struct Estimate {
     pub condition: f64,
     /// Root mean square of the weighted residual, mm.
     pub residual_mm: f64,
-    /// Rows with weight.
+    /// Number of rows with a weight.
     pub rows: usize,
 }
 
-/// The data do not fix a gain.
+/// Why the data do not determine the gains.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum Unidentifiable {
     /// Too few rows.
-    #[error("channel {channel}: {rows} usable poses, at least {needed} are needed; hold more poses whose last motion crosses the backlash")]
+    #[error("channel {channel}: {rows} usable poses, at least {needed} are required; hold more poses whose last motion crosses the backlash")]
     TooFew {
         /// Channel, 1 to 3.
         channel: usize,
-        /// Rows with weight.
+        /// Number of rows with a weight.
         rows: usize,
-        /// Rows needed.
+        /// Required rows.
         needed: usize,
     },
-    /// Extension and backlash cannot be told apart.
+    /// Extension and backlash cannot be distinguished.
     #[error(
-        "channel {channel}: extension and backlash cannot be told apart (condition number {condition:.0}, at most {max:.0}); hold poses of different size, approached from both sides"
+        "channel {channel}: extension and backlash cannot be distinguished (condition number {condition:.0}, at most {max:.0}); hold poses of different size, approached from both sides"
     )]
     Condition {
         /// Channel, 1 to 3.
         channel: usize,
         /// Condition number.
         condition: f64,
-        /// Largest accepted.
+        /// Largest accepted value.
         max: f64,
     },
 }
 
-/// Fewest rows a channel needs without a prior.
+/// Fewest rows of a channel without a prior.
 pub const ROWS_MIN: usize = 8;
 /// Largest accepted condition number of the scaled normal matrix.
 pub const CONDITION_MAX: f64 = 100.0;
-/// Standard deviation of one row assumed where a prior needs a scale, mm of piston.
+/// Assumed standard deviation of one row, which scales a prior, mm of piston.
 pub const ROW_SIGMA_MM: f64 = 0.6;
 
 /// Solves Eq. 25 for the three channels, each with its prior if one is given.
@@ -99,9 +98,9 @@ struct Normal {
     rhs: Vector2<f64>,
 }
 
-/// Rows beyond this many robust spreads are weighted down (Huber's constant).
+/// Number of robust standard deviations above which Huber's rule reduces the weight of a row.
 const HUBER: f64 = 1.5;
-/// Rounds of reweighting.
+/// Iterations of the reweighting.
 const ROUNDS: usize = 8;
 
 fn solve_channel(data: &[Measurement], i: usize, prior: Option<&Prior>) -> Result<Estimate, Unidentifiable> {
@@ -130,7 +129,7 @@ fn solve_channel(data: &[Measurement], i: usize, prior: Option<&Prior>) -> Resul
     })
 }
 
-/// Median absolute value as a standard deviation; never so small that exact data divide by zero.
+/// Robust standard deviation from the median absolute value; positive even for exact data.
 fn robust_spread(off: &[f64]) -> f64 {
     let mut sorted = off.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -180,8 +179,8 @@ fn condition(normal: &Matrix2<f64>) -> f64 {
     (1.0 + correlation) / (1.0 - correlation)
 }
 
-/// Relative step of Algorithm 1, line 2: ‖k_i − k_{i−1}‖ / ‖k_{i−1}‖ over all six gains; infinite from
-/// zero, so that the first pass never ends the iteration.
+/// Relative step of Algorithm 1, line 2: ‖k_i − k_{i−1}‖ / ‖k_{i−1}‖ over all six gains. It is infinite for gains of zero,
+/// so that the first pass never ends the iteration.
 #[must_use]
 pub fn relative_step(new: &[Line; 3], old: &[Line; 3]) -> f64 {
     let six = |l: &[Line; 3]| nalgebra::Vector6::from_fn(|i, _| if i < 3 { l[i].k_epsilon } else { l[i - 3].k_lambda_mm });
@@ -212,7 +211,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn exact_data_give_the_gains_back(k_epsilon in 0.5..4.0f64, k_lambda_mm in 0.1..1.5f64, seed in prop::collection::vec((-5.0..5.0f64, any::<bool>()), 12..40)) {
+        fn exact_data_recover_the_gains(k_epsilon in 0.5..4.0f64, k_lambda_mm in 0.1..1.5f64, seed in prop::collection::vec((-5.0..5.0f64, any::<bool>()), 12..40)) {
             let line = Line { k_epsilon, k_lambda_mm };
             match solve(&poses(line, &seed, 0.0), None) {
                 Ok(e) => for x in e {
@@ -233,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_poses_against_a_wall_do_not_count_for_much() {
+    fn a_few_obstructed_poses_hardly_change_the_gains() {
         let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
         let qs: Vec<_> = (0..60).map(|i| (f64::from(i % 11) - 5.0, i % 3 != 0)).collect();
         let mut data = poses(line, &qs, 0.1);
@@ -255,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prior_carries_what_the_data_do_not() {
+    fn a_prior_determines_what_the_data_do_not() {
         let line = Line { k_epsilon: 2.2, k_lambda_mm: 0.9 };
         let prior = Prior { line, k_epsilon_sigma: 0.2, k_lambda_sigma_mm: 0.05 };
         let e = solve(&poses(line, &[(3.0, true)], 0.0), Some(&[prior; 3])).unwrap();

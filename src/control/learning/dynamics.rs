@@ -1,21 +1,20 @@
-//! Which lag and which dead time lie between piston and felt bend: a bank of models that race.
+//! Estimates lag and dead time between the pistons and the estimated bend with a bank of candidate models.
 //!
-//! Each candidate (τ, T) predicts the felt bend from the bend the pistons should give. Prediction `x`
-//! and measurement `y` pass the same high-pass, so that creep and drift do not count, and are compared
-//! up to a factor, so that a wrong gain does not either: only the shape of motion does. What is left
-//! unexplained, `1 − (Σx·y)² / (Σx² Σy²)`, is gathered with slow forgetting while there is motion. The
-//! best candidate is believed once enough motion was seen, it explains the motion well in itself (a tip
-//! against a wall is explained by none), and it clearly beats the one in use. Multiple-model estimation
+//! Each candidate (τ, T) predicts the estimated bend from the bend that the pistons cause. Prediction `x` and measurement
+//! `y` pass the same high-pass filter, which removes creep and drift, and are compared up to a factor, which removes gain
+//! errors; only the shape of the motion remains. The unexplained share `1 − (Σx·y)² / (Σx² Σy²)` accumulates with slow
+//! forgetting during motion. The best candidate is accepted once there was enough motion, if it explains the motion well
+//! (none does for an obstructed tip) and clearly better than the candidate in use. This is multiple-model estimation
 //! after Magill (1965), with unexplained energy in place of likelihoods.
 
 use crate::control::pi::Dynamics;
 use nalgebra::Vector2;
 
-/// Lags that race, s.
+/// Lags of the candidates, s.
 pub const LAGS_S: [f64; 8] = [0.01, 0.03, 0.06, 0.12, 0.2, 0.35, 0.6, 1.0];
-/// Dead times that race, s.
+/// Dead times of the candidates, s.
 pub const DELAYS_S: [f64; 9] = [0.0, 0.01, 0.025, 0.05, 0.08, 0.12, 0.16, 0.21, 0.26];
-/// Rate at which the bank looks, 1/s.
+/// Sampling rate of the bank, 1/s.
 const RATE_HZ: f64 = 100.0;
 const PERIOD_S: f64 = 1.0 / RATE_HZ;
 /// Samples of history, enough for the longest dead time.
@@ -24,14 +23,14 @@ const HISTORY: usize = 32;
 const HIGH_PASS_S: f64 = 0.5;
 /// Forgetting time of the energies while moving, s.
 const MEMORY_S: f64 = 30.0;
-/// Motion (path of the high-passed prediction, rad) before anything is believed.
+/// Path of the estimated bend required for a result, rad.
 const COVERAGE_RAD: f64 = 2.0;
-/// Unexplained share above which no candidate is believed.
+/// Unexplained share above which no candidate is accepted.
 const UNEXPLAINED_MAX: f64 = 0.08;
-/// A candidate must leave less than this fraction of what the one in use leaves.
+/// Largest unexplained share of an accepted candidate, relative to that of the candidate in use.
 const BETTER: f64 = 0.8;
 
-/// One candidate's prediction and what was gathered about it.
+/// Prediction and energies of one candidate.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Candidate {
     lagged: Vector2<f64>,
@@ -40,12 +39,12 @@ struct Candidate {
     xy: f64,
 }
 
-/// The race so far.
+/// The bank of candidates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DynamicsBank {
     history: [Vector2<f64>; HISTORY],
     head: usize,
-    /// ∫ of the command since the bank last looked, rad·s.
+    /// ∫ of the command since the last sample, rad·s.
     commanded: Vector2<f64>,
     candidates: [[Candidate; DELAYS_S.len()]; LAGS_S.len()],
     yy: f64,
@@ -72,18 +71,18 @@ impl Default for DynamicsBank {
 }
 
 impl DynamicsBank {
-    /// One tick with the bend the pistons should give and the felt bend, rad.
+    /// One tick with the bend from the pistons and the estimated bend, rad.
     pub fn step(&mut self, commanded: Vector2<f64>, estimate: Vector2<f64>, dt_s: f64) {
         self.due_s += dt_s;
         self.commanded += commanded * dt_s;
         if self.due_s < PERIOD_S - 1e-9 {
             return;
         }
-        // a loop slower than the bank's rate still counts its real time
+        // a loop slower than the sampling rate counts its real period
         let dt_s = self.due_s;
         self.due_s = 0.0;
         self.head = (self.head + 1) % HISTORY;
-        // the mean over the interval, not its end: the end would be half an interval early
+        // the mean over the interval; the value at its end would be half an interval early
         self.history[self.head] = self.commanded / dt_s;
         self.commanded = Vector2::zeros();
         let delayed = DELAYS_S.map(|delay_s| self.back(delay_s / dt_s));
@@ -108,14 +107,14 @@ impl DynamicsBank {
         }
     }
 
-    /// The command that many intervals ago, between two of them if need be.
+    /// The command that many intervals ago, interpolated.
     fn back(&self, intervals: f64) -> Vector2<f64> {
         let whole = (intervals.floor() as usize).min(HISTORY - 2);
         let at = |n: usize| self.history[(self.head + HISTORY - n) % HISTORY];
         at(whole).lerp(&at(whole + 1), (intervals - whole as f64).min(1.0))
     }
 
-    /// The winner, if it is to be believed rather than `now`.
+    /// The best candidate, if it is accepted in place of `now`.
     #[must_use]
     pub fn best(&self, now: &Dynamics) -> Option<Dynamics> {
         if self.motion_rad < COVERAGE_RAD {
@@ -142,8 +141,8 @@ mod tests {
     use super::*;
     use crate::control::pi::ReferenceModel;
 
-    /// Steps of the command in many directions through a line with gain error and creep.
-    fn race(truth: Dynamics, dt_s: f64) -> Option<Dynamics> {
+    /// Best candidate after steps in many directions, through a line with gain error and creep.
+    fn best_for(truth: Dynamics, dt_s: f64) -> Option<Dynamics> {
         let (mut bank, mut plant) = (DynamicsBank::default(), ReferenceModel::default());
         let (mut at, mut crept) = (Vector2::zeros(), Vector2::zeros());
         for k in 0..(40.0 / dt_s) as usize {
@@ -162,32 +161,32 @@ mod tests {
     #[test]
     fn finds_slow_lines_and_dead_times() {
         for dt_s in [0.001, 0.005] {
-            let slow = race(Dynamics { lag_s: 0.6, delay_s: 0.0 }, dt_s).unwrap();
+            let slow = best_for(Dynamics { lag_s: 0.6, delay_s: 0.0 }, dt_s).unwrap();
             assert!((slow.lag_s - 0.6).abs() < 0.3, "{slow:?}");
-            let late = race(Dynamics { lag_s: 0.03, delay_s: 0.16 }, dt_s).unwrap();
+            let late = best_for(Dynamics { lag_s: 0.03, delay_s: 0.16 }, dt_s).unwrap();
             assert!((late.delay_s - 0.16).abs() < 0.03, "{late:?}");
         }
     }
 
     #[test]
-    fn a_tip_that_does_not_follow_teaches_nothing() {
+    fn an_obstructed_tip_does_not_change_the_dynamics() {
         let mut bank = DynamicsBank::default();
         let mut at = Vector2::zeros();
         for k in 0..8000 {
             let phase = (f64::from(k) * 0.005 / 1.5).floor();
             let target = Vector2::new((phase * 1.3).cos(), (phase * 2.1).sin()) * 0.9;
             at += (target - at) * 0.02;
-            // a wall takes all that is beyond it
+            // an obstacle limits the bend
             bank.step(at, at.map(|x: f64| x.clamp(-0.9, 0.1)), 0.005);
         }
-        let believed = bank.best(&Dynamics { lag_s: 0.03, delay_s: 0.0 });
-        assert!(believed.is_none_or(|d| d.lag_s <= 0.12), "{believed:?}");
+        let found = bank.best(&Dynamics { lag_s: 0.03, delay_s: 0.0 });
+        assert!(found.is_none_or(|d| d.lag_s <= 0.12), "{found:?}");
     }
 
     #[test]
-    fn keeps_what_is_right_and_waits_for_motion() {
+    fn keeps_correct_dynamics_and_requires_motion() {
         let truth = Dynamics { lag_s: 0.03, delay_s: 0.01 };
-        assert_eq!(race(truth, 0.001), None);
+        assert_eq!(best_for(truth, 0.001), None);
         assert_eq!(DynamicsBank::default().best(&truth), None);
     }
 }

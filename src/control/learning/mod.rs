@@ -1,4 +1,4 @@
-//! Learning the transmission: in a batch (Algorithm 1), online (k_ε), and its dynamics.
+//! Learning the transmission: gains in a batch (Algorithm 1) and online (k_ε), and the dynamics.
 
 pub mod batch;
 pub mod dynamics;

@@ -1,20 +1,18 @@
-//! Online refinement of k_ε by recursive least squares, with every guard a learner needs.
+//! Online refinement of k_ε by recursive least squares.
 //!
-//! In a held pose the slack of channel i stands at `w_i` and its bellow at `q_i`; Eq. 16 without the
-//! backlash (which the play model has taken off) reads `w_i − q_i = k_ε,i q_i`: one scalar recursion
-//! per channel with exponential forgetting. A real tip's gain depends on where it bends to, so what is
-//! forgotten is counted by direction: each of twelve sectors forgets only when it is visited again, and
-//! work on one side cannot pull the gain over to that side. The guards, in order:
+//! In a held pose the play output of channel i is `w_i` and its bellow is at `q_i`. Eq. 16 without the backlash, which
+//! the play operator has removed, reads `w_i − q_i = k_ε,i q_i`: one scalar recursion per channel with exponential
+//! forgetting. The gain of a real tip depends on the direction of its bend, so twelve sectors of direction forget
+//! separately; work in one direction cannot move the gain away from what the others require. The safeguards, in order:
 //!
-//! 1. **Coverage.** A pose counts once: it is taken only if the tip has moved by `pose_step_deg`
-//!    since the last one, and a channel only if its bellow is strained by `strain_min_mm`. Holding
-//!    for an hour adds nothing, so it can neither drift nor blow the covariance up.
-//! 2. **Belief.** The prior's own information is never forgotten: what is gathered decays, the prior
-//!    stays.
+//! 1. **Coverage.** A pose counts only if the tip has moved by `pose_step_deg` since the last accepted pose, and a
+//!    channel only if its bellow is strained by `strain_min_mm`. Holding a pose adds nothing, so the estimate neither
+//!    drifts nor does its covariance grow.
+//! 2. **Prior.** The information of the prior is never forgotten; only that of the poses decays.
 //! 3. **Bounds.** The gain stays within `±range` of the calibrated prior.
-//! 4. **Slow blend.** The gain in use follows the estimate by a bounded step a pose; the caller hands
-//!    the difference over from its integrator.
-//! 5. **Nonsense.** A row that is off by more than `outlier` times the spread is not learned from.
+//! 4. **Rate limit.** The gain in use follows the estimate by a bounded step per pose; the caller compensates the
+//!    difference in its integrator.
+//! 5. **Outliers.** A row that deviates by more than `outlier` times the spread is not learned from.
 
 use crate::model::transmission::Line;
 use nalgebra::{Vector2, Vector3};
@@ -63,55 +61,55 @@ impl Default for RefineConfig {
     }
 }
 
-/// Sectors of bend direction that are remembered apart: the directions of the paper's experiment.
+/// Sectors of bend direction: the directions of the paper's experiment.
 const SECTORS: usize = 12;
 
-/// What a channel has gathered in one sector.
+/// Information of one channel in one sector.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct Gathered {
+struct Information {
     /// Σ λ^n q², mm².
     information: f64,
     /// Σ λ^n q (w − q), mm².
     moment: f64,
 }
 
-/// One channel's recursion.
+/// Recursion of one channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Channel {
     prior: f64,
-    sectors: [Gathered; SECTORS],
+    sectors: [Information; SECTORS],
     /// Running mean square of the row error, mm².
     spread: f64,
 }
 
-/// The learner's memory.
+/// State of the learner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RefineState {
     channels: [Channel; 3],
     last_pose: Option<Vector2<f64>>,
-    /// Poses learned from.
+    /// Number of accepted poses.
     pub poses: u32,
-    /// Estimate before blending, per channel.
+    /// Estimate of each channel before the limit of its rate of change.
     pub raw: [f64; 3],
 }
 
-/// Strain at which a pose counts in full, mm.
+/// Strain of a pose whose weight equals that of one prior pose, mm.
 const FULL_STRAIN_MM: f64 = 4.0;
 
 impl RefineState {
-    /// Starts at the calibrated gains.
+    /// A learner that starts at the calibrated gains.
     #[must_use]
     pub fn new(prior: &[Line; 3]) -> Self {
         Self {
-            channels: prior.map(|p| Channel { prior: p.k_epsilon, sectors: [Gathered::default(); SECTORS], spread: 1.0 }),
+            channels: prior.map(|p| Channel { prior: p.k_epsilon, sectors: [Information::default(); SECTORS], spread: 1.0 }),
             last_pose: None,
             poses: 0,
             raw: prior.map(|l| l.k_epsilon),
         }
     }
 
-    /// A held pose: slack and bellow positions in mm, the felt bend in rad. Returns the gains to use
-    /// from now on, or `None` when the pose taught nothing.
+    /// Learns from a held pose: estimated bend in rad, play outputs and bellow length changes in mm. Returns the new gains,
+    /// or `None` if the pose was not accepted.
     pub fn learn(
         &mut self,
         config: &RefineConfig,
@@ -144,20 +142,20 @@ impl RefineState {
     }
 }
 
-/// Which sector a bend lies in.
+/// Sector of a bend.
 fn sector_of(bend: &Vector2<f64>) -> usize {
     let turn = bend.y.atan2(bend.x).rem_euclid(TAU) / TAU;
-    // directions of the experiment lie in the middle of a sector; f64 to usize saturates
+    // the directions of the experiment lie at the centres of the sectors; f64 to usize saturates
     (turn * SECTORS as f64).round() as usize % SECTORS
 }
 
 impl Channel {
     fn add(&mut self, config: &RefineConfig, sector: usize, w_mm: f64, q_mm: f64) -> bool {
         let error = (w_mm - q_mm) - self.gain(config) * q_mm;
-        // how uncertain the prediction itself still is belongs to the bar
-        let doubt = self.spread * (1.0 + q_mm * q_mm / self.total(config).information);
-        let learn = error * error <= config.outlier * config.outlier * doubt;
-        // the spread follows even what is not learned, so that a real change is believed in the end
+        // the bound includes the uncertainty of the prediction
+        let variance = self.spread * (1.0 + q_mm * q_mm / self.total(config).information);
+        let learn = error * error <= config.outlier * config.outlier * variance;
+        // the spread follows outliers too, so that a lasting change is accepted eventually
         self.spread += 0.1 * (error * error - self.spread).min(10.0 * self.spread);
         self.spread = self.spread.max(1e-4);
         if learn {
@@ -168,16 +166,16 @@ impl Channel {
         learn
     }
 
-    /// All sectors and the prior.
-    fn total(&self, config: &RefineConfig) -> Gathered {
+    /// Sum over all sectors and the prior.
+    fn total(&self, config: &RefineConfig) -> Information {
         let worth = config.prior_poses * FULL_STRAIN_MM * FULL_STRAIN_MM;
-        let prior = Gathered { information: worth, moment: worth * self.prior };
-        self.sectors.iter().fold(prior, |sum, s| Gathered { information: sum.information + s.information, moment: sum.moment + s.moment })
+        let prior = Information { information: worth, moment: worth * self.prior };
+        self.sectors.iter().fold(prior, |sum, s| Information { information: sum.information + s.information, moment: sum.moment + s.moment })
     }
 
     fn gain(&self, config: &RefineConfig) -> f64 {
         let range = config.range * (1.0 + self.prior);
-        let Gathered { information, moment } = self.total(config);
+        let Information { information, moment } = self.total(config);
         (moment / information).clamp((self.prior - range).max(0.0), self.prior + range)
     }
 }
@@ -202,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn thirty_percent_off_comes_within_five() {
+    fn a_gain_30_percent_off_converges_to_5_percent() {
         for scale in [0.7, 1.3] {
             let config = RefineConfig::default();
             let mut now = lines(scale);
@@ -219,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn holding_teaches_once() {
+    fn a_held_pose_counts_once() {
         let config = RefineConfig::default();
         let now = lines(1.0);
         let mut state = RefineState::new(&now);
@@ -233,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn stays_within_its_range_and_finite_for_ever() {
+    fn gains_stay_within_their_range_and_finite() {
         let config = RefineConfig::default();
         let mut now = lines(1.0);
         let mut state = RefineState::new(&now);
@@ -251,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn one_wild_pose_is_not_learned_from() {
+    fn an_outlier_is_not_learned_from() {
         let config = RefineConfig::default();
         let mut now = lines(1.0);
         let mut state = RefineState::new(&now);

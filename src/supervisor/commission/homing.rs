@@ -1,84 +1,84 @@
-//! Zero by home switches: approach, back off, approach slowly, twice; both must agree.
+//! Zero by home switches: approach, back off, approach slowly, twice.
 //!
-//! A switch that closes tells one thing: where it is. So the count at the slow closing is called the
-//! position that the board file gives for the switch, and the difference of two closings is the proof.
+//! The count at the second slow closing becomes the position that the board file states for the switch. The difference
+//! between the two slow closings is the repeatability and must stay within its limit.
 
 use crate::primitives::units::Steps;
-use crate::supervisor::commission::manual_motion::{Hand, HandError};
+use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 
-/// How to search.
+/// Parameters of the search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HomingConfig {
     /// Speed of the first approach, mm/s; the second is a quarter of it.
     pub speed_mm_s: f64,
-    /// Distance of backing off, mm.
+    /// Distance to back off, mm.
     pub back_off_mm: f64,
-    /// Most that two closings may differ, mm.
+    /// Largest difference between two closings, mm.
     pub repeat_max_mm: f64,
     /// Piston position of each channel where its switch closes, mm.
     pub at_mm: [f64; 3],
-    /// Farthest that a switch is searched, mm.
+    /// Longest search, mm.
     pub search_max_mm: f64,
 }
 
-/// What was found.
+/// Result of the homing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Homed {
-    /// How far the two slow closings of each switch were apart, mm.
+    /// Difference between the two slow closings of each switch, mm.
     pub repeat_mm: [f64; 3],
-    /// How far the old zero was off, mm.
+    /// Correction of the zero position, mm.
     pub moved_mm: [f64; 3],
 }
 
-/// Why zero was not found.
+/// Why the homing failed.
 #[derive(Debug, thiserror::Error)]
 pub enum HomingError {
-    /// The move itself.
+    /// A move ended early.
     #[error(transparent)]
-    Hand(#[from] HandError),
-    /// Never closed.
+    Motion(#[from] ManualMotionError),
+    /// The switch did not close.
     #[error(
         "the home switch of channel {channel} did not close within {mm} mm: is it wired, is homing.at_mm on the right side, does the motor turn (`retroflex jog`)?"
     )]
     NeverClosed {
         /// Channel, from 1.
         channel: usize,
-        /// How far was searched, mm.
+        /// Distance searched, mm.
         mm: f64,
     },
-    /// Never opened.
+    /// The switch did not open.
     #[error(
-        "the home switch of channel {channel} stays closed {mm} mm away from it: check its polarity (`active_low`), its wire and homing.back_off_mm"
+        "the home switch of channel {channel} stays closed after backing off by {mm} mm: check its polarity (`active_low`), its wire and homing.back_off_mm"
     )]
     NeverOpened {
         /// Channel, from 1.
         channel: usize,
-        /// How far was backed off, mm.
+        /// Distance backed off, mm.
         mm: f64,
     },
-    /// Not where it was.
+    /// The two closings differ too much.
     #[error(
-        "the home switch of channel {channel} closed {mm:.3} mm apart twice, more than homing.repeat_max_mm = {max} mm: a loose switch, or lost steps"
+        "the home switch of channel {channel} closed at two positions {mm:.3} mm apart, more than homing.repeat_max_mm = {max} mm: a loose switch, or lost steps"
     )]
     NotRepeatable {
         /// Channel, from 1.
         channel: usize,
         /// The difference, mm.
         mm: f64,
-        /// What is allowed, mm.
+        /// Largest permitted difference, mm.
         max: f64,
     },
 }
 
-/// Finds zero with the switches of all channels, one after the other, and drives the pistons there.
+/// Finds zero with the switches of all channels, one after the other, and moves the pistons there.
 ///
 /// # Errors
-/// [`HomingError`]; the pistons stand where they are.
-pub fn with_switches(hand: &mut Hand<'_>, config: &HomingConfig) -> Result<Homed, HomingError> {
+/// [`HomingError`]; the pistons stay where they stopped.
+pub fn with_switches(drive: &mut ManualMotion<'_>, config: &HomingConfig) -> Result<Homed, HomingError> {
     let mut repeat_mm = [0.0; 3];
     let mut closed_mm = [0.0; 3];
     for channel in 0..3 {
-        let mut search = Search { hand, config, channel, side: config.at_mm[channel].signum() };
+        let mut search = Search { drive, config, channel, side: config.at_mm[channel].signum() };
         search.leave()?;
         search.close(config.speed_mm_s, config.search_max_mm)?;
         search.leave()?;
@@ -92,35 +92,35 @@ pub fn with_switches(hand: &mut Hand<'_>, config: &HomingConfig) -> Result<Homed
             return Err(HomingError::NotRepeatable { channel: channel + 1, mm: repeat_mm[channel], max: config.repeat_max_mm });
         }
     }
-    let (stands_mm, step_mm) = (hand.stands_mm(), hand.step_mm());
+    let (stands_mm, step_mm) = (drive.stands_mm(), drive.step_mm());
     let moved_mm: [f64; 3] = std::array::from_fn(|i| config.at_mm[i] - closed_mm[i]);
-    hand.recount(Steps(std::array::from_fn(|i| ((stands_mm[i] + moved_mm[i]) / step_mm).round() as i32)))?;
-    hand.go([0.0; 3], config.speed_mm_s, &mut |_| false)?;
+    drive.recount(Steps(std::array::from_fn(|i| ((stands_mm[i] + moved_mm[i]) / step_mm).round() as i32)))?;
+    drive.go([0.0; 3], config.speed_mm_s, &mut |_| false)?;
     Ok(Homed { repeat_mm, moved_mm })
 }
 
 /// The search of one channel's switch.
 struct Search<'h, 'a> {
-    hand: &'h mut Hand<'a>,
+    drive: &'h mut ManualMotion<'a>,
     config: &'h HomingConfig,
     channel: usize,
     side: f64,
 }
 
 impl Search<'_, '_> {
-    /// The present target with this channel moved by `by_mm` towards its switch.
+    /// The present target, with this channel moved towards its switch by `by_mm`.
     fn towards(&self, by_mm: f64) -> [f64; 3] {
-        let mut target = self.hand.wanted_mm();
+        let mut target = self.drive.wanted_mm();
         target[self.channel] += self.side * by_mm;
         target
     }
 
-    /// Approaches until the switch closes; where it did, mm.
+    /// Approaches until the switch closes; returns the position of the closing, mm.
     fn close(&mut self, speed_mm_s: f64, most_mm: f64) -> Result<f64, HomingError> {
-        let (channel, step_mm) = (self.channel, self.hand.step_mm());
+        let (channel, step_mm) = (self.channel, self.drive.step_mm());
         let mut at = None;
         let target = self.towards(most_mm);
-        self.hand.go(target, speed_mm_s, &mut |s| {
+        self.drive.go(target, speed_mm_s, &mut |s| {
             if s.inputs.home[channel] {
                 at.get_or_insert(f64::from(s.counted.0[channel]) * step_mm);
             }
@@ -129,15 +129,15 @@ impl Search<'_, '_> {
         at.ok_or(HomingError::NeverClosed { channel: channel + 1, mm: most_mm })
     }
 
-    /// Backs off until the switch is open, and then all of the distance.
+    /// Backs off from a closed switch by the whole distance.
     fn leave(&mut self) -> Result<(), HomingError> {
         let channel = self.channel;
-        if !self.hand.turn()?.inputs.home[channel] {
+        if !self.drive.turn()?.inputs.home[channel] {
             return Ok(());
         }
         let target = self.towards(-self.config.back_off_mm);
-        self.hand.go(target, self.config.speed_mm_s, &mut |_| false)?;
-        if self.hand.turn()?.inputs.home[channel] {
+        self.drive.go(target, self.config.speed_mm_s, &mut |_| false)?;
+        if self.drive.turn()?.inputs.home[channel] {
             return Err(HomingError::NeverOpened { channel: channel + 1, mm: self.config.back_off_mm });
         }
         Ok(())

@@ -1,50 +1,49 @@
-//! A slow hand on a machine: one target after another, every turn watched.
+//! Slow supervised moves: one target after another, every cycle checked.
 //!
-//! The hand asks for positions along a ramp of constant speed; limits of acceleration and travel are the
-//! machine's own. Whatever goes wrong ends the move, and the pistons stand where they are.
+//! A move requests positions along a ramp of constant speed; the machine itself limits acceleration and travel. Any
+//! fault ends the move, and the pistons stay where they stopped.
 
 use crate::primitives::units::{Seconds, Steps};
-use crate::supervisor::machine::MachineError;
-use crate::supervisor::machine::{Alarm, Machine, Sensed};
+use crate::supervisor::machine::{Alarm, Machine, MachineError, Sensed};
 
-/// Longest that counts may lag behind at the end of a move, s.
+/// Longest time for the counts to reach the target at the end of a move, s.
 const ARRIVE_MAX_S: f64 = 2.0;
-/// Longest that drivers may take to switch, s.
+/// Longest time for the drivers to switch, s.
 const SWITCH_MAX_S: f64 = 1.0;
 
-/// Why a move ended before its end.
+/// Why a move ended early.
 #[derive(Debug, thiserror::Error)]
-pub enum HandError {
-    /// The machine is gone.
+pub enum ManualMotionError {
+    /// The machine cannot be used any more.
     #[error(transparent)]
     World(#[from] MachineError),
-    /// The step generator complains.
-    #[error("stopped: {alarm}{}", .words.as_ref().map_or(String::new(), |w| format!(" ({w})")))]
+    /// The step generator reports an alarm.
+    #[error("stopped: {alarm}{}", .details.as_ref().map_or(String::new(), |w| format!(" ({w})")))]
     Alarm {
-        /// What it says.
+        /// The alarm.
         alarm: Alarm,
-        /// Details, where the machine has any.
-        words: Option<String>,
+        /// Details, if the machine has any.
+        details: Option<String>,
     },
-    /// The red button.
+    /// The emergency stop is pressed.
     #[error("stopped: the emergency stop is pressed; release it and start again")]
     EmergencyStop,
-    /// The caller wants no more.
-    #[error("stopped as asked")]
+    /// The caller cancelled the move.
+    #[error("stopped on request")]
     Cancelled,
-    /// Counts did not follow.
-    #[error("the pistons did not arrive within {0} s: {1} is where they stand in steps; see `retroflex bench rt`")]
+    /// The counts did not reach the target.
+    #[error("the pistons did not arrive within {0} s; they stand at {1} steps; see `retroflex bench rt`")]
     NotArrived(f64, String),
-    /// Drivers did not switch.
+    /// The drivers did not switch.
     #[error("the drivers did not switch {0} within 1 s")]
     NotSwitched(&'static str),
 }
 
-/// Waits until a time of the loop's clock and says how late it is; `None` asks to stop.
+/// Waits until the given time and returns the present time; `None` cancels the move.
 pub type Wait<'a> = dyn FnMut(Seconds) -> Option<Seconds> + 'a;
 
-/// A hand on a machine.
-pub struct Hand<'a> {
+/// A machine under manual control.
+pub struct ManualMotion<'a> {
     machine: &'a mut dyn Machine,
     wait: &'a mut Wait<'a>,
     now: Seconds,
@@ -52,10 +51,10 @@ pub struct Hand<'a> {
     last: Option<Sensed>,
 }
 
-impl<'a> Hand<'a> {
-    /// A hand on a machine that has not turned yet. For a simulation `wait` answers at once.
+impl<'a> ManualMotion<'a> {
+    /// Takes control of a machine before its first cycle. For a simulation `wait` returns at once.
     pub fn new(machine: &'a mut dyn Machine, wait: &'a mut Wait<'a>) -> Self {
-        // whatever a program before this one left energised: pistons are brought to rest by people here
+        // a previous program may have left the drivers energised
         machine.energise(false);
         Self { machine, wait, now: Seconds(0.0), wanted_mm: [0.0; 3], last: None }
     }
@@ -66,13 +65,13 @@ impl<'a> Hand<'a> {
         self.machine.info().step_mm
     }
 
-    /// Where the pistons are wanted, mm.
+    /// Requested positions, mm.
     #[must_use]
     pub fn wanted_mm(&self) -> [f64; 3] {
         self.wanted_mm
     }
 
-    /// Where they stand by the count, mm.
+    /// Counted positions, mm.
     #[must_use]
     pub fn stands_mm(&self) -> [f64; 3] {
         let step_mm = self.step_mm();
@@ -84,45 +83,45 @@ impl<'a> Hand<'a> {
         Steps(self.wanted_mm.map(|p| (p / step_mm).round() as i32))
     }
 
-    /// One turn of the machine, and everything that may speak against going on.
+    /// One cycle of the machine with all checks.
     ///
     /// # Errors
-    /// [`HandError`].
-    pub fn turn(&mut self) -> Result<Sensed, HandError> {
+    /// [`ManualMotionError`].
+    pub fn turn(&mut self) -> Result<Sensed, ManualMotionError> {
         let next = Seconds(self.now.0 + self.machine.info().period_s);
-        self.now = (self.wait)(next).ok_or(HandError::Cancelled)?;
+        self.now = (self.wait)(next).ok_or(ManualMotionError::Cancelled)?;
         let sensed = self.machine.turn(self.now, &self.steps())?;
         self.last = Some(sensed);
         if sensed.inputs.emergency_stop {
-            return Err(HandError::EmergencyStop);
+            return Err(ManualMotionError::EmergencyStop);
         }
         match sensed.alarm {
-            // a hand that starves only stands still for a moment
+            // at these speeds an underrun is only a short pause
             None | Some(Alarm::Underrun) => Ok(sensed),
             Some(alarm) => {
-                let words = self.machine.remarks().into_iter().find_map(|r| r.strip_prefix("pins: ").map(str::to_owned));
-                Err(HandError::Alarm { alarm, words })
+                let details = self.machine.remarks().into_iter().find_map(|r| r.strip_prefix("pins: ").map(str::to_owned));
+                Err(ManualMotionError::Alarm { alarm, details })
             }
         }
     }
 
-    /// Lets time pass; every turn is shown to `see`.
+    /// Waits; `observe` receives every cycle.
     ///
     /// # Errors
-    /// [`HandError`].
-    pub fn stand(&mut self, seconds: f64, see: &mut dyn FnMut(&Sensed)) -> Result<(), HandError> {
+    /// [`ManualMotionError`].
+    pub fn stand(&mut self, seconds: f64, observe: &mut dyn FnMut(&Sensed)) -> Result<(), ManualMotionError> {
         let until_s = self.now.0 + seconds;
         while self.now.0 < until_s {
-            see(&self.turn()?);
+            observe(&self.turn()?);
         }
         Ok(())
     }
 
-    /// Switches the drivers and waits until they are.
+    /// Switches the drivers and waits until they have switched.
     ///
     /// # Errors
-    /// [`HandError`].
-    pub fn energise(&mut self, on: bool) -> Result<(), HandError> {
+    /// [`ManualMotionError`].
+    pub fn energise(&mut self, on: bool) -> Result<(), ManualMotionError> {
         self.machine.energise(on);
         let until_s = self.now.0 + SWITCH_MAX_S;
         while self.now.0 < until_s {
@@ -130,15 +129,15 @@ impl<'a> Hand<'a> {
                 return Ok(());
             }
         }
-        Err(HandError::NotSwitched(if on { "on" } else { "off" }))
+        Err(ManualMotionError::NotSwitched(if on { "on" } else { "off" }))
     }
 
-    /// Moves to `target_mm` at `speed_mm_s` (of the channel that goes farthest) until it is there, or until
-    /// `enough` says so; then the pistons stand where they came to. True if it was enough.
+    /// Moves to `target_mm`; `speed_mm_s` is the speed of the channel with the longest way. The move ends early when
+    /// `enough` returns true; the result tells whether it did.
     ///
     /// # Errors
-    /// [`HandError`].
-    pub fn go(&mut self, target_mm: [f64; 3], speed_mm_s: f64, enough: &mut dyn FnMut(&Sensed) -> bool) -> Result<bool, HandError> {
+    /// [`ManualMotionError`].
+    pub fn go(&mut self, target_mm: [f64; 3], speed_mm_s: f64, enough: &mut dyn FnMut(&Sensed) -> bool) -> Result<bool, ManualMotionError> {
         let from_mm = self.wanted_mm;
         let way_mm = (0..3).map(|i| (target_mm[i] - from_mm[i]).abs()).fold(0.0, f64::max);
         let began_s = self.now.0;
@@ -157,26 +156,26 @@ impl<'a> Hand<'a> {
         }
     }
 
-    /// Waits until the counts are where they are wanted; true if it was enough meanwhile.
-    fn arrive(&mut self, enough: &mut dyn FnMut(&Sensed) -> bool) -> Result<bool, HandError> {
+    /// Waits until the counts reach the request; true if `enough` returned true in the meantime.
+    fn arrive(&mut self, enough: &mut dyn FnMut(&Sensed) -> bool) -> Result<bool, ManualMotionError> {
         let until_s = self.now.0 + ARRIVE_MAX_S;
-        let mut met = false;
+        let mut reached = false;
         while self.now.0 < until_s {
             let sensed = self.turn()?;
-            met |= enough(&sensed);
+            reached |= enough(&sensed);
             if sensed.counted == self.steps() {
-                return Ok(met);
+                return Ok(reached);
             }
         }
         let stands = self.last.map_or(Steps::default(), |s| s.counted);
-        Err(HandError::NotArrived(ARRIVE_MAX_S, format!("{:?}", stands.0)))
+        Err(ManualMotionError::NotArrived(ARRIVE_MAX_S, format!("{:?}", stands.0)))
     }
 
-    /// Calls the place where the pistons stand by other counts.
+    /// Assigns other counts to the present position of the pistons.
     ///
     /// # Errors
-    /// [`HandError::NotArrived`] when the machine does not take it over.
-    pub fn recount(&mut self, counted: Steps) -> Result<(), HandError> {
+    /// [`ManualMotionError::NotArrived`] if the machine does not report the new counts.
+    pub fn recount(&mut self, counted: Steps) -> Result<(), ManualMotionError> {
         let step_mm = self.step_mm();
         self.machine.recount(&counted);
         self.wanted_mm = counted.0.map(|n| f64::from(n) * step_mm);

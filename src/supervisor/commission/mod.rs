@@ -1,17 +1,17 @@
-//! Bringing a machine up: slow guarded moves, homing, and the proof that it is wired as the board says.
+//! Commissioning: slow guarded moves, homing, and a test of the wiring and the tightness of the lines.
 //!
-//! | room | what |
+//! | module | contents |
 //! |---|---|
-//! | [`manual_motion`] | moves any [`crate::supervisor::machine::Machine`] slowly and watches it |
-//! | [`homing`] | zero by home switches: approach, back off, repeat |
-//! | [`turned`] | rotation of the tip since a moment, by the gyroscope |
-//! | [`wiring`] | from three answers to what is connected to what |
-//! | [`trial`] | the whole procedure, leak test included |
+//! | [`manual_motion`] | slow supervised moves of any [`crate::supervisor::machine::Machine`] |
+//! | [`homing`] | zero by home switches |
+//! | [`rotation`] | rotation of the tip from the gyroscope |
+//! | [`wiring`] | wiring that explains the measured responses |
+//! | [`trial`] | the whole procedure with the leak test |
 //!
-//! Nothing here knows whether the machine is hardware or a simulation; time comes from the caller's clock.
+//! The procedures are the same for hardware and simulations; the caller provides the clock.
 
 pub mod homing;
 pub mod manual_motion;
+pub mod rotation;
 pub mod trial;
-pub mod turned;
 pub mod wiring;

@@ -1,44 +1,44 @@
-//! From three answers to what is connected to what.
+//! Identifies the wiring from the bends that the three channels cause.
 //!
-//! Channel i alone, elongating, bends the tip by a vector aᵢ; wired as the board says it is eᵢ, from the
-//! kinematics. A hypothesis is a permutation p (which bellow the line of channel i reaches), signs s
-//! (which way the motor turns) and an angle φ (how the sensor is turned about the tip's axis):
-//! aᵢ ∥ sᵢ Rot(φ) e_{p(i)}. All 48 are tried with their best φ. Several can fit alike (all lines one
-//! place on looks like a sensor turned by 120°): the fewest changes win, the others are told.
+//! Channel i alone bends the tip by a vector aᵢ when it elongates; with the wiring of the board file the kinematics
+//! predict eᵢ. A hypothesis consists of a permutation p (the bellow that line i reaches), signs s (the direction of each
+//! motor) and an angle φ (the rotation of the sensor about the tip axis): aᵢ ∥ sᵢ Rot(φ) e_{p(i)}. All 48 hypotheses are
+//! fitted with their best φ. Several may fit equally well, for example all lines moved by one place and a sensor turned
+//! by 120°; then the one with the fewest changes wins, and the others are reported too.
 
 use nalgebra::{Rotation2, Vector2};
 use std::fmt::Write;
 
-/// What is connected to what.
+/// A wiring hypothesis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wiring {
-    /// Which bellow, from 0, each channel's line reaches.
+    /// Bellow, from 0, that the line of each channel reaches.
     pub reaches: [usize; 3],
-    /// Which motors turn the wrong way.
+    /// Motors that turn in the wrong direction.
     pub inverted: [bool; 3],
-    /// How the sensor is turned about the tip's axis against what the board says, rad.
+    /// Rotation of the sensor about the tip axis relative to the board file, rad.
     pub turned_rad: f64,
-    /// RMS angle between this hypothesis and what was measured, rad.
+    /// RMS angle between the hypothesis and the measured bends, rad.
     pub residual_rad: f64,
 }
 
-/// Turns of the sensor below this are a matter of calibration, rad.
+/// Rotation of the sensor below which calibration suffices, rad.
 pub const TURN_SMALL_RAD: f64 = 0.35;
-/// Residuals this near to the best fit as well, rad.
+/// Residuals that exceed the best by less fit equally well, rad.
 const ALIKE_RAD: f64 = 0.12;
-/// A best residual above this fits nothing, rad.
+/// Residual above which no hypothesis fits, rad.
 pub const RESIDUAL_MAX_RAD: f64 = 0.35;
 
 const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [1, 0, 2], [0, 2, 1], [2, 1, 0], [1, 2, 0], [2, 0, 1]];
 
 impl Wiring {
-    /// True when nothing needs to be changed.
+    /// True if nothing needs to be changed.
     #[must_use]
     pub fn is_right(&self) -> bool {
         self.reaches == [0, 1, 2] && self.inverted == [false; 3] && self.turned_rad.abs() < TURN_SMALL_RAD
     }
 
-    /// How much would have to be changed.
+    /// Number of changes, weighted.
     fn cost(&self) -> f64 {
         let moved = self.reaches.iter().enumerate().filter(|(i, p)| i != *p).count() as f64;
         let inverted = self.inverted.iter().filter(|x| **x).count() as f64;
@@ -46,9 +46,9 @@ impl Wiring {
         moved + inverted + turned + 0.1 * self.turned_rad.abs()
     }
 
-    /// What is wrong, in plain words; empty when nothing is.
+    /// Differences to the board file as text; empty if there are none.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn differences(&self) -> String {
         let mut text = String::new();
         for i in 0..3 {
             if self.reaches[i] != i {
@@ -56,18 +56,18 @@ impl Wiring {
             }
         }
         for i in (0..3).filter(|i| self.inverted[*i]) {
-            let _ = write!(text, "motor {} turns the wrong way; ", i + 1);
+            let _ = write!(text, "motor {} turns in the wrong direction; ", i + 1);
         }
         if self.turned_rad.abs() >= TURN_SMALL_RAD {
-            let _ = write!(text, "the sensor is turned by {:.0}° about the tip's axis; ", self.turned_rad.to_degrees());
+            let _ = write!(text, "the sensor is turned by {:.0}° about the tip axis; ", self.turned_rad.to_degrees());
         }
         text.trim_end_matches("; ").to_owned()
     }
 }
 
-/// The simplest wiring that fits the answers, and others that fit as well. `None` when nothing fits.
+/// The simplest wiring that explains the responses, and others that fit equally well; `None` if none fits.
 #[must_use]
-pub fn judge(answers: &[Vector2<f64>; 3], expected: &[Vector2<f64>; 3]) -> Option<(Wiring, Vec<Wiring>)> {
+pub fn identify(answers: &[Vector2<f64>; 3], expected: &[Vector2<f64>; 3]) -> Option<(Wiring, Vec<Wiring>)> {
     let mut all: Vec<Wiring> = ORDERS
         .iter()
         .flat_map(|order| (0..8).map(move |bits| (*order, [0, 1, 2].map(|i| bits >> i & 1 == 1))))
@@ -89,7 +89,7 @@ fn fit(answers: &[Vector2<f64>; 3], expected: &[Vector2<f64>; 3], reaches: [usiz
         let e = expected[reaches[i]].normalize();
         (answers[i].normalize(), if inverted[i] { -e } else { e })
     });
-    // the angle that turns the expected onto the measured directions best
+    // the angle that best rotates the expected directions onto the measured ones
     let (dot, cross) = pairs.iter().fold((0.0, 0.0), |(d, c), (a, e)| (d + e.dot(a), c + e.perp(a)));
     let turned_rad = cross.atan2(dot);
     let turn = Rotation2::new(turned_rad);
@@ -111,50 +111,50 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever is wrong, the answer explains what was seen, and never with more changes than were made.
+        /// The result explains the responses with no more changes than were made.
         #[test]
-        fn the_simplest_explanation_is_found(order in 0..6usize, bits in 0..8u8, turned_rad in -3.1..3.1f64, noise in prop::array::uniform3(-0.15..0.15f64)) {
+        fn the_simplest_wiring_is_found(order in 0..6usize, bits in 0..8u8, turned_rad in -3.1..3.1f64, noise in prop::array::uniform3(-0.15..0.15f64)) {
             let truth = Wiring { reaches: ORDERS[order], inverted: [0, 1, 2].map(|i| bits >> i & 1 == 1), turned_rad, residual_rad: 0.0 };
-            let mut seen = answers(&truth);
-            for (a, n) in seen.iter_mut().zip(noise) {
+            let mut observed = answers(&truth);
+            for (a, n) in observed.iter_mut().zip(noise) {
                 *a = Rotation2::new(n) * *a;
             }
-            let (found, others) = judge(&seen, &expected()).unwrap();
-            // the noise turns what is found by up to its own size, and so across the bound of a small turn
+            let (found, others) = identify(&observed, &expected()).unwrap();
+            // the noise rotates the result by up to its own size, possibly across the bound of a small rotation
             let near_bound = (turned_rad.abs() - TURN_SMALL_RAD).abs() < 0.15;
             let bound = truth.cost() + 0.05 + if near_bound { 1.5 } else { 0.0 };
             prop_assert!(found.cost() <= bound, "{found:?} for {truth:?}");
             let again = answers(&found);
             for i in 0..3 {
-                prop_assert!(again[i].angle(&seen[i]) < 0.5);
+                prop_assert!(again[i].angle(&observed[i]) < 0.5);
             }
             prop_assert!(others.iter().all(|o| o.cost() >= found.cost()));
         }
     }
 
     #[test]
-    fn single_mistakes_are_named_and_ambiguity_is_told() {
+    fn single_errors_are_identified_and_ambiguity_is_reported() {
         let right = Wiring { reaches: [0, 1, 2], inverted: [false; 3], turned_rad: 0.0, residual_rad: 0.0 };
-        let (w, others) = judge(&answers(&right), &expected()).unwrap();
-        assert!(w.is_right() && w.words().is_empty() && others.is_empty(), "{w:?} {others:?}");
+        let (w, others) = identify(&answers(&right), &expected()).unwrap();
+        assert!(w.is_right() && w.differences().is_empty() && others.is_empty(), "{w:?} {others:?}");
         let swapped = Wiring { reaches: [1, 0, 2], ..right };
-        let (w, _) = judge(&answers(&swapped), &expected()).unwrap();
-        assert_eq!(w.words(), "line 1 reaches bellow 2; line 2 reaches bellow 1");
+        let (w, _) = identify(&answers(&swapped), &expected()).unwrap();
+        assert_eq!(w.differences(), "line 1 reaches bellow 2; line 2 reaches bellow 1");
         let inverted = Wiring { inverted: [false, true, false], ..right };
-        assert_eq!(judge(&answers(&inverted), &expected()).unwrap().0.words(), "motor 2 turns the wrong way");
+        assert_eq!(identify(&answers(&inverted), &expected()).unwrap().0.differences(), "motor 2 turns in the wrong direction");
         let turned = Wiring { turned_rad: 0.9, ..right };
-        let (w, _) = judge(&answers(&turned), &expected()).unwrap();
-        assert!(w.words().contains("turned by 52°"), "{}", w.words());
-        // one place on, or the sensor by 120°: both are told
+        let (w, _) = identify(&answers(&turned), &expected()).unwrap();
+        assert!(w.differences().contains("turned by 52°"), "{}", w.differences());
+        // lines moved by one place and a sensor turned by 120° are indistinguishable
         let cycled = Wiring { reaches: [1, 2, 0], ..right };
-        let (w, others) = judge(&answers(&cycled), &expected()).unwrap();
-        let all: Vec<String> = std::iter::once(&w).chain(&others).map(Wiring::words).collect();
+        let (w, others) = identify(&answers(&cycled), &expected()).unwrap();
+        let all: Vec<String> = std::iter::once(&w).chain(&others).map(Wiring::differences).collect();
         assert!(all.iter().any(|t| t.contains("line 1 reaches bellow 2")) && all.iter().any(|t| t.contains("turned by")), "{all:?}");
     }
 
     #[test]
-    fn answers_that_fit_nothing_are_not_explained() {
+    fn responses_without_a_fitting_wiring_are_not_explained() {
         let same = [Vector2::new(0.1, 0.0); 3];
-        assert!(judge(&same, &expected()).is_none_or(|(w, _)| w.residual_rad < RESIDUAL_MAX_RAD));
+        assert!(identify(&same, &expected()).is_none_or(|(w, _)| w.residual_rad < RESIDUAL_MAX_RAD));
     }
 }

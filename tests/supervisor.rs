@@ -1,4 +1,4 @@
-//! The supervised loop on the paper twin: modes, gate, words, restarts.
+//! The supervised loop on the paper twin: modes, gate, suspicions and restarts.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -32,12 +32,12 @@ fn bend_to(b: f64, d: f64) -> Order {
     Order::Bend(Command { bend: Bend::from_deg(b, d), length: Mm(20.0) }, None)
 }
 
-struct Fly {
+struct Flight {
     runner: Runner<Lockstep<Sim>>,
     k: u64,
 }
 
-impl Fly {
+impl Flight {
     fn new(kept: Option<RestartState>, machine: Option<Lockstep<Sim>>) -> Self {
         let machine = machine.unwrap_or_else(|| Lockstep::new(unit(0, 1)));
         let calib: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
@@ -65,35 +65,35 @@ impl Fly {
 }
 
 #[test]
-fn healthy_tips_are_never_tripped_and_seldom_suspected() {
+fn healthy_tips_never_trip_and_are_rarely_suspected() {
     let mut suspected = Vec::new();
     let mut poses = 0;
     for (seed, u) in (1..=6u64).flat_map(|seed| (0..8u64).map(move |u| (seed, u))) {
         let mut dice = StdRng::seed_from_u64(100 * seed + u);
-        let mut f = Fly::new(None, Some(Lockstep::new(unit(u, 1))));
+        let mut f = Flight::new(None, Some(Lockstep::new(unit(u, 1))));
         f.run(2.5);
         f.order(Order::Arm);
         f.run(0.1);
         for n in 0..20 {
             f.bend(75.0 * dice.random::<f64>().sqrt(), 360.0 * dice.random::<f64>());
-            let mut said = None;
+            let mut suspicion = None;
             for _ in 0..2500 {
                 let t = f.turn(None);
                 assert!(t.tripped.is_none(), "seed {seed}, unit {u}, pose {n}: {:?}", t.tripped);
-                said = said.or(t.suspicion.filter(|_| t.suspects));
+                suspicion = suspicion.or(t.suspicion.filter(|_| t.suspects));
             }
-            // units are as different as their make; the first poses teach their gains
+            // units differ from each other; the first poses refine their gains
             poses += u32::from(n >= 2);
-            suspected.extend(said.filter(|_| n >= 2).map(|s| format!("seed {seed}, unit {u}, pose {n}: {s}")));
+            suspected.extend(suspicion.filter(|_| n >= 2).map(|s| format!("seed {seed}, unit {u}, pose {n}: {s}")));
         }
     }
     println!("{} of {poses} poses: {suspected:#?}", suspected.len());
-    assert!(suspected.len() <= 12, "a word too many in more than 12 of {poses} poses: {suspected:#?}");
+    assert!(suspected.len() <= 12, "false suspicions in more than 12 of {poses} poses: {suspected:#?}");
 }
 
-/// Injects a fault into a held pose; what is said of it five seconds later.
+/// Injects a fault into a held pose; returns kind and channel of the suspicion five seconds later.
 fn named(fault: InjectedFault, at: (f64, f64)) -> (String, Option<u8>) {
-    let mut f = Fly::new(None, None);
+    let mut f = Flight::new(None, None);
     f.run(2.5);
     f.order(Order::Arm);
     f.run(0.1);
@@ -101,13 +101,13 @@ fn named(fault: InjectedFault, at: (f64, f64)) -> (String, Option<u8>) {
     f.run(2.5);
     f.runner.machine.world.plant_mut().inject(fault);
     let t = f.run(5.0);
-    let s = t.suspicion.unwrap_or_else(|| panic!("{fault:?} was not noticed"));
+    let s = t.suspicion.unwrap_or_else(|| panic!("{fault:?} was not detected"));
     println!("{fault:?}: {s}");
     (format!("{:?}", s.kind), s.channel)
 }
 
 #[test]
-fn a_fault_of_one_line_is_named_with_its_channel() {
+fn a_fault_of_one_line_is_attributed_to_its_channel() {
     let cases = [
         (InjectedFault::Burst { channel: Channel::Two }, "Burst"),
         (InjectedFault::Gain { channel: Channel::Two, factor: 2.0 }, "Strong"),
@@ -119,8 +119,8 @@ fn a_fault_of_one_line_is_named_with_its_channel() {
 }
 
 #[test]
-fn a_line_that_turns_weak_is_named_with_its_channel() {
-    // in poses in which the line has something to give
+fn a_weak_line_is_attributed_to_its_channel() {
+    // in poses in which the line is deflected
     let cases =
         [(Channel::One, (65.0, 70.0)), (Channel::Two, (65.0, 70.0)), (Channel::Three, (60.0, 300.0)), (Channel::Two, (55.0, 200.0))];
     for (channel, at) in cases {
@@ -131,8 +131,8 @@ fn a_line_that_turns_weak_is_named_with_its_channel() {
 }
 
 #[test]
-fn a_weak_line_is_made_good_and_not_taken_for_a_wall() {
-    let mut f = Fly::new(None, None);
+fn feedback_compensates_a_weak_line_without_reporting_an_obstruction() {
+    let mut f = Flight::new(None, None);
     f.run(2.5);
     f.order(Order::Arm);
     f.run(0.1);
@@ -145,8 +145,8 @@ fn a_weak_line_is_made_good_and_not_taken_for_a_wall() {
 }
 
 #[test]
-fn a_controller_that_has_done_what_it_may_says_so() {
-    let mut f = Fly::new(None, None);
+fn saturation_of_the_feedback_is_reported_and_withdrawn() {
+    let mut f = Flight::new(None, None);
     f.run(2.5);
     f.order(Order::Arm);
     f.run(0.1);
@@ -160,16 +160,16 @@ fn a_controller_that_has_done_what_it_may_says_so() {
     assert_eq!((t.frame.saturation, t.mode), (Saturation::Feedback, Mode::Holding), "{:?}", t.tripped);
     let words = status::short(&t.frame).unwrap();
     assert!(status::blocked(&t.frame) && words.contains("integral_max_deg"), "{words}");
-    // and takes it back where it can come
+    // a reachable target withdraws it
     f.bend(10.0, 70.0);
     let t = f.run(4.0);
     assert!(!status::blocked(&t.frame) && status::short(&t.frame).is_none(), "{:?}", t.frame.saturation);
 }
 
 #[test]
-fn orders_are_taken_and_refused_by_mode() {
-    let mut f = Fly::new(None, None);
-    let refused = |f: &mut Fly, o| f.turn(Some(o)).answer.unwrap().unwrap_err().to_string();
+fn orders_are_accepted_and_refused_by_mode() {
+    let mut f = Flight::new(None, None);
+    let refused = |f: &mut Flight, o| f.turn(Some(o)).answer.unwrap().unwrap_err().to_string();
     assert!(refused(&mut f, Order::Arm).contains("still for 2 s"));
     f.run(2.5);
     assert!(refused(&mut f, bend_to(30.0, 0.0)).contains("arm"));
@@ -184,7 +184,7 @@ fn orders_are_taken_and_refused_by_mode() {
     let t = f.run(0.5);
     let stood = t.steps;
     assert_eq!((t.mode, f.run(0.5).mode), (Mode::Holding, Mode::Holding));
-    assert!((0..3).all(|i| (f.run(0.01).steps.0[i] - stood.0[i]).abs() < 40), "it stays about where it stopped");
+    assert!((0..3).all(|i| (f.run(0.01).steps.0[i] - stood.0[i]).abs() < 40), "the tip stays where it stopped");
     f.order(Order::Disarm);
     assert!(refused(&mut f, Order::Zero).contains("relax"));
     f.order(Order::Relax);
@@ -196,7 +196,7 @@ fn orders_are_taken_and_refused_by_mode() {
 
 #[test]
 fn a_stream_that_falls_silent_stops_the_tip() {
-    let mut f = Fly::new(None, None);
+    let mut f = Flight::new(None, None);
     f.run(2.5);
     f.order(Order::Arm);
     f.run(0.1);
@@ -215,8 +215,8 @@ fn a_stream_that_falls_silent_stops_the_tip() {
 }
 
 #[test]
-fn a_reload_moves_nothing() {
-    let mut f = Fly::new(None, None);
+fn a_reload_does_not_move_the_tip() {
+    let mut f = Flight::new(None, None);
     f.run(2.5);
     f.order(Order::Arm);
     f.run(0.1);
@@ -233,13 +233,13 @@ fn a_reload_moves_nothing() {
 }
 
 #[test]
-fn what_is_kept_for_a_restart_is_what_was_pulsed() {
-    let mut fly = Fly::new(None, None);
+fn the_restart_state_contains_the_counted_steps() {
+    let mut fly = Flight::new(None, None);
     fly.run(3.0);
     fly.order(Order::Arm);
     fly.bend(50.0, 30.0);
     let mut sensed = fly.run(0.2).sensed;
-    // the step thread came late and stopped where it was, short of what it had been sent
+    // the step thread was late and stopped short of the counts sent
     let stopped = sensed.counted;
     let mut sent = stopped;
     for _ in 0..500 {
@@ -253,9 +253,9 @@ fn what_is_kept_for_a_restart_is_what_was_pulsed() {
     assert_eq!(supervisor.keep().steps, stopped);
 }
 
-/// The program was killed with the tip bent and its drivers on; another takes over.
-fn taken_over(change: impl Fn(&mut RestartState, &mut SupervisorConfig)) -> (Fly, Vec<bool>) {
-    let mut before = Fly::new(None, None);
+/// Kills the program with a bent tip and energised drivers, and starts another.
+fn taken_over(change: impl Fn(&mut RestartState, &mut SupervisorConfig)) -> (Flight, Vec<bool>) {
+    let mut before = Flight::new(None, None);
     before.run(3.0);
     before.order(Order::Arm);
     before.run(0.1);
@@ -265,25 +265,25 @@ fn taken_over(change: impl Fn(&mut RestartState, &mut SupervisorConfig)) -> (Fly
     let (mut config, t0) = (before.runner.supervisor.config().clone(), before.k);
     change(&mut kept, &mut config);
     let runner = Runner::new(before.runner.machine, Supervisor::new(config, Some(kept)));
-    let mut after = Fly { runner, k: t0 };
+    let mut after = Flight { runner, k: t0 };
     let energise = (0..4000).map(|_| after.turn(None).energise).collect();
     (after, energise)
 }
 
 #[test]
-fn a_tip_found_held_is_held_until_it_is_known() {
+fn a_tip_found_energised_stays_so_until_the_check() {
     let (fly, energise) = taken_over(|_, _| {});
     assert_eq!(fly.runner.supervisor.mode(), Mode::Disarmed);
-    assert!(energise.iter().all(|e| *e), "let go after {:?} turns", energise.iter().position(|e| !e));
-    // what is remembered is not what is felt: held until that is known, then let go
+    assert!(energise.iter().all(|e| *e), "released after {:?} cycles", energise.iter().position(|e| !e));
+    // the remembered pose contradicts the measured one: energised until the check, then released
     let turned_away = |kept: &mut RestartState, _: &mut SupervisorConfig| kept.bend_rad = [-0.9, 0.3];
     let (fly, energise) = taken_over(turned_away);
     assert_eq!(fly.runner.supervisor.mode(), Mode::Lost);
     assert!(energise[..1000].iter().all(|e| *e) && !energise[3999]);
-    // a board that lets go when its loop hangs lets go here too
+    // a board that releases the drivers when its loop hangs releases them here too
     let (_, energise) = taken_over(|_, config| config.gate.on.late = SafeState::Release);
     assert!(!energise[0]);
-    // nothing is remembered: nothing is held
+    // without a remembered pose the drivers are released
     let (_, energise) = taken_over(|kept, _| kept.steps = Steps::default());
     assert!(!energise[0]);
 }
@@ -306,18 +306,18 @@ fn stopped_by(alarm: Alarm) -> Bench {
 }
 
 #[test]
-fn a_tip_whose_step_thread_stopped_is_led_back_to_rest() {
+fn a_tip_whose_step_thread_stopped_returns_to_rest() {
     let mut bench = stopped_by(Alarm::Late { late_s: 0.1 });
     assert_eq!(bench.turn(Some(Order::Relax)).unwrap().answer, Some(Ok(())));
     assert!(bench.until(20.0, |t| t.mode != Mode::Relaxing).unwrap());
     let turned = bench.turn(None).unwrap();
     assert_eq!((turned.mode, turned.counted, turned.energise), (Mode::Disarmed, Steps::default(), false));
-    assert_eq!(turned.latched, Some(TripCause::StepGenerator), "until it is reset");
+    assert_eq!(turned.latched, Some(TripCause::StepGenerator), "the fault stays latched until the reset");
     assert!(bench.true_bend().beta().to_degrees() < 5.0);
 }
 
 #[test]
-fn an_alarm_that_comes_again_ends_the_way_back() {
+fn a_recurring_alarm_ends_the_return() {
     let mut bench = stopped_by(Alarm::Pins);
     bench.turn(Some(Order::Relax)).unwrap();
     bench.runner.machine.alarm = Some(Alarm::Pins);
@@ -326,9 +326,67 @@ fn an_alarm_that_comes_again_ends_the_way_back() {
 }
 
 #[test]
-fn nothing_is_led_back_while_the_emergency_stop_is_pressed() {
+fn no_return_begins_while_the_emergency_stop_is_pressed() {
     let mut bench = stopped_by(Alarm::Underrun);
     bench.runner.machine.pressed = true;
     bench.run(0.1).unwrap();
     assert_eq!(bench.turn(Some(Order::Relax)).unwrap().answer, Some(Err(Refusal::StillThere)));
+}
+
+/// A tip in motion that has just been ordered to stop.
+fn braking() -> Flight {
+    let mut f = Flight::new(None, None);
+    f.run(2.5);
+    f.order(Order::Arm);
+    f.run(0.1);
+    f.bend(60.0, 40.0);
+    f.run(0.3);
+    f.order(Order::Stop);
+    f
+}
+
+#[test]
+fn a_fault_while_braking_stays_latched() {
+    let mut f = braking();
+    let mut sensed = f.turn(None).sensed;
+    for k in 0..200 {
+        sensed.t.0 += 1e-3;
+        sensed.inputs.emergency_stop = k == 5;
+        f.runner.supervisor.turn(&sensed, None);
+    }
+    assert_eq!((f.runner.supervisor.mode(), f.runner.supervisor.latched()), (Mode::Faulted, Some(TripCause::EmergencyStop)));
+}
+
+#[test]
+fn drivers_are_not_armed_again_before_the_brake_has_ended() {
+    let mut f = braking();
+    f.order(Order::Disarm);
+    assert_eq!(f.turn(Some(Order::Arm)).answer, Some(Err(Refusal::Busy)));
+    f.run(0.5);
+    f.order(Order::Arm);
+}
+
+#[test]
+fn feedback_returns_however_a_calibration_ends() {
+    let mut f = Flight::new(None, None);
+    f.run(2.5);
+    let ends: [fn(&mut Flight); 3] = [
+        |f| f.order(Order::Calibrate(false)),
+        |f| f.order(Order::Stop),
+        |f| {
+            f.order(Order::Relax);
+            f.run(6.0);
+        },
+    ];
+    for end in ends {
+        f.turn(Some(Order::Arm));
+        f.run(0.1);
+        f.order(Order::Calibrate(true));
+        let command = Command { bend: Bend::STRAIGHT, length: Mm(20.0) };
+        assert_eq!(f.turn(Some(Order::Stream(command))).answer, Some(Err(Refusal::Mode(Mode::Calibrating))));
+        assert!(f.runner.supervisor.config().tick.feedback.is_none());
+        end(&mut f);
+        f.run(0.5);
+        assert!(f.runner.supervisor.config().tick.feedback.is_some());
+    }
 }
