@@ -53,7 +53,9 @@ pub struct Estimate {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum Unidentifiable {
     /// Too few rows.
-    #[error("channel {channel}: {rows} usable poses, at least {needed} are required; hold more poses whose last motion crosses the backlash")]
+    #[error(
+        "channel {channel}: {rows} usable poses, at least {needed} are required; hold more poses whose last motion crosses the backlash"
+    )]
     TooFew {
         /// Channel, 1 to 3.
         channel: usize,

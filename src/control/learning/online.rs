@@ -170,7 +170,9 @@ impl Channel {
     fn total(&self, config: &RefineConfig) -> Information {
         let worth = config.prior_poses * FULL_STRAIN_MM * FULL_STRAIN_MM;
         let prior = Information { information: worth, moment: worth * self.prior };
-        self.sectors.iter().fold(prior, |sum, s| Information { information: sum.information + s.information, moment: sum.moment + s.moment })
+        self.sectors
+            .iter()
+            .fold(prior, |sum, s| Information { information: sum.information + s.information, moment: sum.moment + s.moment })
     }
 
     fn gain(&self, config: &RefineConfig) -> f64 {

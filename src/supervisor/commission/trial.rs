@@ -99,11 +99,18 @@ impl Findings {
             let _ = writeln!(text, "channel {}: bends the tip by {deg:.1}°{hold}", i + 1);
         }
         for i in (0..3).filter(|i| self.dead[*i]) {
-            let _ = writeln!(text, "channel {}: NO MOTION: check the motor supply, the STEP line, the rack, and whether the line is connected", i + 1);
+            let _ = writeln!(
+                text,
+                "channel {}: NO MOTION: check the motor supply, the STEP line, the rack, and whether the line is connected",
+                i + 1
+            );
         }
         for i in (0..3).filter(|i| self.leaks()[*i]) {
-            let _ =
-                writeln!(text, "channel {}: LEAK: tighten its connectors, then the seal of its piston; do not use the tip in this state", i + 1);
+            let _ = writeln!(
+                text,
+                "channel {}: LEAK: tighten its connectors, then the seal of its piston; do not use the tip in this state",
+                i + 1
+            );
         }
         match &self.wiring {
             Some(w) if w.is_right() => text.push_str("wiring: agrees with the board file\n"),
@@ -167,7 +174,13 @@ fn gyro_bias(drive: &mut ManualMotion<'_>) -> Result<Vector3<f64>, TrialError> {
 const STILL_MAX_RAD_S: f64 = 0.06;
 
 /// Moves one channel out, waits and returns; gives the bend, rad, and its relative loss during the wait, 1/s.
-fn stroke(drive: &mut ManualMotion<'_>, config: &TrialConfig, channel: usize, mm: f64, hold_s: f64) -> Result<(Vector2<f64>, f64), TrialError> {
+fn stroke(
+    drive: &mut ManualMotion<'_>,
+    config: &TrialConfig,
+    channel: usize,
+    mm: f64,
+    hold_s: f64,
+) -> Result<(Vector2<f64>, f64), TrialError> {
     let mut rotation = TipRotation::new(gyro_bias(drive)?);
     let mut target = [0.0; 3];
     target[channel] = mm;
