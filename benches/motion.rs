@@ -1,12 +1,10 @@
 //! What a control tick and a step cost. Run with `cargo bench --bench motion`.
 //!
-//! `tick` in its three cases (resting, following a plan, planning anew), the solver alone with both of
-//! its ways of arriving in time, the steps of a tick, and one round of the step core.
+//! `tick` in its three cases (resting, following a plan, planning anew), the solver alone, the steps of a tick, and one round of the step core.
 
 use divan::{Bencher, black_box};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
-use retroflex::motion::cruise::arrive_in;
 use retroflex::motion::lines::PulseTiming;
 use retroflex::motion::plan::Plan;
 use retroflex::motion::pulse::{PulseAction, StepCore};
@@ -84,13 +82,6 @@ fn verify_a_plan(bencher: Bencher) {
 }
 
 #[divan::bench]
-fn one_channel_by_cruise(bencher: Bencher) {
-    let l = limits();
-    let from = MotionState { velocity_mm_s: 3.0, acceleration_mm_s2: 40.0, ..MotionState::rest(0.5) };
-    bencher.bench_local(|| arrive_in(&l, black_box(&from), 4.0, 0.6, 20.0));
-}
-
-#[divan::bench]
 fn steps_of_a_tick_at_full_speed(bencher: Bencher) {
     let mut motion = Motion::new(&limits());
     for _ in 0..300 {
@@ -100,7 +91,7 @@ fn steps_of_a_tick_at_full_speed(bencher: Bencher) {
     let mut steps = ChannelSteps::new(STEP_MM, 0);
     let begin = (segment.channels[0].start.position_mm / STEP_MM).round() as i32;
     bencher.bench_local(|| {
-        steps.reset(begin);
+        steps = ChannelSteps::new(STEP_MM, begin);
         steps.load(black_box(&segment.channels[0]));
         while let Some(step) = steps.next_step() {
             black_box(step);
@@ -122,7 +113,7 @@ fn step_core_one_second(bencher: Bencher) {
     bencher.with_inputs(|| (StepCore::new(timing, &limits(), STEP_MM), queue.clone())).bench_local_values(|(mut core, mut queue)| {
         let mut now = 0;
         while now < 1_000_000_000 {
-            match core.poll(now, &mut queue) {
+            match core.poll(now, &mut || queue.pop_front()) {
                 PulseAction::WaitUntil(t) => now = t,
                 PulseAction::Write(_) => {
                     now += 300;

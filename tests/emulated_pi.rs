@@ -145,7 +145,7 @@ fn hardware_that_is_not_there_is_exit_code_3_with_words() {
             &["ICM-20948 at 0x69 does not answer", "i2cdetect"],
         );
         rig.world().bus.chips.spoil(server::ADDRESS, |q| q.wrong_id = Some(0x71));
-        commission(&board, &["WHO_AM_I at 0x68 is 0x71", "imu.part"]);
+        commission(&board, &["WHO_AM_I at 0x68 is 0x71", "imu.chip.part"]);
         rig.world().bus.chips.spoil(server::ADDRESS, |q| q.wrong_id = None);
         rig.world().bus.hangs = true;
         commission(&board, &["/dev/i2c-1 hangs", "power-cycle the IMU"]);
@@ -217,7 +217,7 @@ fn a_machine_that_is_no_raspberry_pi_is_told_so() {
         let (code, _, err) = run(rig, &["jog", "--board", repo("boards/pi3.toml").to_str().unwrap(), "--channel", "1", "--mm", "1"]);
         let said = flat(&err);
         assert_eq!(code, 3, "{said}");
-        assert!(said.contains("no Raspberry Pi that rppal knows") && said.contains("pins.backend = \"cdev\""), "{said}");
+        assert!(said.contains("not a Raspberry Pi that rppal supports") && said.contains("pins.backend = \"cdev\""), "{said}");
     });
 }
 

@@ -10,11 +10,11 @@ use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use fake_imu::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, Motion, Noise};
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use retroflex::estimation::fusion::health::{HealthCause, KnownErrors, ReadFault, SensorMonitor};
-use retroflex::estimation::imu_calibration::{self, CalibrationLimits, Correction, ImuCalibration, Pedigree};
+use retroflex::estimation::fusion::health::{HealthCause, ImuReading, KnownErrors, ReadFault, SensorMonitor};
+use retroflex::estimation::imu_calibration::{self, CalibrationLimits, ImuCalibration, Pedigree};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
-use retroflex::hardware::imu::{Axes, Axis, Imu, ImuConfig, ImuError, Part, RawImu, STANDARD_GRAVITY_M_S2, open, outcome};
+use retroflex::hardware::imu::{Axes, Axis, ChipConfig, Imu, ImuError, Part, RawImu, STANDARD_GRAVITY_M_S2, open};
 use retroflex::primitives::units::Seconds;
 
 const ICM: u8 = 0x68;
@@ -147,7 +147,7 @@ fn icm_names_a_stranger_a_mute_and_a_broken_bus() {
     };
     let stranger = init(&[put(ICM, 0x7F, 0), get(ICM, 0, &[0x71])]);
     assert_eq!(stranger, ImuError::WrongId { part: Part::Icm20948, address: ICM, have: 0x71, want: 0xEA });
-    assert!(stranger.to_string().contains("imu.part"), "{stranger}");
+    assert!(stranger.to_string().contains("imu.chip.part"), "{stranger}");
     let nack = ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address);
     let mute = init(&[put(ICM, 0x7F, 0).with_error(nack)]);
     assert_eq!(mute, ImuError::Nack { part: Part::Icm20948, address: ICM });
@@ -268,7 +268,7 @@ fn lsm_bus(noise: Noise, axes: Axes) -> FakeBus {
 }
 
 /// Every range of both parts, with the smallest count of each.
-fn all_configs() -> Vec<(ImuConfig, f64, f64)> {
+fn all_configs() -> Vec<(ChipConfig, f64, f64)> {
     let mut all = Vec::new();
     for acc_range_g in [2, 4, 8, 16] {
         for gyro_range_dps in [125, 250, 500, 1000, 2000] {
@@ -276,10 +276,10 @@ fn all_configs() -> Vec<(ImuConfig, f64, f64)> {
             let gyro = f64::from(gyro_range_dps).to_radians() / 28_000.0;
             let acc = f64::from(acc_range_g) * 9.81 / 32_000.0;
             let lsm = lsm6dso::LsmConfig { acc_range_g, gyro_range_dps, rate_hz, ..Default::default() };
-            all.push((ImuConfig::Lsm6dsoLis2mdl(lsm), gyro, acc));
+            all.push((ChipConfig::Lsm6dsoLis2mdl(lsm), gyro, acc));
             if gyro_range_dps > 125 {
                 let icm = icm20948::IcmConfig { acc_range_g, gyro_range_dps, rate_hz, ..Default::default() };
-                all.push((ImuConfig::Icm20948(icm), gyro, acc));
+                all.push((ChipConfig::Icm20948(icm), gyro, acc));
             }
         }
     }
@@ -291,8 +291,8 @@ fn every_range_gives_the_true_motion_back() {
     let motion = odd_motion();
     for (config, gyro_lsb, acc_lsb) in all_configs() {
         let bus = match config {
-            ImuConfig::Icm20948(_) => icm_bus(Noise::NONE),
-            ImuConfig::Lsm6dsoLis2mdl(_) => lsm_bus(Noise::NONE, Axes::ALIGNED),
+            ChipConfig::Icm20948(_) => icm_bus(Noise::NONE),
+            ChipConfig::Lsm6dsoLis2mdl(_) => lsm_bus(Noise::NONE, Axes::ALIGNED),
         };
         let mut imu = open(&config, bus.clone()).unwrap();
         imu.init(&mut bus.delay()).unwrap();
@@ -347,7 +347,7 @@ fn a_second_sensor_shares_the_bus() {
 fn the_magnetometer_misses_nothing_and_repeats_nothing_at_500_hz() {
     for part in 0..2 {
         let bus = if part == 0 { icm_bus(Noise::TYPICAL) } else { lsm_bus(Noise::TYPICAL, Axes::ALIGNED) };
-        let config = if part == 0 { ImuConfig::default() } else { ImuConfig::Lsm6dsoLis2mdl(lsm6dso::LsmConfig::default()) };
+        let config = if part == 0 { ChipConfig::default() } else { ChipConfig::Lsm6dsoLis2mdl(lsm6dso::LsmConfig::default()) };
         let mut imu = open(&config, bus.clone()).unwrap();
         imu.init(&mut bus.delay()).unwrap();
         let mut fresh = 0;
@@ -541,8 +541,11 @@ fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<HealthCause> {
             spoil(&bus);
         }
         let now = Seconds(f64::from(n) * 0.002);
-        let outcome = outcome(&next(&bus, &mut imu), &imu.scale(), &Correction::NONE, now);
-        seen.extend(monitor.assess(&config, now, &outcome).raised.iter());
+        let reading = match next(&bus, &mut imu) {
+            Ok(raw) => ImuReading::Sample(imu.scale().sample(&raw, now), raw.quality()),
+            Err(error) => ImuReading::Failed(error.fault()),
+        };
+        seen.extend(monitor.assess(&config, now, &reading).raised.iter());
     }
     seen
 }
@@ -663,7 +666,7 @@ fn a_published_driver_reads_the_same_numbers() {
         assert!((s.acc_m_s2 - theirs_acc).amax() < 1e-5, "{} {theirs_acc}", s.acc_m_s2);
         assert!((s.gyro_rad_s - theirs_gyro).amax() < 1e-6, "{} {theirs_gyro}", s.gyro_rad_s);
         let ours_mag = s.mag_ut.unwrap();
-        assert!((Axes::AK09916.turn_back(&ours_mag) - theirs_mag).amax() < 1e-4, "{ours_mag} {theirs_mag}");
+        assert!((Axes::AK09916.to_chip(&ours_mag) - theirs_mag).amax() < 1e-4, "{ours_mag} {theirs_mag}");
         assert!((ours.scale().temperature_c(&raw) - f64::from(t)).abs() < 1e-3);
     }
 }

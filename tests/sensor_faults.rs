@@ -15,8 +15,8 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
 use retroflex::estimation::fusion::health::{HealthAction, HealthCause, ImuReading};
+use retroflex::hardware::imu::ImuRecovery;
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
-use retroflex::hardware::imu::{ImuRecovery, RecoveryConfig};
 use retroflex::model::bend::Bend;
 use retroflex::primitives::units::{Mm, Seconds};
 use tip::TipPlant;
@@ -56,7 +56,7 @@ impl Chip {
         let bus = FakeBus::new();
         bus.machine().attach(FakeIcm20948::new(ADDRESS, 3));
         let chip = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
-        let mut imu = ImuRecovery::new(Box::new(chip), RecoveryConfig::default());
+        let mut imu = ImuRecovery::new(Box::new(chip));
         imu.start(&mut bus.delay()).unwrap();
         let state = LoopState::new(&config);
         Self { plant, config, state, input: Input { dt_s: DT_S, ..Input::default() }, bus, imu, spoil: None, held: None }

@@ -9,14 +9,13 @@ use rand::{RngExt, SeedableRng};
 use retroflex::hardware::pins::map::LineMap;
 use retroflex::hardware::pins::mock::{Edge, LineName, edges};
 use retroflex::hardware::pins::{InputPin, MockPins, PinsConfig, Pull};
-use retroflex::hardware::stepper::{Stepper, Sync};
-use retroflex::motion::config::EmergencyStop;
-use retroflex::motion::lines::Inputs;
-use retroflex::motion::lines::{Levels, PulseTiming};
+use retroflex::hardware::stepper::{Stepper, SyncStatus};
+use retroflex::motion::lines::{EmergencyStop, Inputs, Levels, PulseTiming};
 use retroflex::motion::pulse::{PulseAction, StepCore};
 use retroflex::motion::queue::TimedSegment;
 use retroflex::motion::report::{StepperFault, StepperMode, StepperOrder};
 use retroflex::motion::{ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, Segment, StepperConfig};
+use retroflex::primitives::units::Steps;
 use std::collections::VecDeque;
 
 const STEP_MM: f64 = 0.029_452;
@@ -61,8 +60,12 @@ impl Machine {
     }
 
     fn with_step(config: &StepperConfig, weather: Weather, seed: u64, step_mm: f64) -> Self {
+        Self::with_timing(timing(config), weather, seed, step_mm)
+    }
+
+    fn with_timing(timing: PulseTiming, weather: Weather, seed: u64, step_mm: f64) -> Self {
         Self {
-            core: StepCore::new(timing(config), &limits(), step_mm),
+            core: StepCore::new(timing, &limits(), step_mm),
             queue: VecDeque::new(),
             now_ns: START_NS,
             weather,
@@ -81,7 +84,7 @@ impl Machine {
 
     /// One round of the shell.
     fn turn(&mut self) {
-        match self.core.poll(self.now_ns, &mut self.queue) {
+        match self.core.poll(self.now_ns, &mut || self.queue.pop_front()) {
             PulseAction::WaitUntil(t) => {
                 // short waits are looked away, not slept
                 let slept = t > self.now_ns + 20_000;
@@ -102,6 +105,14 @@ impl Machine {
                 self.core.wrote(self.now_ns);
             }
         }
+    }
+
+    fn mode(&self) -> StepperMode {
+        self.core.report(self.now_ns).mode
+    }
+
+    fn counted(&self) -> Steps {
+        self.core.report(self.now_ns).counted
     }
 
     fn run_until(&mut self, t_ns: u64) {
@@ -216,10 +227,10 @@ proptest! {
         m.run_until(end_ns + 10_000_000);
         check_record(&m.record, &timing(&c))?;
         let pulsed = std::array::from_fn(|channel| m.pulsed(channel));
-        prop_assert_eq!(m.core.counted().0, pulsed);
-        match m.core.mode() {
+        prop_assert_eq!(m.counted().0, pulsed);
+        match m.mode() {
             StepperMode::Resting => {
-                let end = segments[segments.len() - 1].end_mm();
+                let end = segments[segments.len() - 1].end().map(|s| s.position_mm);
                 prop_assert_eq!(pulsed, end.map(|p| (p / step_mm).round() as i32));
                 prop_assert!(m.record.len() > 200);
             }
@@ -243,9 +254,9 @@ proptest! {
         m.run_until(end_ns + 100_000_000);
         check_record(&m.record, &timing(&c))?;
         for channel in 0..3 {
-            prop_assert_eq!(m.core.counted().0[channel], m.pulsed(channel));
+            prop_assert_eq!(m.counted().0[channel], m.pulsed(channel));
         }
-        if let StepperMode::Faulted(fault) = m.core.mode() {
+        if let StepperMode::Faulted(fault) = m.mode() {
             let late = matches!(fault, StepperFault::Late { late_ns, .. } if late_ns > 1_000_000);
             prop_assert!(late, "{:?}", fault);
             let rises = m.record[before..].iter().filter(|e| e.high && matches!(e.line, LineName::Step(_))).count();
@@ -268,10 +279,10 @@ proptest! {
         let end_ns = m.feed(0, START_NS, fed);
         m.run_until(end_ns + 1_000_000_000);
         check_record(&m.record, &timing(&c))?;
-        prop_assert_eq!(m.core.mode(), StepperMode::Resting);
+        prop_assert_eq!(m.mode(), StepperMode::Resting);
         let report = m.core.report(m.now_ns);
         let moving = fed[fed.len() - 1].end().iter().any(|s| !s.is_rest());
-        prop_assert_eq!((report.epoch, report.dry), (u32::from(moving), u32::from(moving)));
+        prop_assert_eq!((report.epoch, report.underruns), (u32::from(moving), u32::from(moving)));
         for channel in 0..3 {
             let last = fed[fed.len() - 1].end()[channel];
             let stop = retroflex::motion::stop::Stop::from(last, &limits());
@@ -309,7 +320,7 @@ fn a_step_up_and_down_within_microseconds_keeps_dir_timing() {
         m.queue.push_back(TimedSegment { epoch: 0, start_ns: START_NS + 4_000_000, duration_ns: 10_000_000, segment });
         m.run_until(START_NS + 13_000_000);
         assert_eq!(m.record.iter().filter(|e| matches!(e.line, LineName::Step(0)) && e.high).count(), 2);
-        assert_eq!((m.core.mode(), m.pulsed(0)), (StepperMode::Following, 0));
+        assert_eq!((m.mode(), m.pulsed(0)), (StepperMode::Following, 0));
         check_record(&m.record, &timing(&c)).unwrap();
     }
 }
@@ -322,28 +333,28 @@ fn a_driver_that_was_asleep_gets_its_time_to_wake() {
     m.queue.push_back(TimedSegment { epoch: 0, start_ns: START_NS + 1_000_000, duration_ns: 10_000_000, segment });
     m.run_until(START_NS + 500_000_000);
     check_record(&m.record, &timing(&c)).unwrap();
-    assert_eq!(m.core.mode(), StepperMode::Resting, "what waits for the driver is not late");
-    assert!(m.pulsed(0) > 6 && m.pulsed(0) == m.core.counted().0[0]);
+    assert_eq!(m.mode(), StepperMode::Resting, "what waits for the driver is not late");
+    assert!(m.pulsed(0) > 6 && m.pulsed(0) == m.counted().0[0]);
 }
 
 /// A machine in calm weather on its way to 12 mm with all channels.
-fn on_the_way(config: &StepperConfig) -> (Machine, Motion) {
-    let mut m = Machine::new(config, CALM, 1);
+fn on_the_way(timing: PulseTiming) -> (Machine, Motion) {
+    let mut m = Machine::with_timing(timing, CALM, 1, STEP_MM);
     let mut motion = Motion::new(&limits());
     let segments: Vec<Segment> = (0..150).map(|_| motion.tick([12.0, -12.0, 6.0], 2e-3)).collect();
     m.feed(0, START_NS + 4_000_000, &segments);
     m.run_until(START_NS + 200_000_000);
-    assert_eq!(m.core.mode(), StepperMode::Following);
+    assert_eq!(m.mode(), StepperMode::Following);
     (m, motion)
 }
 
 #[test]
 fn an_order_to_stop_brakes_and_drops_the_queue() {
-    let (mut m, _) = on_the_way(&StepperConfig::default());
+    let (mut m, _) = on_the_way(timing(&StepperConfig::default()));
     m.core.order(StepperOrder::Stop);
     m.run_until(m.now_ns + 500_000_000);
     let report = m.core.report(m.now_ns);
-    assert_eq!((report.mode, report.epoch, report.dry), (StepperMode::Resting, 1, 0));
+    assert_eq!((report.mode, report.epoch, report.underruns), (StepperMode::Resting, 1, 0));
     assert!(report.rest_mm[0] > 1.0 && report.rest_mm[0] < 9.0, "{:?}", report.rest_mm);
     assert_eq!(report.counted.0[0], (report.rest_mm[0] / STEP_MM).round() as i32);
     assert!(m.queue.is_empty() && report.refused > 0);
@@ -352,7 +363,7 @@ fn an_order_to_stop_brakes_and_drops_the_queue() {
 
 #[test]
 fn after_a_break_motion_goes_on_from_where_it_rests() {
-    let (mut m, mut motion) = on_the_way(&StepperConfig::default());
+    let (mut m, mut motion) = on_the_way(timing(&StepperConfig::default()));
     m.core.order(StepperOrder::Stop);
     m.run_until(m.now_ns + 500_000_000);
     motion.reset(m.core.report(m.now_ns).rest_mm);
@@ -360,20 +371,20 @@ fn after_a_break_motion_goes_on_from_where_it_rests() {
     let end_ns = m.feed(1, m.now_ns + 4_000_000, &segments);
     m.run_until(end_ns + 10_000_000);
     let wanted = [-3.0, 2.0, 1.0_f64].map(|p| (p / STEP_MM).round() as i32);
-    assert_eq!(m.core.counted().0, wanted);
+    assert_eq!(m.counted().0, wanted);
     assert_eq!(std::array::from_fn::<i32, 3, _>(|c| m.pulsed(c)), wanted);
 }
 
 #[test]
 fn a_fault_holds_until_cleared_and_then_motion_goes_on_from_the_count() {
-    let (mut m, mut motion) = on_the_way(&StepperConfig::default());
+    let (mut m, mut motion) = on_the_way(timing(&StepperConfig::default()));
     m.now_ns += 5_000_000;
     m.turn();
-    assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Late { .. })), "{:?}", m.core.mode());
+    assert!(matches!(m.mode(), StepperMode::Faulted(StepperFault::Late { .. })), "{:?}", m.mode());
     m.core.order(StepperOrder::Stop);
     m.core.order(StepperOrder::Rebase([0.0; 3]));
     m.run_until(m.now_ns + 50_000_000);
-    assert!(matches!(m.core.mode(), StepperMode::Faulted(_)) && m.levels.enable);
+    assert!(matches!(m.mode(), StepperMode::Faulted(_)) && m.levels.enable);
     m.core.order(StepperOrder::Clear);
     m.run_until(m.now_ns + 1_000_000);
     let report = m.core.report(m.now_ns);
@@ -383,35 +394,35 @@ fn a_fault_holds_until_cleared_and_then_motion_goes_on_from_the_count() {
     let segments: Vec<Segment> = (0..1500).map(|_| motion.tick([0.0; 3], 2e-3)).collect();
     let end_ns = m.feed(report.epoch, m.now_ns + 4_000_000, &segments);
     m.run_until(end_ns + 10_000_000);
-    assert_eq!(m.core.counted().0, [0; 3]);
+    assert_eq!(m.counted().0, [0; 3]);
     assert_eq!([m.pulsed(0), m.pulsed(1), m.pulsed(2)], [0; 3]);
 }
 
 #[test]
 fn the_emergency_stop_releases_at_once_or_brakes_and_holds() {
     let pressed = Inputs { emergency_stop: true, ..Inputs::default() };
-    let (mut m, _) = on_the_way(&StepperConfig::default());
+    let (mut m, _) = on_the_way(timing(&StepperConfig::default()));
     m.core.observe(pressed);
-    assert_eq!(m.core.mode(), StepperMode::Following, "one reading may be a disturbance");
+    assert_eq!(m.mode(), StepperMode::Following, "one reading may be a disturbance");
     m.core.observe(Inputs::default());
     m.core.observe(pressed);
-    assert_eq!(m.core.mode(), StepperMode::Following);
+    assert_eq!(m.mode(), StepperMode::Following);
     m.core.observe(pressed);
     let before = m.record.iter().filter(|e| matches!(e.line, LineName::Step(_)) && e.high).count();
     m.run_until(m.now_ns + 100_000_000);
     let after = m.record.iter().filter(|e| matches!(e.line, LineName::Step(_)) && e.high).count();
-    assert_eq!((m.core.mode(), m.levels.enable, after - before), (StepperMode::Faulted(StepperFault::EmergencyStop), false, 0));
+    assert_eq!((m.mode(), m.levels.enable, after - before), (StepperMode::Faulted(StepperFault::EmergencyStop), false, 0));
     m.core.order(StepperOrder::Clear);
-    assert_eq!(m.core.mode(), StepperMode::Faulted(StepperFault::EmergencyStop), "still pressed");
+    assert_eq!(m.mode(), StepperMode::Faulted(StepperFault::EmergencyStop), "still pressed");
     m.core.observe(Inputs::default());
     m.core.order(StepperOrder::Clear);
-    assert_eq!(m.core.mode(), StepperMode::Resting);
+    assert_eq!(m.mode(), StepperMode::Resting);
 
-    let hold = StepperConfig { emergency_stop: EmergencyStop::Hold, ..StepperConfig::default() };
-    let (mut m, _) = on_the_way(&hold);
+    let hold = PulseTiming { emergency_stop: EmergencyStop::Hold, ..timing(&StepperConfig::default()) };
+    let (mut m, _) = on_the_way(hold);
     m.core.observe(pressed);
     m.core.observe(pressed);
-    assert_eq!(m.core.mode(), StepperMode::Stopping);
+    assert_eq!(m.mode(), StepperMode::Stopping);
     m.run_until(m.now_ns + 500_000_000);
     let report = m.core.report(m.now_ns);
     assert_eq!((report.mode, report.energised), (StepperMode::Faulted(StepperFault::EmergencyStop), true));
@@ -424,7 +435,7 @@ fn a_segment_that_jumps_is_refused_before_it_moves_anything() {
         let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
         m.feed(0, START_NS + 4_000_000, &[Segment::holding([0.0, bad, 0.0], 2e-3)]);
         m.run_until(START_NS + 20_000_000);
-        assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Discontinuity { channel: 1, .. })), "{:?}", m.core.mode());
+        assert!(matches!(m.mode(), StepperMode::Faulted(StepperFault::Discontinuity { channel: 1, .. })), "{:?}", m.mode());
         assert!(m.record.is_empty());
     }
     let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
@@ -432,7 +443,7 @@ fn a_segment_that_jumps_is_refused_before_it_moves_anything() {
     fast.channels[2] = fast.channels[2].ending(MotionState::rest(3.0));
     m.feed(0, START_NS + 4_000_000, &[fast]);
     m.run_until(START_NS + 20_000_000);
-    assert!(matches!(m.core.mode(), StepperMode::Faulted(StepperFault::Discontinuity { channel: 2, jump_mm }) if jump_mm == 3.0));
+    assert!(matches!(m.mode(), StepperMode::Faulted(StepperFault::Discontinuity { channel: 2, jump_mm }) if jump_mm == 3.0));
 }
 
 #[test]
@@ -450,12 +461,12 @@ fn drivers_are_released_when_idle_and_woken_in_time() {
     let end_ns = m.feed(0, m.now_ns + 4_000_000, &back);
     m.run_until(end_ns + 1_000_000);
     check_record(&m.record, &timing(&c)).unwrap();
-    assert_eq!((m.core.mode(), m.core.counted().0), (StepperMode::Resting, [0; 3]));
+    assert_eq!((m.mode(), m.counted().0), (StepperMode::Resting, [0; 3]));
 }
 
 #[test]
 fn finishing_brakes_releases_and_ends() {
-    let (mut m, _) = on_the_way(&StepperConfig::default());
+    let (mut m, _) = on_the_way(timing(&StepperConfig::default()));
     m.core.order(StepperOrder::Finish);
     let mut turns = 0;
     while !m.core.is_finished() {
@@ -472,13 +483,13 @@ fn finishing_brakes_releases_and_ends() {
 fn a_rebase_sets_position_and_count_at_rest_only() {
     let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
     m.core.order(StepperOrder::Rebase([1.0, -2.0, 0.0]));
-    assert_eq!(m.core.counted().0, [34, -68, 0]);
+    assert_eq!(m.counted().0, [34, -68, 0]);
     m.core.order(StepperOrder::Rebase([f64::NAN; 3]));
-    assert_eq!(m.core.counted().0, [34, -68, 0]);
-    let (mut m, _) = on_the_way(&StepperConfig::default());
-    let before = m.core.counted();
+    assert_eq!(m.counted().0, [34, -68, 0]);
+    let (mut m, _) = on_the_way(timing(&StepperConfig::default()));
+    let before = m.counted();
     m.core.order(StepperOrder::Rebase([0.0; 3]));
-    assert_eq!(m.core.counted(), before);
+    assert_eq!(m.counted(), before);
 }
 
 #[test]
@@ -494,16 +505,16 @@ fn a_segment_too_late_to_begin_is_refused_and_the_epoch_tells() {
 
 #[test]
 fn failing_pins_are_left_alone_until_cleared() {
-    let (mut m, _) = on_the_way(&StepperConfig::default());
+    let (mut m, _) = on_the_way(timing(&StepperConfig::default()));
     m.core.pins_failed();
     for _ in 0..100 {
         let t = m.now_ns;
-        assert!(matches!(m.core.poll(t, &mut m.queue), PulseAction::WaitUntil(u) if u > t), "no hammering");
+        assert!(matches!(m.core.poll(t, &mut || m.queue.pop_front()), PulseAction::WaitUntil(u) if u > t), "no hammering");
         m.now_ns += 100_000;
     }
-    assert_eq!(m.core.mode(), StepperMode::Faulted(StepperFault::Pins));
+    assert_eq!(m.mode(), StepperMode::Faulted(StepperFault::Pins));
     m.core.order(StepperOrder::Clear);
-    assert!(matches!(m.core.poll(m.now_ns, &mut m.queue), PulseAction::Write(_)), "written anew");
+    assert!(matches!(m.core.poll(m.now_ns, &mut || m.queue.pop_front()), PulseAction::Write(_)), "written anew");
 }
 
 // ---------------------------------------------------------------- the real thread
@@ -519,13 +530,13 @@ fn mock(emergency_stop: Option<InputPin>) -> MockPins {
 }
 
 /// Feeds ticks to a stepper until the motion rests at its target or something happens.
-fn drive(stepper: &mut Stepper<MockPins>, motion: &mut Motion, target: [f64; 3]) -> Sync {
+fn drive(stepper: &mut Stepper<MockPins>, motion: &mut Motion, target: [f64; 3]) -> SyncStatus {
     for _ in 0..4000 {
         let now = retroflex::hardware::rt::monotonic_ns();
         match stepper.sync(now) {
-            Sync::Ready => {}
-            Sync::Restart(rest_mm) => motion.reset(rest_mm),
-            Sync::Busy => {
+            SyncStatus::Ready => {}
+            SyncStatus::Restart(rest_mm) => motion.reset(rest_mm),
+            SyncStatus::Busy => {
                 std::thread::sleep(std::time::Duration::from_millis(1));
                 continue;
             }
@@ -542,16 +553,16 @@ fn drive(stepper: &mut Stepper<MockPins>, motion: &mut Motion, target: [f64; 3])
             break;
         }
     }
-    Sync::Ready
+    SyncStatus::Ready
 }
 
 #[test]
 fn the_thread_pulses_what_the_loop_feeds() {
     let c = patient();
-    let mut stepper = Stepper::start(mock(None), &c, &MotionConfig::default(), STEP_MM).unwrap();
+    let mut stepper = Stepper::start(mock(None), &c, &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
     let mut motion = Motion::new(&limits());
     for target in [[3.0, -2.0, 1.0], [-1.0, 0.5, 2.0]] {
-        assert_eq!(drive(&mut stepper, &mut motion, target), Sync::Ready);
+        assert_eq!(drive(&mut stepper, &mut motion, target), SyncStatus::Ready);
     }
     let (summary, pins) = stepper.finish().unwrap();
     assert_eq!(summary.report.counted.0, [-1.0, 0.5, 2.0_f64].map(|p| (p / STEP_MM).round() as i32));
@@ -567,11 +578,11 @@ fn the_thread_pulses_what_the_loop_feeds() {
 #[test]
 fn drivers_found_energised_stay_so_until_they_are_told() {
     let c = StepperConfig { idle_release_s: Some(3600.0), ..patient() };
-    let mut stepper = Stepper::start(mock(None).energised(), &c, &MotionConfig::default(), STEP_MM).unwrap();
+    let mut stepper = Stepper::start(mock(None).energised(), &c, &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
     assert!(stepper.is_energised(), "before the first report");
     let mut motion = Motion::new(&limits());
     std::thread::sleep(std::time::Duration::from_millis(30));
-    assert_eq!(drive(&mut stepper, &mut motion, [0.3, 0.0, 0.0]), Sync::Ready);
+    assert_eq!(drive(&mut stepper, &mut motion, [0.3, 0.0, 0.0]), SyncStatus::Ready);
     assert!(stepper.is_energised());
     let (_, pins) = stepper.finish().unwrap();
     let enable: Vec<bool> = pins.record().iter().filter(|e| e.line == LineName::Enable).map(|e| e.high).collect();
@@ -583,13 +594,13 @@ fn drivers_found_energised_stay_so_until_they_are_told() {
 fn the_thread_stops_for_the_red_button_and_reports_it() {
     let pins = mock(Some(InputPin { pin: 26, active_low: false, pull: Pull::Down }));
     let button = pins.inputs();
-    let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM).unwrap();
+    let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
     let mut motion = Motion::new(&limits());
     std::thread::spawn(move || {
         std::thread::sleep(std::time::Duration::from_millis(150));
-        button.set_bits(1);
+        button.store(1, std::sync::atomic::Ordering::Relaxed);
     });
-    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), Sync::Faulted(StepperFault::EmergencyStop));
+    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), SyncStatus::Faulted(StepperFault::EmergencyStop));
     let (summary, pins) = stepper.finish().unwrap();
     assert!(!pins.levels().enable && summary.report.inputs.emergency_stop);
 }
@@ -597,16 +608,16 @@ fn the_thread_stops_for_the_red_button_and_reports_it() {
 #[test]
 fn the_thread_survives_pins_that_fail_and_says_why() {
     let pins = mock(None).failing_after(40);
-    let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM).unwrap();
+    let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
     let mut motion = Motion::new(&limits());
-    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), Sync::Faulted(StepperFault::Pins));
+    assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), SyncStatus::Faulted(StepperFault::Pins));
     let (summary, _) = stepper.finish().unwrap();
-    assert!(summary.pin_error.unwrap().to_string().contains("told to fail"));
+    assert!(summary.pin_error.unwrap().to_string().contains("set to fail"));
 }
 
 #[test]
 fn a_rate_the_chip_is_not_allowed_is_refused_at_the_start() {
     let fast = MotionConfig { speed_max_mm_s: 300.0, ..MotionConfig::default() };
-    let error = Stepper::start(mock(None), &patient(), &fast, STEP_MM).unwrap_err();
+    let error = Stepper::start(mock(None), &patient(), &fast, STEP_MM, EmergencyStop::Release).unwrap_err();
     assert!(error.to_string().contains("stepper.step_interval_min_us"), "{error}");
 }

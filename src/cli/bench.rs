@@ -108,7 +108,7 @@ fn measure<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<RtBench
 fn compare(bench: &RtBench) {
     let text = match cyclictest::run(bench.config.stepper.priority, bench.config.rate_hz, 10.0, bench.config.load_threads) {
         Ok(theirs) => {
-            let ours = bench.wake.quantile_ns(0.999) as f64 * 1e-3;
+            let ours = bench.steps.wake.quantile_ns(0.999) as f64 * 1e-3;
             format!(
                 "cyclictest at the same priority: p99.9 {:.0} µs, maximum {:.0} µs; p99.9 of the wake-up lateness {ours:.1} µs, ratio {:.2}\n",
                 theirs.p999_us,

@@ -301,10 +301,10 @@ pub fn record(sensor: &mut dyn Imu, delay: &mut dyn DelayNs, seconds: f64, progr
 
 #[cfg(feature = "hw")]
 fn live(bus: &Path, seconds: f64) -> Result<Vec<ImuSample>> {
-    use crate::hardware::imu::{self, ImuConfig};
+    use crate::hardware::imu::{self, ChipConfig};
     use linux_embedded_hal::{Delay, I2cdev};
     let open = I2cdev::new(bus).map_err(|e| miette!("{}: {e}; name an I²C bus that exists and may be opened", bus.display()))?;
-    let mut sensor = imu::open(&ImuConfig::default(), imu::linux::Classified(open)).into_diagnostic()?;
+    let mut sensor = imu::open(&ChipConfig::default(), imu::linux::Classified(open)).into_diagnostic()?;
     let bar = output::bar(1000, "{percent} %");
     let samples = record(sensor.as_mut(), &mut Delay, seconds, &mut |share| bar.set_position((share * 1000.0) as u64));
     bar.finish_and_clear();

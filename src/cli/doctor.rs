@@ -170,12 +170,12 @@ fn real_time(board: &Board) -> Vec<Finding> {
     let wish = RtRequest { priority: board.service.priority, cpu: board.service.cpu };
     let asked = std::thread::spawn(move || rt::enter(&wish).0);
     let Ok(status) = asked.join() else { return vec![Finding::new("real time", Verdict::Fail, "could not be asked", "")] };
-    let line = |(name, grant): (&'static str, &Grant)| match grant {
-        Grant::NotAsked => None,
+    let line = |(name, grant): (&'static str, Grant)| match grant {
+        Grant::NotRequested => None,
         Grant::Granted => Some(Finding::new(name, Verdict::Pass, "granted", "")),
-        Grant::Refused(r) => Some(Finding::new(name, Verdict::Warn, format!("{} refused", r.wish), r.mend)),
+        Grant::Denied(d) => Some(Finding::new(name, Verdict::Warn, format!("{} denied", d.request), d.remedy)),
     };
-    status.rows().into_iter().filter_map(line).collect()
+    status.into_iter().filter_map(line).collect()
 }
 
 fn clock() -> Finding {

@@ -5,10 +5,13 @@
 
 use crate::config::board::Board;
 use crate::config::pins::check_pins;
-use crate::hardware::imu::ImuConfig;
+use crate::hardware::imu::ChipConfig;
 use crate::hardware::machine::{MachineConfig, SensorConfig};
+use crate::motion::lines::EmergencyStop;
+use crate::motion::stop::longest_stop_mm;
 use crate::motion::{ConfigError, MotionLimits};
 use crate::primitives::check::Checker;
+use crate::supervisor::gate::SafeState;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -67,12 +70,12 @@ pub struct ImuSection {
     /// sensor's z axis points out of the tip. A calibration refines it.
     pub mount_deg: [f64; 3],
     /// The part and its settings.
-    pub chip: ImuConfig,
+    pub chip: ChipConfig,
 }
 
 impl Default for ImuSection {
     fn default() -> Self {
-        Self { bus: "/dev/i2c-1".to_owned(), backend: BusBackend::Linux, mount_deg: [0.0; 3], chip: ImuConfig::default() }
+        Self { bus: "/dev/i2c-1".to_owned(), backend: BusBackend::Linux, mount_deg: [0.0; 3], chip: ChipConfig::default() }
     }
 }
 
@@ -83,33 +86,11 @@ impl ImuSection {
         UnitQuaternion::from_scaled_axis(Vector3::from(self.mount_deg).map(f64::to_radians))
     }
 
-    /// Bus address of the inertial chip.
-    #[must_use]
-    pub fn address(&self) -> u8 {
-        match &self.chip {
-            ImuConfig::Icm20948(c) => c.address,
-            ImuConfig::Lsm6dsoLis2mdl(c) => c.address,
-        }
-    }
-
-    /// Readings a second.
-    #[must_use]
-    pub fn rate_hz(&self) -> f64 {
-        match &self.chip {
-            ImuConfig::Icm20948(c) => c.rate_hz,
-            ImuConfig::Lsm6dsoLis2mdl(c) => c.rate_hz,
-        }
-    }
-
     fn check(&self, table: &str, to: &mut Checker) {
         let key = |name: &str| format!("{table}.{name}");
         to.holds(&key("bus"), self.bus.starts_with('/'), &format!("`{}` is no device file", self.bus), "`ls /dev/i2c-*` lists the buses");
         to.ranges(&key("mount_deg"), &self.mount_deg, -360.0..=360.0, "deg", "a rotation vector: axis times angle");
-        let verdict = match &self.chip {
-            ImuConfig::Icm20948(c) => c.settings().map(|_| ()),
-            ImuConfig::Lsm6dsoLis2mdl(c) => c.settings().map(|_| ()),
-        };
-        if let Err(e) = verdict {
+        if let Err(e) = self.chip.check() {
             to.refuse(
                 &key(&format!("chip.{}", e.field)),
                 format!("{} does not exist on the {}", e.value, e.part),
@@ -128,7 +109,7 @@ impl Board {
             rppal: s.backend == BusBackend::Rppal,
             mount: s.mount(),
             chip: s.chip.clone(),
-            rate_hz: s.rate_hz(),
+            rate_hz: s.chip.rate_hz(),
             priority: self.machine.imu_priority,
         };
         Some(MachineConfig {
@@ -139,6 +120,10 @@ impl Board {
             microsteps: self.drive.microsteps,
             pins: self.pins.clone()?,
             stepper: self.stepper,
+            emergency_stop: match self.safety.on.emergency_stop {
+                SafeState::Release => EmergencyStop::Release,
+                SafeState::Hold | SafeState::Relax => EmergencyStop::Hold,
+            },
             motion: self.motion_config(),
             imu: self.imu.as_ref().map(sensor),
             base_imu: self.base_imu.as_ref().map(sensor),
@@ -204,8 +189,8 @@ pub(super) fn check_hardware(board: &Board, to: &mut Checker) {
         }
     }
     if let (Some(tip), Some(base)) = (&board.imu, &board.base_imu) {
-        let apart = tip.bus != base.bus || tip.address() != base.address();
-        let problem = format!("{:#04x} on {} is the tip's IMU already", base.address(), base.bus);
+        let apart = tip.bus != base.bus || tip.chip.address() != base.chip.address();
+        let problem = format!("{:#04x} on {} is the tip's IMU already", base.chip.address(), base.bus);
         to.holds("base_imu.chip.address", apart, &problem, "pull the address pin of one sensor the other way, or use another bus");
     }
 }
@@ -221,7 +206,7 @@ fn check_motion(board: &Board, to: &mut Checker) {
         to.refuse(key, format!("{value} must be {allowed}"), mend);
     }
     let Ok(limits) = MotionLimits::try_from(&motion) else { return };
-    let stop_mm = limits.stop_longest_mm();
+    let stop_mm = longest_stop_mm(&limits);
     let problem = format!("a stop from full speed takes {stop_mm:.2} mm, more than the travel of {} mm", board.limits.travel_mm);
     let mend = "lower motion.speed_max_mm_s or raise motion.acceleration_max_mm_s2";
     to.holds("limits.travel_mm", stop_mm < board.limits.travel_mm, &problem, mend);

@@ -1,19 +1,19 @@
-//! How late is this machine? The step thread under load, measured on itself.
+//! `retroflex bench rt`: measures the lateness of the step thread on this machine, optionally under load.
 //!
-//! The real thread ([`Stepper`]) with the real queue drives three channels at a steady rate; the pins
-//! are the mock's or real ones. Meanwhile other threads may keep every processor busy. Measured are
-//! the lateness of waking up, the lateness of every step (deadline to end of the write) and the error
-//! of every interval between steps. The loop's part, planning and queueing a tick, is timed as well.
+//! The real step thread ([`Stepper`]) with the real queue drives three channels at a steady rate, through
+//! the mock or through real pins, while other threads may keep the processors busy. The bench measures
+//! the lateness of every wake-up and of every step (from the due time to the end of the write), the
+//! deviation of every interval between steps, and the time that the loop takes to plan and queue a tick.
 
 use crate::hardware::pins::{PinError, Pins};
-use crate::hardware::rt::{self, RtRequest, RtStatus};
-use crate::hardware::stepper::{StartError, Stepper, Sync};
+use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
+use crate::hardware::stepper::{StartError, Stepper, Summary, SyncStatus};
 use crate::motion::Motion;
 use crate::motion::config::{MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::MotionLimits;
-use crate::motion::lines::{Inputs, Levels};
-use crate::motion::report::{StepperFault, StepperMode};
+use crate::motion::lines::{EmergencyStop, Inputs, Levels};
+use crate::motion::report::StepperMode;
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
 use crate::report::svg::Ink;
 use comfy_table::{CellAlignment, Table};
@@ -24,15 +24,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// What to measure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RtBenchConfig {
-    /// Steps a second and channel.
+    /// Steps per second on each channel.
     pub rate_hz: f64,
-    /// How long at that rate, s.
+    /// Duration at that rate, s.
     pub duration_s: f64,
     /// Length of a control tick, s.
     pub tick_s: f64,
-    /// Threads that keep processors busy meanwhile.
+    /// Number of threads that load the processors meanwhile.
     pub load_threads: usize,
-    /// The step thread's configuration.
+    /// Configuration of the step thread.
     pub stepper: StepperConfig,
 }
 
@@ -48,32 +48,22 @@ impl Default for RtBenchConfig {
     }
 }
 
-/// What was found.
-#[derive(Debug, Clone)]
+/// The result of a bench.
+#[derive(Debug)]
 pub struct RtBench {
-    /// What was asked.
+    /// What was measured.
     pub config: RtBenchConfig,
-    /// What the kernel granted.
+    /// What the kernel granted to the step thread.
     pub status: RtStatus,
-    /// Steps pulsed, all channels.
-    pub steps: u64,
-    /// How long the pins were driven, ramps included, s.
+    /// Time for which the pins were driven, ramps included, s.
     pub elapsed_s: f64,
-    /// Lateness of waking up.
-    pub wake: Histogram,
-    /// Lateness of steps.
-    pub lateness: Histogram,
-    /// Error of intervals between steps.
-    pub interval_error: Histogram,
+    /// Results of the step thread.
+    pub steps: Summary,
     /// Time to plan and queue one tick.
     pub tick: Histogram,
-    /// The fault that ended the run early.
-    pub fault: Option<StepperFault>,
-    /// How often the queue ran dry.
-    pub dry: u32,
 }
 
-/// Pins whose drivers stay without current, so that a bench pulses real lines and no motor turns.
+/// Pins that never energise the drivers, so that a bench pulses real lines and no motor turns.
 #[derive(Debug)]
 pub struct NoCurrent<P>(pub P);
 
@@ -86,16 +76,16 @@ impl<P: Pins> Pins for NoCurrent<P> {
     }
 }
 
-/// Percentiles shown.
+/// Percentiles in the table.
 const QUANTILES: [(&str, f64); 5] = [("50 %", 0.5), ("90 %", 0.9), ("99 %", 0.99), ("99.9 %", 0.999), ("99.99 %", 0.9999)];
 
-/// Microstep of the bench, mm; any will do.
+/// Microstep of the bench, mm. Only the step rate matters, so the value is arbitrary.
 const STEP_MM: f64 = 0.01;
 
-/// Runs the bench on these pins; gives them back with the result.
+/// Runs the bench on the given pins and returns them with the result.
 ///
 /// # Errors
-/// [`StartError`]: a rate the configuration forbids, or no thread.
+/// [`StartError`]: a rate that the configuration forbids, or no thread.
 pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBench, P), StartError> {
     let speed = config.rate_hz * STEP_MM;
     let motion_config = MotionConfig {
@@ -105,39 +95,26 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
         travel_max_mm: (speed * (config.duration_s + 2.0)).min(1000.0),
         retarget_min_mm: 0.0,
     };
-    let busy = Load::start(config.load_threads);
-    let mut stepper = Stepper::start(pins, &config.stepper, &motion_config, STEP_MM)?;
+    let load = Load::start(config.load_threads);
+    let mut stepper = Stepper::start(pins, &config.stepper, &motion_config, STEP_MM, EmergencyStop::Release)?;
     let status = stepper.status().clone();
-    let begun_ns = rt::monotonic_ns();
-    // The loop runs below the step thread, as in the service.
-    let wish = RtRequest { priority: (config.stepper.priority - 10).max(0), cpu: None };
+    let start_ns = monotonic_ns();
+    // The loop runs at a lower priority than the step thread, as in the service.
+    let request = RtRequest { priority: (config.stepper.priority - 10).max(0), cpu: None };
     let tick = std::thread::scope(|scope| {
         let control = scope.spawn(|| {
-            let (_status, _guard) = rt::enter(&wish);
+            let (_status, _guard) = rt::enter(&request);
             drive(config, &motion_config, &mut stepper)
         });
         control.join().unwrap_or(Err(StartError::Died))
     })?;
-    let elapsed_s = (rt::monotonic_ns() - begun_ns) as f64 * 1e-9;
-    let (summary, pins) = stepper.finish().ok_or(StartError::Died)?;
-    drop(busy);
-    let fault = if let StepperMode::Faulted(fault) = summary.report.mode { Some(fault) } else { None };
-    let bench = RtBench {
-        config: *config,
-        status,
-        steps: summary.report.lateness.count(),
-        elapsed_s,
-        wake: summary.wake,
-        lateness: summary.report.lateness,
-        interval_error: summary.interval_error,
-        tick,
-        fault,
-        dry: summary.report.dry,
-    };
-    Ok((bench, pins))
+    let elapsed_s = (monotonic_ns() - start_ns) as f64 * 1e-9;
+    let (steps, pins) = stepper.finish().ok_or(StartError::Died)?;
+    drop(load);
+    Ok((RtBench { config: *config, status, elapsed_s, steps, tick }, pins))
 }
 
-/// The loop's part: to and fro between the ends of travel, a tick at a time, at absolute times.
+/// The loop's part: moves between the ends of travel, one tick at a time, at absolute times.
 fn drive<P: Pins + 'static>(
     config: &RtBenchConfig,
     motion_config: &MotionConfig,
@@ -146,17 +123,17 @@ fn drive<P: Pins + 'static>(
     let mut motion = Motion::new(&MotionLimits::try_from(motion_config)?);
     let mut times = Histogram::default();
     let tick_ns = (config.tick_s * 1e9) as u64;
-    let mut next_ns = rt::monotonic_ns();
+    let mut next_ns = monotonic_ns();
     let end_ns = next_ns + (config.duration_s * 1e9) as u64;
     let mut side = 1.0;
     while next_ns < end_ns {
-        let now_ns = rt::monotonic_ns();
+        let now_ns = monotonic_ns();
         next_ns += tick_ns;
         match stepper.sync(now_ns) {
-            Sync::Ready => {}
-            Sync::Restart(rest_mm) => motion.reset(rest_mm),
-            Sync::Faulted(_) | Sync::Dead => break,
-            Sync::Busy => {
+            SyncStatus::Ready => {}
+            SyncStatus::Restart(rest_mm) => motion.reset(rest_mm),
+            SyncStatus::Faulted(_) | SyncStatus::Dead => break,
+            SyncStatus::Busy => {
                 rt::sleep_until_ns(next_ns);
                 continue;
             }
@@ -164,17 +141,16 @@ fn drive<P: Pins + 'static>(
         if motion.state()[0].is_rest() && motion.state()[0].position_mm.abs() > 0.5 * motion_config.travel_max_mm {
             side = -side;
         }
-        let target = [side * motion_config.travel_max_mm; 3];
-        let segment = motion.tick(target, config.tick_s);
-        // A refused tick shows as a dry queue in the result.
+        let segment = motion.tick([side * motion_config.travel_max_mm; 3], config.tick_s);
+        // A refused segment appears as an underrun in the result.
         let _ = stepper.feed(&segment, now_ns);
-        times.record(rt::monotonic_ns() - now_ns);
+        times.record(monotonic_ns() - now_ns);
         rt::sleep_until_ns(next_ns);
     }
     Ok(times)
 }
 
-/// Threads that keep processors busy until dropped.
+/// Threads that load the processors until they are dropped.
 pub(crate) struct Load {
     stop: Arc<AtomicBool>,
     threads: Vec<std::thread::JoinHandle<()>>,
@@ -183,21 +159,17 @@ pub(crate) struct Load {
 impl Load {
     pub(crate) fn start(threads: usize) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
-        let work = |stop: Arc<AtomicBool>| {
-            let mut block = vec![1.0_f64; 1 << 16];
-            while !stop.load(Ordering::Relaxed) {
-                for x in &mut block {
-                    *x = (*x * 1.000_001).sin() + 1.0;
+        let spawn = |_| {
+            let stop = stop.clone();
+            std::thread::spawn(move || {
+                let mut block = vec![1.0_f64; 1 << 16];
+                while !stop.load(Ordering::Relaxed) {
+                    block.iter_mut().for_each(|x| *x = (*x * 1.000_001).sin() + 1.0);
+                    std::hint::black_box(&block);
                 }
-                std::hint::black_box(&block);
-            }
-        };
-        let threads = (0..threads)
-            .map(|_| {
-                let stop = stop.clone();
-                std::thread::spawn(move || work(stop))
             })
-            .collect();
+        };
+        let threads = (0..threads).map(spawn).collect();
         Self { stop, threads }
     }
 }
@@ -212,23 +184,22 @@ impl Drop for Load {
 }
 
 impl RtBench {
-    /// True when no step was so late as to be a fault and the queue never ran dry.
+    /// Whether no step was late enough to be a fault and no underrun occurred.
     #[must_use]
     pub fn is_good(&self) -> bool {
-        self.fault.is_none() && self.dry == 0
+        !matches!(self.steps.report.mode, StepperMode::Faulted(_)) && self.steps.report.underruns == 0
     }
 
-    /// The rows of the result.
     fn rows(&self) -> [(&'static str, &Histogram); 4] {
         [
-            ("wake-up lateness", &self.wake),
-            ("step lateness", &self.lateness),
-            ("step interval error", &self.interval_error),
+            ("wake-up lateness", &self.steps.wake),
+            ("step lateness", &self.steps.report.lateness),
+            ("step interval error", &self.steps.interval_error),
             ("plan and queue a tick", &self.tick),
         ]
     }
 
-    /// Percentiles in µs, and what was granted, as a table.
+    /// Percentiles in µs and the granted real-time settings as a table.
     #[must_use]
     pub fn table(&self) -> String {
         let mut table = Table::new();
@@ -246,26 +217,23 @@ impl RtBench {
         for column in table.column_iter_mut().skip(1) {
             column.set_cell_alignment(CellAlignment::Right);
         }
-        let mut text = table.to_string();
-        let _ = write!(
-            text,
-            "\n{} steps in {:.1} s on three channels ({:.0} a second), {} load threads, queue ran dry {} times",
-            self.steps,
-            self.elapsed_s,
-            self.steps as f64 / self.elapsed_s,
-            self.config.load_threads,
-            self.dry
+        let report = &self.steps.report;
+        let (steps, rate) = (report.lateness.count(), report.lateness.count() as f64 / self.elapsed_s);
+        let mut text = format!(
+            "{table}\n{steps} steps in {:.1} s on three channels ({rate:.0} per second), {} load threads, {} underruns",
+            self.elapsed_s, self.config.load_threads, report.underruns
         );
-        for (name, grant) in self.status.rows() {
+        for (name, grant) in &self.status {
             let _ = write!(text, "\n{name}: {grant}");
         }
-        if let Some(fault) = &self.fault {
+        if let StepperMode::Faulted(fault) = report.mode {
             let _ = write!(text, "\nFAULT: {fault}");
         }
         text
     }
 
-    /// Histograms of wake-up, step lateness and interval error as one SVG drawing, with logarithmic axes.
+    /// Histograms of wake-up lateness, step lateness and interval error as one SVG drawing with
+    /// logarithmic axes.
     #[must_use]
     pub fn svg(&self) -> String {
         let charts: Vec<Chart> = self.rows()[..3].iter().map(|(name, h)| histogram(name, h, self.config.stepper.late_max_us)).collect();
@@ -273,7 +241,7 @@ impl RtBench {
     }
 }
 
-/// A histogram of times; `late_max_us` is marked as the limit of a fault.
+/// The chart of a histogram, with a line at `late_max_us`, beyond which a step is a fault.
 fn histogram(name: &str, h: &Histogram, late_max_us: f64) -> Chart {
     let x = |ns: f64| (ns.max(100.0) * 1e-3).log10();
     let y = |n: u32| (f64::from(n) + 1.0).log10();
@@ -308,17 +276,18 @@ mod tests {
     use crate::hardware::pins::map::LineMap;
     use crate::hardware::pins::{MockPins, PinsConfig};
 
-    /// A short run on the mock: what is shown is what was pulsed. No time is asserted.
+    /// A short run on the mock. The test asserts no times.
     #[test]
-    fn shows_what_was_pulsed() {
+    fn the_table_and_the_drawing_show_the_steps_that_were_pulsed() {
         let stepper = StepperConfig { priority: 0, late_max_us: 100_000.0, lead_ms: 60.0, ..RtBenchConfig::default().stepper };
         let config = RtBenchConfig { rate_hz: 2000.0, duration_s: 0.4, stepper, ..RtBenchConfig::default() };
         let map = LineMap::new(&PinsConfig::default(), 16).unwrap();
         let (bench, pins) = run(&config, MockPins::new(map, 100_000)).unwrap();
-        assert!(bench.steps > 300 && bench.fault.is_none(), "{}", bench.table());
-        assert!(pins.record().len() as u64 > 2 * bench.steps && pins.dropped() == 0);
+        let steps = bench.steps.report.lateness.count();
+        assert!(steps > 300 && !matches!(bench.steps.report.mode, StepperMode::Faulted(_)), "{}", bench.table());
+        assert!(pins.record().len() as u64 > 2 * steps && pins.dropped() == 0);
         let table = bench.table();
-        for words in ["step lateness", "99.9 %", "SCHED_FIFO: not asked", &format!("{} steps in", bench.steps)] {
+        for words in ["step lateness", "99.9 %", "SCHED_FIFO: not requested", &format!("{steps} steps in")] {
             assert!(table.contains(words), "{table}");
         }
         let svg = bench.svg();

@@ -1,4 +1,4 @@
-//! Edges to the machine: everything that touches a device, a clock or a thread.
+//! Devices: everything that touches a pin, a bus, the clock or the scheduler.
 
 pub mod bench_rt;
 pub mod cyclictest;

@@ -1,9 +1,9 @@
-//! Real time on Linux: the clock, absolute sleeps, and what the kernel grants a thread.
+//! Real time on Linux: the monotonic clock, absolute sleeps, and real-time settings of a thread.
 //!
-//! Asked for are SCHED_FIFO (`sched_setscheduler(2)`), locked memory (`mlockall(2)`), a processor of
-//! one's own (`sched_setaffinity(2)`), exact timers (`prctl(2)`, PR_SET_TIMERSLACK) and shallow idle
-//! states (`/dev/cpu_dma_latency`, `Documentation/power/pm_qos_interface`). None of them is needed to
-//! run, each makes lateness rarer; so every refusal is a value that is shown, not an error.
+//! A thread requests SCHED_FIFO (`sched_setscheduler(2)`), locked memory (`mlockall(2)`), a processor
+//! (`sched_setaffinity(2)`), exact timers (`prctl(2)`, PR_SET_TIMERSLACK) and shallow idle states
+//! (`/dev/cpu_dma_latency`, `Documentation/power/pm_qos_interface`). None of them is required; each
+//! makes lateness rarer. A denial is therefore a value to display, not an error.
 
 #![allow(unsafe_code)]
 
@@ -11,7 +11,7 @@ use std::fmt;
 use std::fs::File;
 use std::io::{self, Write};
 
-/// Now, ns of CLOCK_MONOTONIC.
+/// Reading of CLOCK_MONOTONIC, ns.
 #[must_use]
 pub fn monotonic_ns() -> u64 {
     let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
@@ -21,7 +21,7 @@ pub fn monotonic_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// Sleeps until a reading of CLOCK_MONOTONIC; returns at once when it has passed.
+/// Sleeps until a reading of CLOCK_MONOTONIC; returns at once if it has passed.
 pub fn sleep_until_ns(deadline_ns: u64) {
     let deadline =
         libc::timespec { tv_sec: (deadline_ns / 1_000_000_000) as libc::time_t, tv_nsec: (deadline_ns % 1_000_000_000) as libc::c_long };
@@ -35,144 +35,92 @@ pub fn sleep_until_ns(deadline_ns: u64) {
     }
 }
 
-/// A clock one can wait on.
-pub trait Clock {
-    /// Now, ns.
-    fn now_ns(&self) -> u64;
-    /// Waits until a time; returns at once when it has passed.
-    fn wait_until(&self, deadline_ns: u64);
-}
-
-/// CLOCK_MONOTONIC: sleeps, then looks at the clock for the last `spin_ns`.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Monotonic {
-    /// How long before the deadline sleeping ends and looking begins, ns.
-    pub spin_ns: u64,
-}
-
-impl Clock for Monotonic {
-    fn now_ns(&self) -> u64 {
-        monotonic_ns()
+/// Waits until a reading of CLOCK_MONOTONIC: sleeps, then polls the clock for the last `spin_ns`.
+pub fn wait_until_ns(deadline_ns: u64, spin_ns: u64) {
+    let sleep_ns = deadline_ns.saturating_sub(spin_ns);
+    if monotonic_ns() < sleep_ns {
+        sleep_until_ns(sleep_ns);
     }
-
-    fn wait_until(&self, deadline_ns: u64) {
-        let sleep_ns = deadline_ns.saturating_sub(self.spin_ns);
-        if monotonic_ns() < sleep_ns {
-            sleep_until_ns(sleep_ns);
-        }
-        while monotonic_ns() < deadline_ns {
-            std::hint::spin_loop();
-        }
+    while monotonic_ns() < deadline_ns {
+        std::hint::spin_loop();
     }
 }
 
-/// What the kernel said to one wish.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+/// The kernel's answer to one request.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Grant {
-    /// Nobody asked.
-    #[default]
-    NotAsked,
+    /// Not requested.
+    NotRequested,
     /// Granted.
     Granted,
-    /// Refused.
-    Refused(Refusal),
+    /// Denied.
+    Denied(Denial),
 }
 
-/// A wish the kernel refused.
+/// A request that the kernel denied.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{wish} refused ({}): {mend}", io::Error::from_raw_os_error(*.errno))]
-pub struct Refusal {
-    /// What was wished for.
-    pub wish: &'static str,
-    /// What the kernel said.
+#[error("{request} denied ({}): {remedy}", io::Error::from_raw_os_error(*.errno))]
+pub struct Denial {
+    /// The request.
+    pub request: &'static str,
+    /// The kernel's error number.
     pub errno: i32,
-    /// What would help.
-    pub mend: &'static str,
+    /// The remedy.
+    pub remedy: &'static str,
 }
 
 impl fmt::Display for Grant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NotAsked => f.write_str("not asked"),
+            Self::NotRequested => f.write_str("not requested"),
             Self::Granted => f.write_str("granted"),
-            Self::Refused(refusal) => refusal.fmt(f),
+            Self::Denied(denial) => denial.fmt(f),
         }
     }
 }
 
 impl Grant {
-    /// From the result of a call that returns 0 or sets errno.
-    fn from_call(result: i32, wish: &'static str, mend: &'static str) -> Self {
+    /// From the result of a system call that returns 0 or sets errno.
+    fn from_call(result: i32, request: &'static str, remedy: &'static str) -> Self {
         if result == 0 {
             return Self::Granted;
         }
         let errno = io::Error::last_os_error().raw_os_error().unwrap_or(0);
-        Self::Refused(Refusal { wish, errno, mend })
-    }
-
-    /// The refusal, if it is one.
-    #[must_use]
-    pub fn refusal(&self) -> Option<&Refusal> {
-        if let Self::Refused(refusal) = self { Some(refusal) } else { None }
+        Self::Denied(Denial { request, errno, remedy })
     }
 }
 
-/// What a thread got of what it wished for.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct RtStatus {
-    /// SCHED_FIFO.
-    pub scheduling: Grant,
-    /// All memory locked.
-    pub memory: Grant,
-    /// On one processor.
-    pub affinity: Grant,
-    /// Timers exact to the nanosecond instead of 50 µs.
-    pub timer_slack: Grant,
-    /// Processors kept out of deep sleep.
-    pub idle_states: Grant,
-}
+/// What the kernel granted to a thread, each request with its name.
+pub type RtStatus = [(&'static str, Grant); 5];
 
-impl RtStatus {
-    /// All five with their names, for a status page.
-    #[must_use]
-    pub fn rows(&self) -> [(&'static str, &Grant); 5] {
-        [
-            ("SCHED_FIFO", &self.scheduling),
-            ("locked memory", &self.memory),
-            ("own processor", &self.affinity),
-            ("exact timers", &self.timer_slack),
-            ("shallow idle", &self.idle_states),
-        ]
-    }
-}
-
-/// What a thread wishes for.
+/// The real-time settings that a thread requests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RtRequest {
-    /// SCHED_FIFO priority 1 to 99; 0 does not ask.
+    /// SCHED_FIFO priority, 1 to 99; 0 requests no real-time scheduling.
     pub priority: i32,
     /// Processor to stay on.
     pub cpu: Option<usize>,
 }
 
-/// Keeps processors out of deep sleep as long as it lives.
+/// Keeps the processors out of deep idle states until it is dropped.
 #[derive(Debug)]
 pub struct IdleGuard {
     _open: Option<File>,
 }
 
-/// Makes the calling thread as real-time as the kernel allows. Keep the guard.
+/// Applies the real-time settings to the calling thread as far as the kernel grants them.
 #[must_use]
-pub fn enter(wish: &RtRequest) -> (RtStatus, IdleGuard) {
-    let asked = wish.priority > 0;
-    let (idle_states, guard) = if asked { stay_awake() } else { (Grant::NotAsked, IdleGuard { _open: None }) };
-    let status = RtStatus {
-        memory: if asked { lock_memory() } else { Grant::NotAsked },
-        scheduling: if asked { schedule_fifo(wish.priority) } else { Grant::NotAsked },
-        affinity: wish.cpu.map_or(Grant::NotAsked, stay_on),
-        timer_slack: exact_timers(),
-        idle_states,
-    };
+pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
+    let real_time = request.priority > 0;
+    let if_real_time = |apply: &dyn Fn() -> Grant| if real_time { apply() } else { Grant::NotRequested };
+    let (idle_states, guard) = if real_time { limit_idle_states() } else { (Grant::NotRequested, IdleGuard { _open: None }) };
+    let status = [
+        ("SCHED_FIFO", if_real_time(&|| schedule_fifo(request.priority))),
+        ("locked memory", if_real_time(&lock_memory)),
+        ("own processor", request.cpu.map_or(Grant::NotRequested, set_affinity)),
+        ("exact timers", exact_timers()),
+        ("shallow idle", idle_states),
+    ];
     touch_stack();
     (status, guard)
 }
@@ -189,20 +137,20 @@ fn schedule_fifo(priority: i32) -> Grant {
 }
 
 fn lock_memory() -> Grant {
-    // SAFETY: no pointers are passed; locking pages has no effect on what they hold.
+    // SAFETY: no pointers are passed; locking pages does not change their content.
     let result = unsafe { libc::mlockall(libc::MCL_CURRENT | libc::MCL_FUTURE) };
     Grant::from_call(
         result,
-        "locking memory",
+        "locked memory",
         "needs CAP_IPC_LOCK or a memlock limit (`@realtime - memlock unlimited`, or LimitMEMLOCK=infinity in the unit)",
     )
 }
 
-fn stay_on(cpu: usize) -> Grant {
-    const WISH: &str = "staying on one processor";
-    const MEND: &str = "name a processor that exists and is allowed (`nproc`, AllowedCPUs= in the unit)";
+fn set_affinity(cpu: usize) -> Grant {
+    const REQUEST: &str = "own processor";
+    const REMEDY: &str = "name a processor that exists and is allowed (`nproc`, AllowedCPUs= in the unit)";
     if cpu >= libc::CPU_SETSIZE as usize {
-        return Grant::Refused(Refusal { wish: WISH, errno: libc::EINVAL, mend: MEND });
+        return Grant::Denied(Denial { request: REQUEST, errno: libc::EINVAL, remedy: REMEDY });
     }
     // SAFETY: all zeros is the empty set.
     let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
@@ -210,17 +158,18 @@ fn stay_on(cpu: usize) -> Grant {
     unsafe { libc::CPU_SET(cpu, &mut set) };
     // SAFETY: 0 means the calling thread; `set` is live, only read, and its true size is given.
     let result = unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &set) };
-    Grant::from_call(result, WISH, MEND)
+    Grant::from_call(result, REQUEST, REMEDY)
 }
 
+/// Sets the timer slack to 1 ns; the default is 50 µs.
 fn exact_timers() -> Grant {
     // SAFETY: PR_SET_TIMERSLACK takes one integer, 1 ns, and no pointers.
     let result = unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as libc::c_ulong) };
-    Grant::from_call(result, "exact timers", "the kernel is older than 2.6.28")
+    Grant::from_call(result, "exact timers", "needs Linux 2.6.28 or newer")
 }
 
-/// Holds a request for no wake-up latency open.
-fn stay_awake() -> (Grant, IdleGuard) {
+/// Requests a wake-up latency of zero for as long as the guard lives.
+fn limit_idle_states() -> (Grant, IdleGuard) {
     let opened = File::options().write(true).open("/dev/cpu_dma_latency").and_then(|mut f| {
         f.write_all(&0_i32.to_ne_bytes())?;
         Ok(f)
@@ -228,14 +177,14 @@ fn stay_awake() -> (Grant, IdleGuard) {
     match opened {
         Ok(f) => (Grant::Granted, IdleGuard { _open: Some(f) }),
         Err(e) => {
-            let errno = e.raw_os_error().unwrap_or(0);
-            let mend = "needs write permission for /dev/cpu_dma_latency (a udev rule, or DeviceAllow= in the unit)";
-            (Grant::Refused(Refusal { wish: "shallow idle states", errno, mend }), IdleGuard { _open: None })
+            let remedy = "needs write permission for /dev/cpu_dma_latency (a udev rule, or DeviceAllow= in the unit)";
+            let denial = Denial { request: "shallow idle", errno: e.raw_os_error().unwrap_or(0), remedy };
+            (Grant::Denied(denial), IdleGuard { _open: None })
         }
     }
 }
 
-/// Touches a good part of the stack, so that none of it is fetched in the middle of a step.
+/// Touches 64 KiB of the stack, so that no page fault occurs in the middle of a step.
 #[inline(never)]
 fn touch_stack() {
     let mut stack = [0_u8; 64 * 1024];
@@ -250,30 +199,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn waiting_never_ends_early() {
+    fn a_wait_never_ends_early() {
         for spin_ns in [0, 50_000] {
-            let clock = Monotonic { spin_ns };
             for _ in 0..20 {
-                let until = clock.now_ns() + 200_000;
-                clock.wait_until(until);
-                assert!(clock.now_ns() >= until);
+                let until = monotonic_ns() + 200_000;
+                wait_until_ns(until, spin_ns);
+                assert!(monotonic_ns() >= until);
             }
-            let past = clock.now_ns() - 1;
-            clock.wait_until(past);
+            wait_until_ns(monotonic_ns() - 1, spin_ns);
         }
     }
 
     #[test]
-    fn a_processor_that_is_not_there_is_refused_with_advice() {
+    fn a_processor_that_does_not_exist_is_denied_with_a_remedy() {
         for cpu in [1000, 100_000] {
-            let refusal = stay_on(cpu).refusal().cloned().unwrap();
-            assert!(refusal.to_string().contains("name a processor that exists"), "{refusal}");
+            let text = set_affinity(cpu).to_string();
+            assert!(text.contains("own processor denied") && text.contains("name a processor that exists"), "{text}");
         }
     }
 
     #[test]
-    fn nothing_asked_nothing_changed() {
+    fn an_empty_request_changes_nothing_but_the_timers() {
         let (status, _guard) = enter(&RtRequest::default());
-        assert_eq!((status.scheduling, status.memory, status.affinity), (Grant::NotAsked, Grant::NotAsked, Grant::NotAsked));
+        for (name, grant) in status {
+            assert_eq!(grant, if name == "exact timers" { Grant::Granted } else { Grant::NotRequested }, "{name}");
+        }
     }
 }

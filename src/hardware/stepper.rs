@@ -1,22 +1,22 @@
-//! The step thread: a thin shell around [`StepCore`], and the loop's handle on it.
+//! The step thread, a thin shell around [`StepCore`], and the loop's handle on it.
 //!
 //! ```text
 //!  loop thread                                     step thread (SCHED_FIFO, locked memory)
 //!  Motion::tick ─▶ Segment ─▶ Stepper::feed ═ring═▶ StepCore::poll ─▶ Pins::write / wait
 //!  Stepper::order ════════════════════════════ring═▶ StepCore::order
-//!  Stepper::sync ◀═ring════════════════════════════ Report
+//!  Stepper::sync ◀═ring════════════════════════════ StepperReport
 //! ```
 //!
-//! Three wait-free rings join the threads; neither ever waits for the other. The shell decides
-//! nothing: it reads the clock, asks the core, writes pins, waits. So the whole behaviour is tested
-//! on the core with a clock of the test's own, and this file only with real time.
+//! Three wait-free rings join the threads; neither thread waits for the other. The shell makes no
+//! decisions: it reads the clock, polls the core, writes pins and waits. The tests therefore cover the
+//! behaviour on the core with a simulated clock, and only this file with real time.
 
 use crate::hardware::pins::{PinError, Pins};
-use crate::hardware::rt::{self, Clock, Monotonic, RtRequest, RtStatus};
+use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
 use crate::motion::config::{ConfigError, MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::MotionLimits;
-use crate::motion::lines::{Levels, PulseTiming};
+use crate::motion::lines::{EmergencyStop, Levels, PulseTiming};
 use crate::motion::pulse::{PulseAction, StepCore};
 use crate::motion::queue::{self, FeedError, Feeder, TimedSegment};
 use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
@@ -24,83 +24,81 @@ use crate::motion::segment::Segment;
 use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 
-/// Segments the ring holds: at 1 kHz a quarter of a second.
+/// Capacity of the ring of segments: a quarter of a second at 1 kHz.
 const SEGMENTS: usize = 256;
-/// Orders the ring holds.
+/// Capacity of the ring of orders.
 const ORDERS: usize = 32;
-/// Reports the ring holds.
+/// Capacity of the ring of reports.
 const REPORTS: usize = 64;
-/// A report is sent this often while something changes, ns …
+/// Least time between two reports while something changes, ns.
 const REPORT_NS: u64 = 1_000_000;
-/// … and this often anyhow.
+/// Longest time between two reports, ns.
 const HEARTBEAT_NS: u64 = 100_000_000;
-/// EN may take this long to reach its level, ns.
+/// Time for EN to reach its level, ns.
 const ENABLE_SETTLES_NS: u64 = 500_000;
 
 /// Why the step thread could not be started.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// A value of the configuration.
+    /// The configuration is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The operating system gave no thread.
+    /// The operating system created no thread.
     #[error("the step thread could not be started: {0}")]
     Thread(#[from] std::io::Error),
-    /// The thread died before it could say what it was granted.
-    #[error("the step thread died as it started")]
+    /// The thread ended before it reported its real-time settings.
+    #[error("the step thread ended as it started")]
     Died,
 }
 
-/// What the step thread has done, told at its end.
+/// The results of the step thread at its end.
 #[derive(Debug)]
 pub struct Summary {
     /// Its last report.
     pub report: StepperReport,
-    /// From the time a wait should have ended to the clock reading after it.
+    /// Time from the end of each wait to the clock reading after it.
     pub wake: Histogram,
-    /// How far intervals between steps were off.
+    /// Deviation of intervals between steps.
     pub interval_error: Histogram,
-    /// What the pins said when they failed.
+    /// The first failure of the pins.
     pub pin_error: Option<PinError>,
 }
 
-/// The shell: everything the thread owns.
+/// The state of the thread.
 #[derive(Debug)]
-pub struct Shell<P, C> {
+struct Shell<P> {
     core: StepCore,
     pins: P,
-    clock: C,
+    spin_ns: u64,
     segments: rtrb::Consumer<TimedSegment>,
     orders: rtrb::Consumer<StepperOrder>,
     reports: rtrb::Producer<StepperReport>,
     input_period_ns: u64,
     next_input_ns: u64,
-    last_report: Option<(u64, Key)>,
+    last_report: Option<StepperReport>,
     wake: Histogram,
     pin_error: Option<PinError>,
-    words: Arc<OnceLock<String>>,
+    pin_error_text: Arc<OnceLock<String>>,
     enabled: bool,
 }
 
-/// What makes a report worth sending before the heartbeat.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Key {
-    mode: StepperMode,
-    epoch: u32,
-    counted: [i32; 3],
-    energised: bool,
-    inputs: crate::motion::lines::Inputs,
-}
+impl<P: Pins> Shell<P> {
+    /// Repeats [`Shell::run_once`] until the core has finished; returns the summary and the pins.
+    fn run(mut self) -> (Summary, P) {
+        while self.run_once() {}
+        let report = self.core.report(monotonic_ns());
+        let interval_error = *self.core.interval_error();
+        (Summary { report, wake: self.wake, interval_error, pin_error: self.pin_error }, self.pins)
+    }
 
-impl<P: Pins, C: Clock> Shell<P, C> {
-    /// One round: orders, inputs, one action of the core. False when there is nothing left to do.
-    pub fn turn(&mut self) -> bool {
-        let now_ns = self.clock.now_ns();
+    /// One cycle: orders, inputs and one action of the core. Returns false when the core has finished.
+    fn run_once(&mut self) -> bool {
+        let now_ns = monotonic_ns();
         while let Ok(order) = self.orders.pop() {
             self.core.order(order);
         }
         if self.orders.is_abandoned() {
-            // The loop is gone without a word: as if it had said goodbye.
+            // The loop has dropped its handle.
             self.core.order(StepperOrder::Finish);
         }
         if now_ns >= self.next_input_ns {
@@ -110,9 +108,9 @@ impl<P: Pins, C: Clock> Shell<P, C> {
                 Err(error) => self.pins_failed(error),
             }
         }
-        match self.core.poll(now_ns, &mut self.segments) {
+        match self.core.poll(now_ns, &mut || self.segments.pop().ok()) {
             PulseAction::Write(levels) => match self.write(&levels) {
-                Ok(()) => self.core.wrote(self.clock.now_ns()),
+                Ok(()) => self.core.wrote(monotonic_ns()),
                 Err(error) => self.pins_failed(error),
             },
             PulseAction::WaitUntil(until_ns) => {
@@ -120,80 +118,62 @@ impl<P: Pins, C: Clock> Shell<P, C> {
                 if self.core.is_finished() {
                     return false;
                 }
-                self.clock.wait_until(until_ns);
-                self.wake.record(self.clock.now_ns().saturating_sub(until_ns));
+                rt::wait_until_ns(until_ns, self.spin_ns);
+                self.wake.record(monotonic_ns().saturating_sub(until_ns));
             }
         }
         true
     }
 
-    /// Rounds until finished; the summary and the pins at the end.
-    pub fn run(mut self) -> (Summary, P) {
-        while self.turn() {}
-        let report = self.core.report(self.clock.now_ns());
-        let interval_error = *self.core.interval_error();
-        (Summary { report, wake: self.wake, interval_error, pin_error: self.pin_error }, self.pins)
-    }
-
-    /// Writes, and after EN was switched makes sure that it followed.
+    /// Writes the levels, and after a change of EN checks that the line follows.
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
         self.pins.write(levels)?;
         if levels.enable == self.enabled {
             return Ok(());
         }
         self.enabled = levels.enable;
-        let give_up_ns = self.clock.now_ns() + ENABLE_SETTLES_NS;
+        let give_up_ns = monotonic_ns() + ENABLE_SETTLES_NS;
         loop {
             match self.pins.check_enable() {
-                Err(PinError::EnableStuck { .. }) if self.clock.now_ns() < give_up_ns => std::hint::spin_loop(),
-                verdict => return verdict,
+                Err(PinError::EnableStuck { .. }) if monotonic_ns() < give_up_ns => std::hint::spin_loop(),
+                result => return result,
             }
         }
     }
 
+    /// Keeps the first failure; later ones follow from it.
     fn pins_failed(&mut self, error: PinError) {
         self.core.pins_failed();
-        // only the first failure is told; later ones follow from it
-        let _ = self.words.set(error.to_string());
+        let _ = self.pin_error_text.set(error.to_string());
         self.pin_error.get_or_insert(error);
     }
 
-    /// Sends a report when one is due. A full ring loses it: the next one says the same and more.
+    /// Sends a report if one is due. If the ring is full, the report is lost; the next one replaces it.
     fn report(&mut self, now_ns: u64) {
-        let due = match &self.last_report {
-            None => true,
-            Some((t_ns, _)) if now_ns < t_ns + REPORT_NS => false,
-            Some((t_ns, _)) if now_ns >= t_ns + HEARTBEAT_NS => true,
-            Some((_, key)) => *key != self.key(),
-        };
-        if due && self.reports.push(self.core.report(now_ns)).is_ok() {
-            self.last_report = Some((now_ns, self.key()));
+        let age_ns = self.last_report.as_ref().map_or(u64::MAX, |last| now_ns.saturating_sub(last.t_ns));
+        if age_ns < REPORT_NS {
+            return;
         }
-    }
-
-    fn key(&self) -> Key {
-        Key {
-            mode: self.core.mode(),
-            epoch: self.core.epoch(),
-            counted: self.core.counted().0,
-            energised: self.core.is_energised(),
-            inputs: self.core.inputs(),
+        let report = self.core.report(now_ns);
+        let changed = self.last_report.as_ref().is_none_or(|last| report.differs_from(last));
+        if (changed || age_ns >= HEARTBEAT_NS) && self.reports.push(report).is_ok() {
+            self.last_report = Some(report);
         }
     }
 }
 
-/// What the loop has to know before it plans the next tick.
+/// What the loop must do before it plans the next tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Sync {
-    /// Feed on.
+pub enum SyncStatus {
+    /// Feed the next segment.
     Ready,
-    /// Motion was broken off and the pistons rest here (mm): reset the motion to it, then feed on.
+    /// Motion was interrupted and the pistons rest here, mm: reset the motion, then feed.
     Restart([f64; 3]),
-    /// Braking: feed nothing yet.
+    /// Feed nothing; the thread is braking.
     Busy,
-    /// At a fault: feed nothing until it is cleared.
+    /// Feed nothing until the fault is cleared.
     Faulted(StepperFault),
-    /// The thread is gone.
+    /// The thread has ended.
     Dead,
 }
 
@@ -205,7 +185,7 @@ pub struct Stepper<P> {
     reports: rtrb::Consumer<StepperReport>,
     latest: Option<StepperReport>,
     status: RtStatus,
-    words: Arc<OnceLock<String>>,
+    pin_error_text: Arc<OnceLock<String>>,
     energised: bool,
     thread: Option<JoinHandle<(Summary, P)>>,
 }
@@ -215,20 +195,26 @@ impl<P: Pins + 'static> Stepper<P> {
     ///
     /// # Errors
     /// [`StartError`].
-    pub fn start(pins: P, config: &StepperConfig, motion: &MotionConfig, step_mm: f64) -> Result<Self, StartError> {
-        let timing = PulseTiming::try_from(config)?;
+    pub fn start(
+        pins: P,
+        config: &StepperConfig,
+        motion: &MotionConfig,
+        step_mm: f64,
+        emergency_stop: EmergencyStop,
+    ) -> Result<Self, StartError> {
+        let timing = PulseTiming { emergency_stop, ..PulseTiming::try_from(config)? };
         config.validate_rate(motion, step_mm)?;
         let limits = MotionLimits::try_from(motion)?;
         let (feeder, segments) = queue::ring(SEGMENTS, (config.lead_ms * 1e6) as u64);
         let (orders, orders_out) = rtrb::RingBuffer::new(ORDERS);
         let (reports_in, reports) = rtrb::RingBuffer::new(REPORTS);
-        let words = Arc::new(OnceLock::new());
+        let pin_error_text = Arc::new(OnceLock::new());
         let energised = pins.found_energised();
         let core = StepCore::new(timing, &limits, step_mm);
         let shell = Shell {
-            core: if energised { core.found_energised(rt::monotonic_ns()) } else { core },
+            core: if energised { core.found_energised(monotonic_ns()) } else { core },
             pins,
-            clock: Monotonic { spin_ns: (config.spin_us * 1e3) as u64 },
+            spin_ns: (config.spin_us * 1e3) as u64,
             segments,
             orders: orders_out,
             reports: reports_in,
@@ -237,24 +223,23 @@ impl<P: Pins + 'static> Stepper<P> {
             last_report: None,
             wake: Histogram::default(),
             pin_error: None,
-            words: words.clone(),
+            pin_error_text: pin_error_text.clone(),
             enabled: energised,
         };
-        let wish = RtRequest { priority: config.priority, cpu: config.cpu };
-        let (tell, told) = std::sync::mpsc::channel();
+        let request = RtRequest { priority: config.priority, cpu: config.cpu };
+        let (sender, receiver) = std::sync::mpsc::channel();
         let thread = std::thread::Builder::new().name("steps".into()).spawn(move || {
-            let (status, _guard) = rt::enter(&wish);
-            // The starter may have given up waiting; that is no reason to stop here.
-            let _ = tell.send(status);
+            let (status, _guard) = rt::enter(&request);
+            // The receiver waits below, so sending cannot fail.
+            let _ = sender.send(status);
             shell.run()
         })?;
-        let status = told.recv().map_err(|_| StartError::Died)?;
-        Ok(Self { feeder, orders, reports, latest: None, status, words, energised, thread: Some(thread) })
+        let status = receiver.recv().map_err(|_| StartError::Died)?;
+        Ok(Self { feeder, orders, reports, latest: None, status, pin_error_text, energised, thread: Some(thread) })
     }
 
-    /// Ends the thread: brakes within the limits, releases the drivers. Gives back the pins.
-    ///
-    /// `None` if the thread has panicked.
+    /// Brakes within the limits, releases the drivers, ends the thread and returns its results and the
+    /// pins; `None` if the thread has panicked.
     #[must_use]
     pub fn finish(mut self) -> Option<(Summary, P)> {
         self.join()
@@ -262,29 +247,29 @@ impl<P: Pins + 'static> Stepper<P> {
 }
 
 impl<P> Stepper<P> {
-    /// The drivers are energised, as the thread reported last; before its first report, as they were found.
+    /// Whether the drivers are energised, by the last report; before the first one, as they were found.
     #[must_use]
     pub fn is_energised(&self) -> bool {
         self.latest.as_ref().map_or(self.energised, |r| r.energised)
     }
 
-    /// Takes in the thread's reports and says what the loop is to do.
-    pub fn sync(&mut self, now_ns: u64) -> Sync {
+    /// Reads the reports of the thread and returns what the loop must do.
+    pub fn sync(&mut self, now_ns: u64) -> SyncStatus {
         while let Ok(report) = self.reports.pop() {
             self.latest = Some(report);
         }
         if self.reports.is_abandoned() {
-            return Sync::Dead;
+            return SyncStatus::Dead;
         }
-        let Some(report) = &self.latest else { return Sync::Busy };
+        let Some(report) = &self.latest else { return SyncStatus::Busy };
         match report.mode {
-            StepperMode::Faulted(fault) => Sync::Faulted(fault),
-            _ if self.feeder.epoch() == Some(report.epoch) => Sync::Ready,
+            StepperMode::Faulted(fault) => SyncStatus::Faulted(fault),
+            _ if self.feeder.epoch() == Some(report.epoch) => SyncStatus::Ready,
             StepperMode::Resting => {
                 self.feeder.begin(report.epoch, now_ns);
-                Sync::Restart(report.rest_mm)
+                SyncStatus::Restart(report.rest_mm)
             }
-            StepperMode::Following | StepperMode::Stopping => Sync::Busy,
+            StepperMode::Following | StepperMode::Stopping => SyncStatus::Busy,
         }
     }
 
@@ -296,38 +281,38 @@ impl<P> Stepper<P> {
         self.feeder.push(segment, now_ns)
     }
 
-    /// How far queued motion reaches ahead, ns.
+    /// Time by which the queued motion extends past `now_ns`, ns.
     #[must_use]
     pub fn lead_ns(&self, now_ns: u64) -> i64 {
         self.feeder.lead_ns(now_ns)
     }
 
-    /// Gives an order past the queue of segments. False when 32 orders are waiting already.
+    /// Sends an order that bypasses the queue of segments. Returns false if 32 orders are waiting.
     #[must_use]
     pub fn order(&mut self, order: StepperOrder) -> bool {
         self.orders.push(order).is_ok()
     }
 
-    /// The report [`Stepper::sync`] took in last; `None` before the first.
+    /// The last report that [`Stepper::sync`] read; `None` before the first.
     #[must_use]
     pub fn latest(&self) -> Option<&StepperReport> {
         self.latest.as_ref()
     }
 
-    /// What the pins said when they first failed.
+    /// The message of the first failure of the pins.
     #[must_use]
-    pub fn pin_words(&self) -> Option<&str> {
-        self.words.get().map(String::as_str)
+    pub fn pin_error(&self) -> Option<&str> {
+        self.pin_error_text.get().map(String::as_str)
     }
 
-    /// What the kernel granted the thread.
+    /// What the kernel granted to the thread.
     #[must_use]
     pub fn status(&self) -> &RtStatus {
         &self.status
     }
 
     fn join(&mut self) -> Option<(Summary, P)> {
-        // If the ring of orders is full, dropping it (by the caller) still ends the thread.
+        // A full ring of orders is retried until the thread has taken one, or has ended.
         while self.orders.push(StepperOrder::Finish).is_err() && !self.orders.is_abandoned() {
             std::thread::yield_now();
         }
@@ -336,7 +321,7 @@ impl<P> Stepper<P> {
 }
 
 impl<P> Drop for Stepper<P> {
-    /// As [`Stepper::finish`], with nobody to hear the summary.
+    /// As [`Stepper::finish`], without the results.
     fn drop(&mut self) {
         let _ = self.join();
     }

@@ -73,17 +73,6 @@ impl MotionConfig {
     }
 }
 
-/// What happens to the motors when the emergency stop is pressed (stop categories of IEC 60204-1).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EmergencyStop {
-    /// Category 0: no further step, motors de-energised at once; the air pushes the pistons back.
-    #[default]
-    Release,
-    /// Category 2: brake within the limits and stay energised; the tip keeps its pressure.
-    Hold,
-}
-
 /// `[stepper]`: pulses, deadlines and the thread that makes them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -112,8 +101,6 @@ pub struct StepperConfig {
     /// released under pressure lets the piston creep back; one held warms the board and disturbs the
     /// magnetometer.
     pub idle_release_s: Option<f64>,
-    /// What the emergency stop does: `release` (default) or `hold`.
-    pub emergency_stop: EmergencyStop,
     /// How often inputs and commands are looked at between steps, µs. Default 500. A smaller value
     /// reacts sooner and wakes the processor more often.
     pub poll_period_us: f64,
@@ -138,7 +125,6 @@ impl Default for StepperConfig {
             lead_ms: 4.0,
             wake_delay_ms: 1.0,
             idle_release_s: None,
-            emergency_stop: EmergencyStop::Release,
             poll_period_us: 500.0,
             spin_us: 20.0,
             priority: 80,
@@ -236,8 +222,8 @@ mod tests {
 
     #[test]
     fn toml_knows_its_keys() {
-        let c: StepperConfig = toml::from_str("idle_release_s = 30.0\nemergency_stop = \"hold\"").unwrap();
-        assert_eq!((c.idle_release_s, c.emergency_stop), (Some(30.0), EmergencyStop::Hold));
+        let c: StepperConfig = toml::from_str("idle_release_s = 30.0\npriority = 70").unwrap();
+        assert_eq!((c.idle_release_s, c.priority), (Some(30.0), 70));
         assert!(toml::from_str::<MotionConfig>("speed_max = 3.0").is_err());
     }
 }

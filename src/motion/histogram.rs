@@ -1,13 +1,13 @@
-//! Times, counted in buckets that grow with them: eight to the octave, so a percentile is known to
-//! about 9 %. Fixed size, no allocation, cheap enough for every step.
+//! A histogram of durations with eight buckets per octave, so that percentiles are known to about 9 %.
+//! It has a fixed size, does not allocate, and is cheap enough for every step.
 
-/// Buckets to the octave.
+/// Buckets per octave.
 const PER_OCTAVE: usize = 8;
-/// Octaves from 128 ns: the last bucket begins at 134 ms.
+/// Octaves from 128 ns on: the last bucket begins at 134 ms.
 const OCTAVES: usize = 20;
-/// Shortest time that is resolved, as a power of two of nanoseconds.
-const FLOOR_LOG2: usize = 7;
-/// Number of buckets: one below the floor, the octaves and one above.
+/// Shortest duration with a bucket of its own, as a power of two of nanoseconds.
+const SHORTEST_LOG2: usize = 7;
+/// Number of buckets: one below the shortest duration, the octaves, and one above.
 pub const BUCKETS: usize = PER_OCTAVE * OCTAVES + 2;
 
 /// Histogram of durations in ns.
@@ -36,62 +36,62 @@ impl Histogram {
         self.max_ns = self.max_ns.max(ns);
     }
 
-    /// How many were counted.
+    /// Number of durations.
     #[must_use]
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// The longest, ns, exactly.
+    /// The exact maximum, ns.
     #[must_use]
     pub fn max_ns(&self) -> u64 {
         self.max_ns
     }
 
-    /// The mean, ns, exactly; 0 when nothing was counted.
+    /// The exact mean, ns; 0 if the histogram is empty.
     #[must_use]
     pub fn mean_ns(&self) -> f64 {
         if self.count == 0 { 0.0 } else { self.sum_ns as f64 / self.count as f64 }
     }
 
-    /// The duration that a share `q` (0 to 1) of all did not exceed, ns: the upper edge of its
-    /// bucket, and at most the longest. 0 when nothing was counted.
+    /// The duration that a share `q` (0 to 1) of all durations does not exceed, ns: the upper edge of
+    /// its bucket, but at most the maximum. 0 if the histogram is empty.
     #[must_use]
     pub fn quantile_ns(&self, q: f64) -> u64 {
         let rank = (q.clamp(0.0, 1.0) * self.count as f64).ceil().max(1.0) as u64;
-        let mut seen = 0;
+        let mut below = 0;
         for (i, &n) in self.buckets.iter().enumerate() {
-            seen += u64::from(n);
-            if seen >= rank {
+            below += u64::from(n);
+            if below >= rank {
                 return edge_ns(i + 1).min(self.max_ns);
             }
         }
         self.max_ns
     }
 
-    /// Lower and upper edge, ns, and number of every bucket that is not empty, in order.
+    /// Lower edge, ns, upper edge, ns, and count of every bucket that is not empty, in order.
     pub fn filled(&self) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
         self.buckets.iter().enumerate().filter(|(_, n)| **n > 0).map(|(i, &n)| (edge_ns(i), edge_ns(i + 1), n))
     }
 }
 
-/// The bucket of a duration.
+/// The bucket of a duration. Within an octave, the three bits below the leading one are its number.
 fn bucket_of(ns: u64) -> usize {
-    if ns < 1 << FLOOR_LOG2 {
+    if ns < 1 << SHORTEST_LOG2 {
         return 0;
     }
     let octave = ns.ilog2() as usize;
     let part = ((ns >> (octave - 3)) & 7) as usize;
-    ((octave - FLOOR_LOG2) * PER_OCTAVE + part + 1).min(BUCKETS - 1)
+    ((octave - SHORTEST_LOG2) * PER_OCTAVE + part + 1).min(BUCKETS - 1)
 }
 
-/// Lower edge of a bucket, ns; beyond the last it is the end of time.
+/// Lower edge of a bucket, ns. The last bucket has no upper edge.
 fn edge_ns(bucket: usize) -> u64 {
     match bucket {
         0 => 0,
         b if b >= BUCKETS => u64::MAX,
         b => {
-            let (octave, part) = ((b - 1) / PER_OCTAVE + FLOOR_LOG2, (b - 1) % PER_OCTAVE);
+            let (octave, part) = ((b - 1) / PER_OCTAVE + SHORTEST_LOG2, (b - 1) % PER_OCTAVE);
             ((PER_OCTAVE + part) as u64) << (octave - 3)
         }
     }
@@ -103,9 +103,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Every duration lies in its bucket, and buckets resolve 12.5 % or better.
         #[test]
-        fn buckets_hold_what_they_say(ns in 0u64..200_000_000) {
+        fn every_duration_lies_in_its_bucket_and_buckets_resolve_an_eighth(ns in 0u64..200_000_000) {
             let b = bucket_of(ns);
             prop_assert!(edge_ns(b) <= ns && ns < edge_ns(b + 1), "{ns} {b}");
             if ns >= 128 && b < BUCKETS - 1 {
@@ -113,20 +112,21 @@ mod tests {
             }
         }
 
-        /// A quantile is never below the true one, and at most a bucket above.
         #[test]
-        fn quantiles_bracket_the_truth(mut times in prop::collection::vec(128u64..10_000_000, 1..300), q in 0.0..1.0f64) {
+        fn a_quantile_is_at_most_one_bucket_above_the_exact_one(
+            mut times in prop::collection::vec(128u64..10_000_000, 1..300), q in 0.0..1.0f64,
+        ) {
             let mut h = Histogram::default();
             times.iter().for_each(|&t| h.record(t));
             times.sort_unstable();
             let rank = ((q * times.len() as f64).ceil().max(1.0) as usize) - 1;
-            let (truth, told) = (times[rank], h.quantile_ns(q));
-            prop_assert!(told >= truth && told as f64 <= 1.126 * truth as f64, "{truth} {told}");
+            let (exact, reported) = (times[rank], h.quantile_ns(q));
+            prop_assert!(reported >= exact && reported as f64 <= 1.126 * exact as f64, "{exact} {reported}");
         }
     }
 
     #[test]
-    fn empty_says_zero() {
+    fn an_empty_histogram_is_all_zero() {
         let h = Histogram::default();
         assert_eq!((h.quantile_ns(0.99), h.max_ns(), h.count()), (0, 0, 0));
     }

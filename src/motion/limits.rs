@@ -1,30 +1,29 @@
-//! The four limits of a channel, validated, and what "within" means.
+//! The motion limits of a channel, and the tolerances of every comparison with them.
 //!
-//! All channels share one set of limits: the drives are alike. Comparisons allow [`SLACK`] of the
-//! limit for the rounding of a chain of cubics, a thousand times less than what is promised outside.
+//! All channels share one set of limits because the drives are alike. Comparisons allow a relative
+//! tolerance of [`TOLERANCE`] for rounding in a chain of cubics, a thousandth of the 1e-6 that
+//! [`crate::motion`] guarantees.
 
 use crate::motion::config::{ConfigError, MotionConfig};
 use crate::motion::state::MotionState;
-use crate::motion::stop::Stop;
 
-/// Relative slack of every comparison with a limit.
-pub const SLACK: f64 = 1e-9;
+/// Relative tolerance of every comparison with a limit.
+pub const TOLERANCE: f64 = 1e-9;
+/// Tolerance of a comparison of positions, mm. The planner closes its position equation to 1e-8 mm.
+pub const POSITION_TOLERANCE_MM: f64 = 1e-7;
 
-/// Slack of a comparison of positions, mm: the planner closes its position equation to 1e-8 mm.
-pub const POSITION_SLACK_MM: f64 = 1e-7;
-
-/// Limits of motion of one channel; built only from a valid [`MotionConfig`].
+/// Limits of motion of one channel, built only from a valid [`MotionConfig`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionLimits {
-    /// Greatest speed, mm/s.
+    /// Largest speed, mm/s.
     pub speed_max_mm_s: f64,
-    /// Greatest acceleration either way, mm/s².
+    /// Largest acceleration of either sign, mm/s².
     pub acceleration_max_mm_s2: f64,
-    /// Greatest jerk either way, mm/s³.
+    /// Largest jerk of either sign, mm/s³.
     pub jerk_max_mm_s3: f64,
     /// Travel either side of rest, mm.
     pub travel_max_mm: f64,
-    /// Targets nearer than this to the planned one are the same target, mm.
+    /// Targets nearer than this to the planned one count as the same target, mm.
     pub retarget_min_mm: f64,
 }
 
@@ -47,23 +46,15 @@ impl MotionLimits {
     /// Whether a position is within travel.
     #[inline]
     #[must_use]
-    pub fn travel_holds(&self, position_mm: f64) -> bool {
-        position_mm.abs() <= self.travel_max_mm + POSITION_SLACK_MM
+    pub fn contains_position(&self, position_mm: f64) -> bool {
+        position_mm.abs() <= self.travel_max_mm + POSITION_TOLERANCE_MM
     }
 
-    /// Whether speed and acceleration of a state are within their limits.
+    /// Whether the speed and acceleration of a state are within their limits.
     #[inline]
     #[must_use]
-    pub fn rates_hold(&self, s: &MotionState) -> bool {
-        s.velocity_mm_s.abs() <= self.speed_max_mm_s * (1.0 + SLACK)
-            && s.acceleration_mm_s2.abs() <= self.acceleration_max_mm_s2 * (1.0 + SLACK)
-    }
-
-    /// No stop from within the limits is longer than this, mm: stopping distance grows with speed
-    /// and with acceleration, so it is the one from both at their limits.
-    #[must_use]
-    pub fn stop_longest_mm(&self) -> f64 {
-        let worst = MotionState { position_mm: 0.0, velocity_mm_s: self.speed_max_mm_s, acceleration_mm_s2: self.acceleration_max_mm_s2 };
-        Stop::from(worst, self).end_mm
+    pub fn contains_rates(&self, s: &MotionState) -> bool {
+        s.velocity_mm_s.abs() <= self.speed_max_mm_s * (1.0 + TOLERANCE)
+            && s.acceleration_mm_s2.abs() <= self.acceleration_max_mm_s2 * (1.0 + TOLERANCE)
     }
 }

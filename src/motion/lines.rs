@@ -1,25 +1,25 @@
-//! The lines of one driver and when they may move (Allegro A4988 data sheet, Fig. 1 and table
-//! "Logic interface timing": STEP high and low at least 1 µs, DIR set-up and hold at least 0.2 µs).
+//! The lines of the drivers and the times at which they may change (Allegro A4988 data sheet, Fig. 1
+//! and table "Logic interface timing": STEP high and low at least 1 µs, DIR set-up and hold at least
+//! 0.2 µs).
 //!
-//! A written edge happens at some instant between the clock reading before the write and the one
-//! after it. Every gap is therefore counted from the reading *after* the earlier write to the reading
-//! *before* the later one: the true gap is never shorter, however long the writes take.
+//! An edge occurs at some instant between the clock reading before its write and the one after it.
+//! Every interval is therefore counted from the reading *after* the earlier write to the reading
+//! *before* the later one. The true interval is never shorter, however long the writes take.
 
-use crate::motion::config::{ConfigError, EmergencyStop, StepperConfig};
+use crate::motion::config::{ConfigError, StepperConfig};
 
-/// Logic levels of all output lines: what is meant, not what the pin carries (polarity is the
-/// backend's affair).
+/// Logical levels of all output lines. The pin backend applies polarity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Levels {
-    /// STEP of channels 1 to 3; a step is made as it becomes true.
+    /// STEP of channels 1 to 3; the driver steps on the change to true.
     pub step: [bool; 3],
     /// DIR of channels 1 to 3; true elongates the bellow.
     pub dir: [bool; 3],
-    /// Drivers energised.
+    /// The drivers are energised.
     pub enable: bool,
 }
 
-/// Logic levels of all input lines, polarity applied: true means pressed or closed.
+/// Logical levels of all input lines; true means pressed or closed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Inputs {
     /// The emergency stop is pressed.
@@ -28,24 +28,35 @@ pub struct Inputs {
     pub home: [bool; 3],
 }
 
+/// Reaction of the step thread to the emergency stop (stop categories of IEC 60204-1).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum EmergencyStop {
+    /// Category 0: no further step, and the motors are de-energised at once; the air pushes the pistons
+    /// back.
+    #[default]
+    Release,
+    /// Category 2: the pistons brake within the limits and stay energised; the tip keeps its pressure.
+    Hold,
+}
+
 /// [`StepperConfig`] in nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PulseTiming {
-    /// STEP high, least.
+    /// Least time for which STEP is high.
     pub high_ns: u64,
-    /// STEP low, least.
+    /// Least time for which STEP is low.
     pub low_ns: u64,
-    /// DIR set-up, and hold after a pulse.
+    /// Least set-up time of DIR, and hold time after a pulse.
     pub dir_ns: u64,
-    /// Between two steps of a channel, least.
+    /// Least time between two steps of a channel.
     pub interval_ns: u64,
-    /// Lateness that is a fault.
+    /// Lateness beyond which a step is a fault.
     pub late_ns: u64,
-    /// From energising to the first step.
+    /// Time from energising a driver to its first step.
     pub wake_ns: u64,
-    /// Rest after which the drivers are released.
+    /// Time at rest after which the drivers are released; `None` holds indefinitely.
     pub idle_ns: Option<u64>,
-    /// Longest wait without looking at inputs and orders.
+    /// Longest wait between two looks at inputs and orders.
     pub poll_ns: u64,
     /// What the emergency stop does.
     pub emergency_stop: EmergencyStop,
@@ -66,44 +77,44 @@ impl TryFrom<&StepperConfig> for PulseTiming {
             wake_ns: ns(c.wake_delay_ms, 1e6),
             idle_ns: c.idle_release_s.map(|s| ns(s, 1e9)),
             poll_ns: ns(c.poll_period_us, 1e3),
-            emergency_stop: c.emergency_stop,
+            emergency_stop: EmergencyStop::default(),
         })
     }
 }
 
-/// STEP and DIR of one channel: their levels, and from when they may change.
+/// STEP and DIR of one channel: their levels and the times from which they may change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct OutputLine {
     /// STEP is high.
-    pub high: bool,
+    pub step_high: bool,
     /// DIR is high.
-    pub up: bool,
-    /// STEP may fall from then on.
+    pub dir_high: bool,
+    /// Earliest fall of STEP.
     pub fall_ns: u64,
-    /// STEP may rise from then on.
+    /// Earliest rise of STEP.
     pub rise_ns: u64,
-    /// DIR may change from then on.
-    pub turn_ns: u64,
+    /// Earliest change of DIR.
+    pub dir_ns: u64,
 }
 
 impl OutputLine {
-    /// STEP rose in a write that was over at `done_ns`.
-    pub fn rose(&mut self, done_ns: u64, t: &PulseTiming) {
-        self.high = true;
+    /// Records a rise of STEP in a write that ended at `done_ns`.
+    pub fn step_rose(&mut self, done_ns: u64, t: &PulseTiming) {
+        self.step_high = true;
         self.fall_ns = done_ns + t.high_ns;
         self.rise_ns = done_ns + t.interval_ns;
     }
 
-    /// STEP fell in a write that was over at `done_ns`.
-    pub fn fell(&mut self, done_ns: u64, t: &PulseTiming) {
-        self.high = false;
+    /// Records a fall of STEP in a write that ended at `done_ns`.
+    pub fn step_fell(&mut self, done_ns: u64, t: &PulseTiming) {
+        self.step_high = false;
         self.rise_ns = self.rise_ns.max(done_ns + t.low_ns);
-        self.turn_ns = done_ns + t.dir_ns;
+        self.dir_ns = done_ns + t.dir_ns;
     }
 
-    /// DIR changed in a write that was over at `done_ns`.
-    pub fn turned(&mut self, up: bool, done_ns: u64, t: &PulseTiming) {
-        self.up = up;
+    /// Records a change of DIR in a write that ended at `done_ns`.
+    pub fn dir_changed(&mut self, high: bool, done_ns: u64, t: &PulseTiming) {
+        self.dir_high = high;
         self.rise_ns = self.rise_ns.max(done_ns + t.dir_ns);
     }
 }
@@ -113,14 +124,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gaps_count_from_the_end_of_the_earlier_write() {
+    fn intervals_count_from_the_end_of_the_earlier_write() {
         let t = PulseTiming::try_from(&StepperConfig::default()).unwrap();
         let mut line = OutputLine::default();
-        line.turned(true, 1_000, &t);
-        assert_eq!(line.rise_ns, 2_000);
-        line.rose(5_000, &t);
-        assert_eq!((line.fall_ns, line.rise_ns), (7_000, 205_000));
-        line.fell(300_000, &t);
-        assert_eq!((line.rise_ns, line.turn_ns), (302_000, 301_000));
+        line.dir_changed(true, 1_000, &t);
+        assert_eq!(line.rise_ns, 1_000 + t.dir_ns);
+        line.step_rose(5_000, &t);
+        assert_eq!((line.fall_ns, line.rise_ns), (5_000 + t.high_ns, 5_000 + t.interval_ns));
+        line.step_fell(300_000, &t);
+        assert_eq!((line.rise_ns, line.dir_ns), (300_000 + t.low_ns, 300_000 + t.dir_ns));
     }
 }

@@ -1,28 +1,30 @@
-//! Motion: from wanted piston positions to the exact instants of the microsteps.
+//! Motion: from target piston positions to the exact instants of the microsteps.
 //!
-//! The way of one move, room by room:
+//! One move takes this path:
 //!
-//! 1. The loop calls [`Motion::tick`] once a control tick with the three wanted piston positions.
-//! 2. When they changed, [`solver::Ruckig`] plans from the position, velocity and acceleration of this
-//!    instant to rest at the new target: jerk-limited, time-optimal for the slowest channel and
-//!    stretched for the two others so that all three arrive together. No stop in between.
-//! 3. The plan is believed only after [`plan::Plan::verify`] has gone over every phase of it. A plan
-//!    that fails is thrown away, the one in hand is followed a few ticks longer, then [`stop`] brakes.
-//! 4. A tick's worth is cut out as a [`Segment`]: constant-jerk pieces a channel, state at both ends.
-//! 5. A simulation takes the end of the segment and rounds it to counts. Hardware sends the segment
-//!    through the ring of [`queue`] to the step thread.
-//! 6. There [`steps`] solves each piece for the instants at which the position passes the middle
-//!    between two microsteps, and [`pulse::StepCore`] decides at every instant which line to move.
+//! 1. The hardware drive calls [`Motion::tick`] once per control tick with three target positions.
+//! 2. When a target has changed, [`solver::Ruckig`] plans from the present position, velocity and
+//!    acceleration to rest at the new target. The plan is jerk-limited and time-optimal for the
+//!    slowest channel; the other two are stretched so that all three arrive together.
+//! 3. [`plan::Plan::verify`] checks every phase of the plan. If a plan fails, the previous one is
+//!    followed for a few more ticks; after that, the pistons brake.
+//! 4. The tick's share of the plan is cut out as a [`Segment`]: constant-jerk pieces for each channel
+//!    with the states at both ends.
+//! 5. The segment travels through the wait-free ring of [`queue`] to the step thread.
+//! 6. The step thread solves each piece for the instants at which the position passes the midpoint
+//!    between two microsteps ([`steps`]), and [`pulse::StepCore`] decides at each instant which lines
+//!    change.
 //!
-//! Nothing here fetches the time, touches a pin, allocates after construction or takes a lock.
+//! Simulated plants receive microstep counts directly and do not use this room.
 //!
-//! What holds at every tick, whatever the targets: position within travel, speed, acceleration and
-//! jerk within their limits (1e-6 relative), and a stop within the limits *and within travel* is
-//! possible from where the tick ends. So running dry, losing the loop or failing to plan are all
-//! survived by braking.
+//! Nothing here reads a clock, touches a pin, takes a lock or allocates after construction.
+//!
+//! The following holds at every tick for any targets: position stays within travel; speed,
+//! acceleration and jerk stay within their limits (1e-6 relative); and from the end of the tick a stop
+//! within the limits *and within travel* is possible. Braking is therefore a safe answer to an
+//! underrun, a lost loop or a failed plan.
 
 pub mod config;
-pub mod cruise;
 pub mod follow;
 pub mod histogram;
 pub mod limits;

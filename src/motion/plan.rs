@@ -1,57 +1,52 @@
-//! A plan: the way of all three channels to rest, in constant-jerk phases, and its proof.
+//! A plan: the motion of all three channels to rest as constant-jerk phases, and its verification.
 //!
-//! No plan is believed unseen, whoever made it: [`Plan::verify`] checks limits, travel, continuity
-//! and arrival on the closed form of every phase.
+//! No plan is followed unverified, whichever solver made it: [`Plan::verify`] checks limits, travel,
+//! continuity and arrival on the closed form of every phase.
 
-use crate::motion::limits::{MotionLimits, POSITION_SLACK_MM, SLACK};
-use crate::motion::segment::ChannelSegment;
+use crate::motion::limits::{MotionLimits, POSITION_TOLERANCE_MM, TOLERANCE};
+use crate::motion::segment::{ChannelSegment, Segment};
 use crate::motion::state::MotionState;
 use crate::motion::stop::Stop;
 
-/// Most phases a channel's plan can have: two of braking and seven of the profile.
-pub const LEGS_MAX: usize = 9;
+/// Most phases of one channel's plan: two of braking and seven of the profile.
+pub const PHASES_MAX: usize = 9;
 
 /// Why there is no new plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
-    /// The target is not a number.
-    #[error("the target of channel {} is not a finite number", .channel + 1)]
-    TargetNotFinite {
-        /// Channel, from 0.
-        channel: usize,
-    },
-    /// No time-optimal profile was found.
-    #[error("no profile to the target was found for channel {}", .channel + 1)]
-    NoProfile {
-        /// Channel, from 0.
-        channel: usize,
-    },
-    /// No profile of the common duration was found.
-    #[error("channel {} cannot arrive together with the others", .channel + 1)]
-    NoSynchronisation {
-        /// Channel, from 0.
-        channel: usize,
-    },
-    /// The profile found breaks a limit, leaves travel, jumps or misses the target.
-    #[error("the profile found for channel {} breaks a limit or misses the target", .channel + 1)]
-    Unsound {
-        /// Channel, from 0.
-        channel: usize,
-    },
-    /// From where the tick would end no stop stays within travel.
-    #[error("no stop within travel would be left for channel {}", .channel + 1)]
-    NoStop {
-        /// Channel, from 0.
-        channel: usize,
-    },
+#[error("channel {}: {reason}", .channel + 1)]
+pub struct PlanError {
+    /// Channel, from 0.
+    pub channel: usize,
+    /// What is wrong.
+    pub reason: PlanFault,
+}
+
+/// What is wrong with a channel's target or plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum PlanFault {
+    /// The target is infinite or not a number.
+    #[error("the target is not a finite number")]
+    TargetNotFinite,
+    /// There is no time-optimal profile.
+    #[error("no profile to the target was found")]
+    NoProfile,
+    /// There is no profile of the common duration.
+    #[error("no profile arrives together with the other channels")]
+    NoSynchronisation,
+    /// The profile exceeds a limit, leaves travel, is discontinuous or misses the target.
+    #[error("the profile exceeds a limit or misses the target")]
+    Invalid,
+    /// From the end of the tick no stop stays within travel.
+    #[error("no stop within travel would remain possible")]
+    NoStop,
 }
 
 /// One constant-jerk phase of a plan.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Leg {
-    /// When it ends, s from the start of the plan.
+pub struct Phase {
+    /// End, s from the start of the plan.
     pub end_s: f64,
-    /// How long it lasts, s.
+    /// Duration, s.
     pub duration_s: f64,
     /// State at its start.
     pub start: MotionState,
@@ -59,17 +54,17 @@ pub struct Leg {
     pub jerk_mm_s3: f64,
 }
 
-/// One channel's way to rest.
+/// One channel's motion to rest.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ChannelPlan {
-    legs: [Leg; LEGS_MAX],
+    phases: [Phase; PHASES_MAX],
     len: usize,
-    /// Where it comes to rest, mm.
+    /// Final rest position, mm.
     pub end_mm: f64,
 }
 
 impl ChannelPlan {
-    /// Standing still.
+    /// A plan without phases that is at rest at a position. [`ChannelPlan::push`] adds phases.
     #[must_use]
     pub fn resting(position_mm: f64) -> Self {
         Self { end_mm: position_mm, ..Self::default() }
@@ -87,33 +82,31 @@ impl ChannelPlan {
         plan
     }
 
-    /// Appends a phase; nothing if it lasts no time.
+    /// Appends a phase; does nothing if `duration_s` is not positive.
     pub fn push(&mut self, start: MotionState, jerk_mm_s3: f64, duration_s: f64) {
-        if duration_s > 0.0 && self.len < LEGS_MAX {
+        if duration_s > 0.0 && self.len < PHASES_MAX {
             let end_s = self.duration_s() + duration_s;
-            self.legs[self.len] = Leg { end_s, duration_s, start, jerk_mm_s3 };
+            self.phases[self.len] = Phase { end_s, duration_s, start, jerk_mm_s3 };
             self.len += 1;
         }
     }
 
-    /// The phases in order.
-    #[must_use]
-    pub fn legs(&self) -> &[Leg] {
-        &self.legs[..self.len]
+    fn phases(&self) -> &[Phase] {
+        &self.phases[..self.len]
     }
 
-    /// When it comes to rest, s from the start.
+    /// Time from the start to rest, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
-        if self.len == 0 { 0.0 } else { self.legs[self.len - 1].end_s }
+        self.phases().last().map_or(0.0, |phase| phase.end_s)
     }
 
     /// The state at a time.
     #[inline]
     #[must_use]
     pub fn at(&self, t_s: f64) -> MotionState {
-        match self.legs().iter().find(|leg| t_s < leg.end_s) {
-            Some(leg) => leg.start.after(leg.jerk_mm_s3, (t_s - (leg.end_s - leg.duration_s)).max(0.0)),
+        match self.phases().iter().find(|phase| t_s < phase.end_s) {
+            Some(phase) => phase.start.after(phase.jerk_mm_s3, (t_s - (phase.end_s - phase.duration_s)).max(0.0)),
             None => MotionState::rest(self.end_mm),
         }
     }
@@ -125,9 +118,9 @@ impl ChannelPlan {
         let mut segment = ChannelSegment::starting(start);
         let to_s = from_s + duration_s;
         let mut t = from_s;
-        for leg in self.legs().iter().filter(|leg| leg.end_s > from_s) {
-            let until = leg.end_s.min(to_s);
-            segment.push(until - t, leg.jerk_mm_s3);
+        for phase in self.phases().iter().filter(|phase| phase.end_s > from_s) {
+            let until = phase.end_s.min(to_s);
+            segment.push(until - t, phase.jerk_mm_s3);
             t = until;
             if t >= to_s {
                 break;
@@ -137,48 +130,49 @@ impl ChannelPlan {
         segment.ending(self.at(to_s))
     }
 
-    /// True when every phase keeps the limits and travel, the phases join, and the end is reached.
+    /// Whether every phase keeps the limits and travel, the phases join, and the last one arrives.
     #[must_use]
-    pub fn is_sound(&self, from: &MotionState, limits: &MotionLimits) -> bool {
+    pub fn is_valid(&self, from: &MotionState, limits: &MotionLimits) -> bool {
         let mut at = *from;
-        for leg in self.legs() {
-            let end = leg.start.after(leg.jerk_mm_s3, leg.duration_s);
-            if !joins(&at, &leg.start, limits) || !leg_holds(leg, &end, limits) {
+        for phase in self.phases() {
+            let end = phase.start.after(phase.jerk_mm_s3, phase.duration_s);
+            if !joins(&at, &phase.start, limits) || !keeps_limits(phase, &end, limits) {
                 return false;
             }
             at = end;
         }
-        joins(&at, &MotionState::rest(self.end_mm), limits) && limits.travel_holds(self.end_mm)
+        joins(&at, &MotionState::rest(self.end_mm), limits) && limits.contains_position(self.end_mm)
     }
 }
 
-/// States that are one up to rounding and the solver's own precision (1e-8 mm/τ, see [`super::solver`]).
+/// Whether two states are equal up to rounding and the solver's precision of 1e-8, which counts in
+/// units of time of 1/√A seconds (see [`super::solver`]).
 fn joins(a: &MotionState, b: &MotionState, limits: &MotionLimits) -> bool {
     let a_max = limits.acceleration_max_mm_s2;
-    (a.position_mm - b.position_mm).abs() <= POSITION_SLACK_MM
+    (a.position_mm - b.position_mm).abs() <= POSITION_TOLERANCE_MM
         && (a.velocity_mm_s - b.velocity_mm_s).abs() <= 1e-7 * (1.0 + a_max.sqrt())
         && (a.acceleration_mm_s2 - b.acceleration_mm_s2).abs() <= 1e-7 * (1.0 + a_max)
 }
 
-/// Limits over one phase: jerk; acceleration at its ends; speed there and where the acceleration
-/// passes zero; position at its ends and where the speed does.
-fn leg_holds(leg: &Leg, end: &MotionState, limits: &MotionLimits) -> bool {
-    let (start, j) = (&leg.start, leg.jerk_mm_s3);
-    if !(j.abs() <= limits.jerk_max_mm_s3 * (1.0 + SLACK) && limits.rates_hold(start) && limits.rates_hold(end)) {
+/// Whether one phase keeps all limits. Acceleration is extreme at its ends, speed there and where the
+/// acceleration is zero, position there and where the speed is zero.
+fn keeps_limits(phase: &Phase, end: &MotionState, limits: &MotionLimits) -> bool {
+    let (start, j) = (&phase.start, phase.jerk_mm_s3);
+    if !(j.abs() <= limits.jerk_max_mm_s3 * (1.0 + TOLERANCE) && limits.contains_rates(start) && limits.contains_rates(end)) {
         return false;
     }
     if start.acceleration_mm_s2 * end.acceleration_mm_s2 < 0.0 {
-        let top = start.after(j, -start.acceleration_mm_s2 / j);
-        if !limits.rates_hold(&MotionState { acceleration_mm_s2: 0.0, ..top }) {
+        let fastest = start.after(j, -start.acceleration_mm_s2 / j);
+        if !limits.contains_rates(&MotionState { acceleration_mm_s2: 0.0, ..fastest }) {
             return false;
         }
     }
-    let far = start.position_mm.abs() + limits.speed_max_mm_s * leg.duration_s;
-    if far <= limits.travel_max_mm {
+    let farthest_mm = start.position_mm.abs() + limits.speed_max_mm_s * phase.duration_s;
+    if farthest_mm <= limits.travel_max_mm {
         return true;
     }
-    let (low, high) = start.reach(j, leg.duration_s);
-    limits.travel_holds(low) && limits.travel_holds(high)
+    let (low, high) = start.position_range(j, phase.duration_s);
+    limits.contains_position(low) && limits.contains_position(high)
 }
 
 /// A plan of all three channels.
@@ -189,35 +183,39 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Standing still.
+    /// Rest.
     #[must_use]
     pub fn resting(position_mm: [f64; 3]) -> Self {
         Self { channels: position_mm.map(ChannelPlan::resting) }
     }
 
-    /// Each channel stops as soon as it can.
+    /// The shortest stop of each channel.
     #[must_use]
     pub fn stopping(from: &[MotionState; 3], limits: &MotionLimits) -> Self {
         Self { channels: from.map(|s| ChannelPlan::stopping(&Stop::from(s, limits))) }
     }
 
-    /// When all channels are at rest, s from the start.
+    /// Time from the start until all channels are at rest, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.channels.iter().map(ChannelPlan::duration_s).fold(0.0, f64::max)
     }
 
+    /// The part from `from_s` on that lasts `duration_s`, given the states at its start.
+    #[must_use]
+    pub fn cut(&self, start: &[MotionState; 3], from_s: f64, duration_s: f64) -> Segment {
+        Segment { duration_s, channels: std::array::from_fn(|i| self.channels[i].cut(start[i], from_s, duration_s)) }
+    }
+
     /// Checks every phase of every channel.
     ///
     /// # Errors
-    /// [`Refusal::Unsound`] with the first channel that fails.
-    pub fn verify(&self, from: &[MotionState; 3], limits: &MotionLimits) -> Result<(), Refusal> {
-        for (channel, (plan, from)) in self.channels.iter().zip(from).enumerate() {
-            if !plan.is_sound(from, limits) {
-                return Err(Refusal::Unsound { channel });
-            }
+    /// [`PlanFault::Invalid`] with the first channel that fails.
+    pub fn verify(&self, from: &[MotionState; 3], limits: &MotionLimits) -> Result<(), PlanError> {
+        match self.channels.iter().zip(from).position(|(plan, from)| !plan.is_valid(from, limits)) {
+            Some(channel) => Err(PlanError { channel, reason: PlanFault::Invalid }),
+            None => Ok(()),
         }
-        Ok(())
     }
 }
 
@@ -227,31 +225,28 @@ mod tests {
     use crate::motion::config::MotionConfig;
     use crate::motion::solver::{Ruckig, Solver};
 
-    fn limits() -> MotionLimits {
-        MotionLimits::try_from(&MotionConfig::default()).unwrap()
-    }
-
     #[test]
-    fn a_plan_that_breaks_a_limit_is_unsound() {
-        let l = limits();
+    fn a_plan_that_exceeds_a_limit_is_invalid() {
+        let l = MotionLimits::try_from(&MotionConfig::default()).unwrap();
         let from = [MotionState::rest(0.0); 3];
         let mut plan = Plan::default();
         Ruckig::default().solve(&l, &from, &[5.0, -3.0, 1.0], &mut plan).unwrap();
         assert_eq!(plan.verify(&from, &l), Ok(()));
+        let invalid = |channel| Err(PlanError { channel, reason: PlanFault::Invalid });
         let with = |change: fn(&mut MotionLimits)| {
             let mut tight = l;
             change(&mut tight);
             plan.verify(&from, &tight)
         };
-        assert_eq!(with(|l| l.speed_max_mm_s *= 0.5), Err(Refusal::Unsound { channel: 0 }));
-        assert_eq!(with(|l| l.acceleration_max_mm_s2 *= 0.5), Err(Refusal::Unsound { channel: 0 }));
-        assert_eq!(with(|l| l.jerk_max_mm_s3 *= 0.9), Err(Refusal::Unsound { channel: 0 }));
-        assert_eq!(with(|l| l.travel_max_mm = 2.0), Err(Refusal::Unsound { channel: 0 }));
-        let mut torn = plan;
-        torn.channels[1].legs[2].start.position_mm += 1e-3;
-        assert_eq!(torn.verify(&from, &l), Err(Refusal::Unsound { channel: 1 }));
+        assert_eq!(with(|l| l.speed_max_mm_s *= 0.3), invalid(0));
+        assert_eq!(with(|l| l.acceleration_max_mm_s2 *= 0.3), invalid(0));
+        assert_eq!(with(|l| l.jerk_max_mm_s3 *= 0.9), invalid(0));
+        assert_eq!(with(|l| l.travel_max_mm = 2.0), invalid(0));
+        let mut discontinuous = plan;
+        discontinuous.channels[1].phases[2].start.position_mm += 1e-3;
+        assert_eq!(discontinuous.verify(&from, &l), invalid(1));
         let mut missing = plan;
         missing.channels[2].end_mm = 0.9;
-        assert_eq!(missing.verify(&from, &l), Err(Refusal::Unsound { channel: 2 }));
+        assert_eq!(missing.verify(&from, &l), invalid(2));
     }
 }

@@ -1,87 +1,96 @@
-//! The words the step thread and the loop speak: faults, modes, orders, inputs, reports.
+//! What the step thread and the loop exchange besides segments: modes, faults, orders and reports.
 
 use crate::motion::histogram::Histogram;
 use crate::motion::lines::Inputs;
 use crate::primitives::units::Steps;
 
-/// Why the core does not move any more.
+/// Why the step core has stopped.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum StepperFault {
     /// A step could not be made in time.
-    #[error("a step of channel {} was {:.3} ms late: the step thread was kept from running (see `retroflex bench rt`)", .channel + 1, *.late_ns as f64 * 1e-6)]
+    #[error("a step of channel {} was {:.3} ms late: the step thread did not run in time (see `retroflex bench rt`)", .channel + 1, *.late_ns as f64 * 1e-6)]
     Late {
         /// Channel, from 0.
         channel: usize,
-        /// How late, ns.
+        /// Lateness, ns.
         late_ns: u64,
     },
-    /// A segment does not start where the last one ended, is faster than the limits or no number.
-    #[error("the motion handed to channel {} jumps by {jump_mm} mm", .channel + 1)]
+    /// A segment does not start where the previous one ended, exceeds the speed limit or is not finite.
+    #[error("the motion of channel {} jumps by {jump_mm} mm", .channel + 1)]
     Discontinuity {
         /// Channel, from 0.
         channel: usize,
         /// The jump, mm.
         jump_mm: f64,
     },
-    /// The pins refused a write or a read.
-    #[error("the pins refused to be written or read")]
+    /// A write or a read of the pins failed.
+    #[error("the pins cannot be written or read")]
     Pins,
     /// The emergency stop was pressed.
     #[error("the emergency stop was pressed")]
     EmergencyStop,
 }
 
-/// What the core is at.
+/// Mode of the step core.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum StepperMode {
     /// At rest, waiting for segments.
     Resting,
-    /// Working off segments.
+    /// Following segments.
     Following,
     /// Braking within the limits.
     Stopping,
-    /// Stopped for good, until cleared.
+    /// Stopped until [`StepperOrder::Clear`].
     Faulted(StepperFault),
 }
 
-/// What the loop can order past the queue.
+/// An order that bypasses the queue of segments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum StepperOrder {
-    /// Brake within the limits; drop what is queued.
+    /// Brakes within the limits and drops the queue.
     Stop,
-    /// Energise the drivers.
+    /// Energises the drivers.
     Energise,
-    /// Release the drivers, once at rest.
+    /// Releases the drivers. Ignored in motion.
     Release,
-    /// Leave a fault. Ignored while the emergency stop is pressed.
+    /// Leaves a fault. Ignored while the emergency stop is pressed.
     Clear,
-    /// At rest: these are the piston positions now, mm.
+    /// Declares the piston positions, mm. Ignored unless at rest.
     Rebase([f64; 3]),
-    /// Brake, release the drivers, be done.
+    /// Brakes, releases the drivers and ends the thread.
     Finish,
 }
 
-/// Everything the core tells the loop.
+/// State of the step core.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepperReport {
-    /// When, ns of the monotonic clock.
+    /// Time of the report, ns of the monotonic clock.
     pub t_ns: u64,
-    /// What it is at.
+    /// Mode.
     pub mode: StepperMode,
-    /// Segments of this epoch are taken.
+    /// Epoch whose segments are accepted.
     pub epoch: u32,
-    /// Steps really pulsed, signed, since zero.
+    /// Steps pulsed since zero, signed.
     pub counted: Steps,
-    /// Where the pistons rest, mm; meaningful in [`StepperMode::Resting`] and [`StepperMode::Faulted`].
+    /// Rest positions of the pistons, mm; valid in [`StepperMode::Resting`] and [`StepperMode::Faulted`].
     pub rest_mm: [f64; 3],
     /// The drivers are energised.
     pub energised: bool,
     /// Input lines.
     pub inputs: Inputs,
-    /// How often the queue ran dry in motion.
-    pub dry: u32,
-    /// Segments refused: of an old epoch, or too late to be begun.
+    /// Number of underruns: the queue was empty while the pistons moved.
+    pub underruns: u32,
+    /// Number of refused segments: of an old epoch, or too late to begin.
     pub refused: u32,
-    /// From the instant a step was due to the end of the write that made it.
+    /// Time from the instant at which a step was due to the end of the write that made it.
     pub lateness: Histogram,
+}
+
+impl StepperReport {
+    /// Whether mode, epoch, counts, current or inputs differ from those of an earlier report.
+    #[must_use]
+    pub fn differs_from(&self, earlier: &Self) -> bool {
+        let key = |r: &Self| (r.mode, r.epoch, r.counted, r.energised, r.inputs);
+        key(self) != key(earlier)
+    }
 }

@@ -1,26 +1,24 @@
-//! The solver: a plan from the state of this instant to rest at the target, all channels in step.
+//! The solver: a plan from the present state to rest at the target, with all channels synchronised.
 //!
-//! The step-1/step-2 mathematics of Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory
+//! The mathematics is that of Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory
 //! Generation with Arbitrary Target States", RSS 2021) as ported in `rsruckig`:
 //!
 //! * brake: up to two phases that bring a state just outside the limits back in;
-//! * step 1, per channel: the time-optimal seven-phase profile to (p_f, 0, 0), hence its least time;
-//! * synchronisation: T = the greatest of the least times (moved behind any blocked interval);
-//! * step 2, per channel: the profile that takes exactly T: [`crate::motion::cruise`] finds it
-//!   quickest; Ruckig's own step 2 is asked when that finds none.
+//! * step 1, per channel: the time-optimal seven-phase profile to (p_f, 0, 0), and so its least time;
+//! * synchronisation: T is the largest of the least times, moved past any blocked interval;
+//! * step 2, per channel: the profile that takes exactly T.
 //!
-//! `rsruckig`'s own `calculate` does the same, allocates nothing when it succeeds, and formats a long
-//! error string when it does not (`format!` of the whole input, whatever the error handler). The
-//! control path must not allocate then either, so the published building blocks are called here
-//! directly; a failure is a [`Refusal`].
+//! `rsruckig::calculate` does the same and allocates nothing when it succeeds, but formats a long error
+//! string when it fails, whatever the error handler. The control path must not allocate in either
+//! case, so this file calls the published building blocks directly and reports a [`PlanError`].
 //!
 //! `rsruckig` compares with fixed tolerances (1e-8 for position and speed, 1e-10 for acceleration),
-//! which presume numbers near one. So it is given a unit of time τ = √(mm / A) in which the greatest
-//! acceleration is 1 mm/τ². In seconds, accelerations of 10⁴ mm/s² make it refuse one plan in a thousand.
+//! which presume numbers near one. This file therefore scales time to a unit τ = √(mm / A), in which
+//! the largest acceleration is 1 mm/τ². In seconds, with accelerations of 10⁴ mm/s², `rsruckig` refuses
+//! one plan in a thousand.
 
-use crate::motion::cruise::arrive_in;
 use crate::motion::limits::MotionLimits;
-use crate::motion::plan::{ChannelPlan, Plan, Refusal};
+use crate::motion::plan::{ChannelPlan, Plan, PlanError, PlanFault};
 use crate::motion::state::MotionState;
 use rsruckig::block::Block;
 use rsruckig::position_third_step1::PositionThirdOrderStep1;
@@ -29,14 +27,14 @@ use rsruckig::profile::Profile;
 
 /// Finds a plan from given states to rest at given positions.
 pub trait Solver {
-    /// Writes the plan to `out`; on a refusal `out` is garbage.
+    /// Writes the plan to `out`; after an error the content of `out` is unspecified.
     ///
     /// # Errors
-    /// [`Refusal`] when no plan was found. Soundness is the caller's to check.
-    fn solve(&mut self, limits: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), Refusal>;
+    /// [`PlanError`] when there is no plan. The caller checks the validity of a plan.
+    fn solve(&mut self, limits: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), PlanError>;
 }
 
-/// The solver on `rsruckig`'s building blocks. Holds their scratch space; allocates it once.
+/// The solver built from the parts of `rsruckig`. It owns their scratch space and allocates it once.
 #[derive(Debug, Clone, Default)]
 pub struct Ruckig {
     scratch: Box<Scratch>,
@@ -53,26 +51,31 @@ struct Scratch {
 }
 
 impl Solver for Ruckig {
-    fn solve(&mut self, limits: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), Refusal> {
-        self.scratch.choose_unit(limits);
-        let mut least = 0.0_f64;
-        for channel in 0..3 {
-            if !still(&from[channel], target_mm[channel]) {
-                least = least.max(self.scratch.fastest(&from[channel], target_mm[channel], channel)?);
-            }
+    fn solve(&mut self, limits: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), PlanError> {
+        let scratch = &mut *self.scratch;
+        scratch.choose_unit(limits);
+        // A channel at rest on its target needs no profile.
+        let moves: [bool; 3] = std::array::from_fn(|i| !(from[i].is_rest() && from[i].position_mm == target_mm[i]));
+        let mut common = 0.0_f64;
+        for channel in (0..3).filter(|&c| moves[c]) {
+            common = common.max(scratch.fastest(&from[channel], target_mm[channel], channel)?);
         }
-        let common = self.scratch.unblocked(least, from, target_mm);
-        self.scratch.synchronise(limits, from, target_mm, common, out)
+        common = scratch.unblocked(common, moves);
+        for (channel, to) in target_mm.iter().enumerate() {
+            out.channels[channel] = if !moves[channel] {
+                ChannelPlan::resting(*to)
+            } else if common - scratch.blocks[channel].t_min < 1e-12 {
+                transcribe(&scratch.blocks[channel].p_min, scratch.unit_s, *to)
+            } else {
+                scratch.synchronised(*to, common, channel)?
+            };
+        }
+        Ok(())
     }
 }
 
-/// A channel that rests on its target needs no profile.
-fn still(from: &MotionState, target_mm: f64) -> bool {
-    from.is_rest() && from.position_mm == target_mm
-}
-
 impl Scratch {
-    /// The unit of time in which the greatest acceleration is 1 mm/τ².
+    /// Sets the unit of time in which the largest acceleration is 1 mm/τ².
     fn choose_unit(&mut self, l: &MotionLimits) {
         let unit_s = l.acceleration_max_mm_s2.sqrt().recip();
         self.unit_s = unit_s;
@@ -81,7 +84,7 @@ impl Scratch {
     }
 
     /// Brake and step 1: the least time of one channel, τ.
-    fn fastest(&mut self, from: &MotionState, target_mm: f64, channel: usize) -> Result<f64, Refusal> {
+    fn fastest(&mut self, from: &MotionState, target_mm: f64, channel: usize) -> Result<f64, PlanError> {
         let (v, j) = (self.speed_max, self.jerk_max);
         let (v0, a0) = (from.velocity_mm_s * self.unit_s, from.acceleration_mm_s2 * self.unit_s * self.unit_s);
         let p = &mut self.profiles[channel];
@@ -90,16 +93,19 @@ impl Scratch {
         p.brake.finalize(&mut p.p[0], &mut p.v[0], &mut p.a[0]);
         self.step1.reset(p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j);
         let block = &mut self.blocks[channel];
-        if self.step1.get_profile(p, block) && block.t_min.is_finite() { Ok(block.t_min) } else { Err(Refusal::NoProfile { channel }) }
+        if self.step1.get_profile(p, block) && block.t_min.is_finite() {
+            Ok(block.t_min)
+        } else {
+            Err(PlanError { channel, reason: PlanFault::NoProfile })
+        }
     }
 
-    /// The first duration from `t` (τ) on that lies in no channel's blocked interval.
-    fn unblocked(&self, mut t: f64, from: &[MotionState; 3], target_mm: &[f64; 3]) -> f64 {
-        // Each channel has at most two intervals, so six moves are enough.
+    /// The first duration from `t` (τ) on that lies in no moving channel's blocked interval.
+    fn unblocked(&self, mut t: f64, moves: [bool; 3]) -> f64 {
+        // Each channel has at most two intervals, so six passes are enough.
         for _ in 0..6 {
             let before = t;
-            for channel in (0..3).filter(|&c| !still(&from[c], target_mm[c])) {
-                let block = &self.blocks[channel];
+            for (block, _) in self.blocks.iter().zip(moves).filter(|(_, moves)| *moves) {
                 for interval in [&block.a, &block.b].into_iter().flatten() {
                     if t > interval.left && t < interval.right {
                         t = interval.right;
@@ -113,43 +119,22 @@ impl Scratch {
         t
     }
 
-    /// Step 2: every channel's profile of the common duration, τ.
-    fn synchronise(
-        &mut self,
-        l: &MotionLimits,
-        from: &[MotionState; 3],
-        target_mm: &[f64; 3],
-        common: f64,
-        out: &mut Plan,
-    ) -> Result<(), Refusal> {
-        for channel in 0..3 {
-            let (to, plan) = (target_mm[channel], &mut out.channels[channel]);
-            let block = &self.blocks[channel];
-            let peak_mm_s = block.p_min.v[3].abs() / self.unit_s;
-            if still(&from[channel], to) {
-                *plan = ChannelPlan::resting(to);
-            } else if common - block.t_min < 1e-12 {
-                *plan = transcribe(&block.p_min, self.unit_s, to);
-            } else if let Some(found) = arrive_in(l, &from[channel], to, common * self.unit_s, peak_mm_s) {
-                *plan = found;
-            } else {
-                *plan = self.step2(to, common, channel)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Ruckig's step 2 for one channel, from the boundary that [`Scratch::fastest`] has set.
-    fn step2(&mut self, target_mm: f64, common: f64, channel: usize) -> Result<ChannelPlan, Refusal> {
+    /// Step 2: one channel's profile of duration `common`, τ, from the boundary that
+    /// [`Scratch::fastest`] has set.
+    fn synchronised(&mut self, target_mm: f64, common: f64, channel: usize) -> Result<ChannelPlan, PlanError> {
         let (v, j) = (self.speed_max, self.jerk_max);
         let p = &mut self.profiles[channel];
         let left = common - p.brake.duration;
         let mut step2 = PositionThirdOrderStep2::new(left, p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j);
-        if step2.get_profile(p) { Ok(transcribe(p, self.unit_s, target_mm)) } else { Err(Refusal::NoSynchronisation { channel }) }
+        if step2.get_profile(p) {
+            Ok(transcribe(p, self.unit_s, target_mm))
+        } else {
+            Err(PlanError { channel, reason: PlanFault::NoSynchronisation })
+        }
     }
 }
 
-/// A profile's phases in the words and units of this house.
+/// Converts a profile in units of τ to a plan in seconds.
 fn transcribe(p: &Profile, unit_s: f64, end_mm: f64) -> ChannelPlan {
     let mut out = ChannelPlan::resting(end_mm);
     let rate = unit_s.recip();
@@ -175,52 +160,49 @@ mod tests {
     use proptest::prelude::*;
 
     fn limits() -> MotionLimits {
-        MotionLimits::try_from(&MotionConfig::default()).unwrap()
+        MotionLimits { travel_max_mm: 60.0, ..MotionLimits::try_from(&MotionConfig::default()).unwrap() }
     }
 
     /// A state from which the speed limit can still be kept.
     fn state() -> impl Strategy<Value = MotionState> {
-        (-20.0..20.0f64, -30.0..30.0f64, -300.0..300.0f64).prop_map(|(p, v, a)| {
-            let room = 30.0 - a * a / 12_000.0;
+        let l = limits();
+        let (v_max, a_max) = (l.speed_max_mm_s, l.acceleration_max_mm_s2);
+        (-20.0..20.0f64, -v_max..v_max, -a_max..a_max).prop_map(move |(p, v, a)| {
+            let room = v_max - a * a / (2.0 * l.jerk_max_mm_s3);
             MotionState { position_mm: p, velocity_mm_s: v.clamp(-room, room), acceleration_mm_s2: a }
         })
     }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
-        /// From any state to any target: a plan is found, and all channels take the same time.
         #[test]
-        fn arrives_together(from in prop::array::uniform3(state()), to in prop::array::uniform3(-10.0..10.0f64)) {
+        fn a_valid_plan_exists_from_any_state_and_channels_arrive_together(
+            from in prop::array::uniform3(state()), to in prop::array::uniform3(-10.0..10.0f64),
+        ) {
             let mut plan = Plan::default();
             Ruckig::default().solve(&limits(), &from, &to, &mut plan).unwrap();
-            let roomy = MotionLimits { travel_max_mm: 60.0, ..limits() };
-            prop_assert_eq!(plan.verify(&from, &roomy), Ok(()));
+            prop_assert_eq!(plan.verify(&from, &limits()), Ok(()));
             for c in &plan.channels {
-                prop_assert!((c.duration_s() - plan.duration_s()).abs() < 1e-9);
+                prop_assert!((c.duration_s() - plan.duration_s()).abs() < 1e-8);
             }
         }
 
-        /// Ruckig's own step 2 and the cruise are two answers to one question: both sound, both of
-        /// the duration asked for.
         #[test]
-        fn step_2_agrees_with_the_cruise(from in state(), to in -10.0..10.0f64, extra in 1e-3..2.0f64) {
-            let l = MotionLimits { travel_max_mm: 60.0, ..limits() };
+        fn a_channel_can_take_any_longer_time(from in state(), to in -10.0..10.0f64, extra_s in 1e-3..2.0f64) {
+            let l = limits();
             let mut scratch = Scratch::default();
             scratch.choose_unit(&l);
-            let common = scratch.fastest(&from, to, 0).unwrap() + extra / scratch.unit_s;
-            let common_s = common * scratch.unit_s;
-            let cruise = arrive_in(&l, &from, to, common_s, l.speed_max_mm_s);
-            prop_assert!(cruise.is_some() || extra < 0.5, "only a little more than the least time has no cruise");
-            let step2 = scratch.step2(to, common, 0).unwrap();
-            for plan in cruise.iter().chain([&step2]) {
-                prop_assert!(plan.is_sound(&from, &l));
-                prop_assert!((plan.duration_s() - common_s).abs() < 1e-8);
-            }
+            let least = scratch.fastest(&from, to, 0).unwrap();
+            let common = scratch.unblocked(least + extra_s / scratch.unit_s, [true, false, false]);
+            let plan = scratch.synchronised(to, common, 0).unwrap();
+            prop_assert!(plan.is_valid(&from, &l));
+            prop_assert!((plan.duration_s() - common * scratch.unit_s).abs() < 1e-8);
         }
 
-        /// Cutting a plan into ticks and walking the pieces meets the plan at every boundary.
         #[test]
-        fn cuts_join(from in prop::array::uniform3(state()), to in prop::array::uniform3(-10.0..10.0f64), dt in 1e-4..5e-3f64) {
+        fn segments_cut_from_a_plan_join(
+            from in prop::array::uniform3(state()), to in prop::array::uniform3(-10.0..10.0f64), dt in 1e-4..5e-3f64,
+        ) {
             let mut plan = Plan::default();
             Ruckig::default().solve(&limits(), &from, &to, &mut plan).unwrap();
             for (c, from) in plan.channels.iter().zip(from) {
@@ -236,20 +218,5 @@ mod tests {
                 prop_assert_eq!(at, MotionState::rest(c.end_mm));
             }
         }
-    }
-
-    /// Braking hard towards a near target, a little more time than the least is gained by easing the
-    /// brake, not by a cruise: that is Ruckig's own step 2.
-    #[test]
-    fn easing_the_brake_is_left_to_step_2() {
-        let l = limits();
-        let braking = MotionState { position_mm: -5.316_876, velocity_mm_s: 22.819_162, acceleration_mm_s2: -186.081_428 };
-        let mut scratch = Scratch::default();
-        scratch.choose_unit(&l);
-        let least = scratch.fastest(&braking, -3.938_170, 0).unwrap();
-        let least_s = least * scratch.unit_s;
-        assert_eq!(arrive_in(&l, &braking, -3.938_170, least_s + 0.001, 30.0), None);
-        let eased = scratch.step2(-3.938_170, least + 0.001 / scratch.unit_s, 0).unwrap();
-        assert!(eased.is_sound(&braking, &l) && (eased.duration_s() - least_s - 0.001).abs() < 1e-8);
     }
 }

@@ -293,8 +293,7 @@ impl Hub {
             None => json!({"mode": Mode::Boot.name()}),
         };
         let shared = &self.parts.shared;
-        let rt: Vec<Value> =
-            self.parts.grants.rows().iter().map(|(name, grant)| json!({"what": name, "grant": grant.to_string()})).collect();
+        let rt: Vec<Value> = self.parts.grants.iter().map(|(name, grant)| json!({"what": name, "grant": grant.to_string()})).collect();
         let memory = &self.parts.memory;
         let last = memory.faults.len().saturating_sub(8);
         let more = json!({

@@ -2,7 +2,7 @@
 //! anything but the clock.
 
 use crate::control::tick::RestartState;
-use crate::hardware::rt::{Clock, Monotonic};
+use crate::hardware::rt::{monotonic_ns, sleep_until_ns};
 use crate::primitives::units::Seconds;
 use crate::service::notify::Feed;
 use crate::supervisor::cycle::order::{Order, Refusal};
@@ -132,10 +132,9 @@ impl Loop {
     /// # Errors
     /// The machine's.
     pub fn run(mut self) -> Result<(), MachineError> {
-        let clock = Monotonic::default();
         let simulated = self.runner.machine.is_simulated();
         let period_ns = (self.period_s * 1e9) as u64;
-        let begun_ns = clock.now_ns();
+        let begun_ns = monotonic_ns();
         let mut due_ns = begun_ns;
         let mut periods = 0u64;
         let mut watch = Watch::default();
@@ -144,8 +143,8 @@ impl Loop {
                 periods + 1
             } else {
                 due_ns += period_ns;
-                clock.wait_until(due_ns);
-                let now_ns = clock.now_ns();
+                sleep_until_ns(due_ns);
+                let now_ns = monotonic_ns();
                 self.note_lateness(now_ns.saturating_sub(due_ns), period_ns);
                 if now_ns > due_ns + period_ns {
                     // what was missed is not made up for: the next turn is a period from here

@@ -61,7 +61,7 @@ impl FakeAk09916 {
             self.regs[st1] |= DOR; // being read: the measurement is lost
             return;
         }
-        let field = Axes::AK09916.turn_back(&analog.motion.mag_ut);
+        let field = Axes::AK09916.to_chip(&analog.motion.mag_ut);
         let counts = analog.counts(field, analog.noise.mag_ut, UT_PER_LSB);
         let strong = field.iter().map(|x| x.abs()).sum::<f64>() > 4912.0;
         let over = strong || analog.quirks.mag_overflow;

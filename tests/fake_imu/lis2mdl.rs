@@ -80,7 +80,7 @@ impl FakeLis2mdl {
     }
 
     fn measure(&mut self) {
-        let field = self.axes.turn_back(&self.analog.motion.mag_ut);
+        let field = self.axes.to_chip(&self.analog.motion.mag_ut);
         let mut counts = self.analog.counts(field, self.analog.noise.mag_ut, UT_PER_LSB);
         if self.analog.quirks.mag_overflow {
             counts = [i16::MAX; 3];

@@ -1,100 +1,102 @@
-//! What can go wrong between the bus and a sample, as values that carry their advice.
+//! Errors between the bus and a sample, each with a remedy.
 
 use super::Part;
 use crate::estimation::fusion::health::ReadFault;
 use embedded_hal::i2c::ErrorKind;
 
-/// A reading that did not come, or cannot be trusted.
+/// A failed or invalid reading.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ImuError {
     /// The address was not acknowledged.
     #[error("{part} at {address:#04x} does not answer (no acknowledge): {}", self.advice())]
     Nack {
-        /// Which chip was asked.
+        /// The chip addressed.
         part: Part,
         /// Its 7-bit address.
         address: u8,
     },
-    /// The transfer broke off: fewer bytes than asked, or a tail of 0xFF from a bus nobody drives.
+    /// The transfer ended early: too few bytes, or a tail of 0xFF from an undriven bus.
     #[error("{part} at {address:#04x} sent {have} of {want} bytes: {}", self.advice())]
     ShortRead {
-        /// Which chip was asked.
+        /// The chip addressed.
         part: Part,
         /// Its 7-bit address.
         address: u8,
-        /// Bytes that look real.
+        /// Valid bytes.
         have: usize,
-        /// Bytes asked for.
+        /// Bytes requested.
         want: usize,
     },
     /// The bus failed: arbitration lost, timeout, a line held down.
-    #[error("bus fault ({kind:?}) while talking to {part} at {address:#04x}: {}", self.advice())]
+    #[error("bus fault ({kind:?}) in a transfer with {part} at {address:#04x}: {}", self.advice())]
     Bus {
-        /// Which chip was asked.
+        /// The chip addressed.
         part: Part,
         /// Its 7-bit address.
         address: u8,
-        /// What the bus driver reported.
+        /// The error of the bus driver.
         kind: ErrorKind,
     },
-    /// Another chip answers at this address.
-    #[error("WHO_AM_I at {address:#04x} is {have:#04x}, a {part} has {want:#04x}: {}", self.advice())]
+    /// Another part answers at this address.
+    #[error("WHO_AM_I at {address:#04x} is {have:#04x}, that of the {part} is {want:#04x}: {}", self.advice())]
     WrongId {
-        /// The chip that was expected.
+        /// The expected part.
         part: Part,
         /// The 7-bit address.
         address: u8,
-        /// The identity read.
+        /// Identity that was read.
         have: u8,
-        /// The identity of the part.
+        /// Identity of the part.
         want: u8,
     },
-    /// A setting is no longer what was written: the chip has restarted.
-    #[error("{part} register {register:#04x} is {have:#04x}, was set to {want:#04x}: {}", self.advice())]
+    /// A setting has lost its value: the chip has restarted.
+    #[error("{part} register {register:#04x} is {have:#04x} instead of {want:#04x}: {}", self.advice())]
     ResetToDefaults {
-        /// Which chip.
+        /// The chip.
         part: Part,
-        /// The register that gave it away.
+        /// The register that differs.
         register: u8,
-        /// What it holds.
+        /// Its content.
         have: u8,
-        /// What was written.
+        /// The value written.
         want: u8,
     },
-    /// The chip did not finish something in its guaranteed time.
-    #[error("{part} did not finish {what} within {limit_ms} ms: {}", self.advice())]
+    /// The chip did not complete an operation within its guaranteed time.
+    #[error("{part} did not complete {what} within {limit_ms} ms: {}", self.advice())]
     Timeout {
-        /// Which chip.
+        /// The chip.
         part: Part,
-        /// What was waited for.
+        /// The operation.
         what: &'static str,
-        /// How long, ms.
+        /// The guaranteed time, ms.
         limit_ms: u32,
     },
-    /// `read` was called before a successful `init`, or after a restart was found.
-    #[error("{part} is not set up: {}", self.advice())]
+    /// `read` was called before a successful `init`, or after a restart.
+    #[error("{part} is not initialised: {}", self.advice())]
     NotReady {
-        /// Which chip.
+        /// The chip.
         part: Part,
     },
 }
 
 impl ImuError {
-    /// What a person, or the supervisor, should do.
+    /// The remedy.
     #[must_use]
     pub fn advice(&self) -> &'static str {
         match self {
-            Self::Nack { .. } => "check plug, 3.3 V supply and `imu.address` (`i2cdetect -y 1` shows who answers)",
-            Self::ShortRead { .. } => "look for a loose contact or a cable beyond 1.2 m at 400 kHz",
+            Self::Nack { .. } => {
+                "check the plug, the 3.3 V supply and `imu.chip.address` (`i2cdetect -y 1` lists the addresses that answer)"
+            }
+            Self::ShortRead { .. } => "look for a loose contact, or a cable longer than 1.2 m at 400 kHz",
             Self::Bus { .. } => "power-cycle the IMU, then look for a short or a missing pull-up on SDA and SCL",
-            Self::WrongId { .. } => "set `imu.part` and `imu.address` to the part that is fitted",
-            Self::ResetToDefaults { .. } => "its supply dipped: set it up again and check the 3.3 V under motor load",
-            Self::Timeout { .. } => "power-cycle the IMU; if it stays so, replace it",
-            Self::NotReady { .. } => "call init first, and again after every restart of the chip",
+            Self::WrongId { .. } => "set `imu.chip.part` and `imu.chip.address` to the part that is fitted",
+            Self::ResetToDefaults { .. } => "its supply dipped: initialise it again and check the 3.3 V supply under motor load",
+            Self::Timeout { .. } => "power-cycle the IMU; if the error persists, replace it",
+            Self::NotReady { .. } => "initialise it first, and again after every restart of the chip",
         }
     }
 
-    /// The fault as the health judge counts it.
+    /// The corresponding fault of the health monitor.
     #[must_use]
     pub fn fault(&self) -> ReadFault {
         match self {
@@ -107,16 +109,16 @@ impl ImuError {
     }
 }
 
-/// A setting of the `[imu]` table that the part does not have.
+/// A setting that the part does not support.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("`imu.{field}` = {value} does not exist on the {part}: write {allowed}")]
-pub struct ConfigError {
-    /// The part configured.
+#[error("`imu.chip.{field}` = {value} does not exist on the {part}: write {allowed}")]
+pub struct SettingError {
+    /// The configured part.
     pub part: Part,
     /// Name of the field.
     pub field: &'static str,
-    /// What was written.
+    /// Its value.
     pub value: f64,
-    /// What may be written.
+    /// The allowed values.
     pub allowed: &'static str,
 }

@@ -1,23 +1,24 @@
 //! ICM-20948: nine axes in one chip, read with one burst.
 //!
 //! Source: TDK InvenSense DS-000189 rev. 1.3. The inertial die and an AK09916 magnetometer share the
-//! package; the magnetometer hangs on the chip's own auxiliary I²C bus. The internal bus master is
-//! told once to fetch its nine status and data bytes (ST1 0x10 … ST2 0x18, p. 77) after every
-//! gyroscope conversion into EXT_SLV_SENS_DATA, which follows the inertial data in the register map:
+//! package; the magnetometer is on the chip's own auxiliary I²C bus. The driver configures the internal
+//! bus master to fetch the magnetometer's nine status and data bytes (ST1 0x10 … ST2 0x18, p. 77) after
+//! every gyroscope conversion into EXT_SLV_SENS_DATA, which follows the inertial data in the register map:
 //!
 //! ```text
 //! 0x2D acc x y z | 0x33 gyr x y z | 0x39 temp | 0x3B ST1 | 0x3C mag x y z | 0x42 TMPS | 0x43 ST2
 //!      6 bytes BE |     6 bytes BE |  2 bytes |  1       |   6 bytes LE   |  1 (zero) |  1
 //! ```
 //!
-//! so one 23-byte burst is a complete, consistent sample (burst reads: p. 30). Reading up to ST2 also
-//! releases the magnetometer's data latch (p. 79). Traps met on the way:
+//! One 23-byte burst is therefore a complete, consistent sample (burst reads: p. 30). Reading up to ST2
+//! also releases the magnetometer's data latch (p. 79). Special properties:
 //!
-//! * LP_CONFIG starts as 0x40: the internal master is duty-cycled (p. 37). It is cleared here.
-//! * The AK09916 does not see the inertial die's reset: it gets its own (CNTL3.SRST).
+//! * LP_CONFIG is 0x40 after power-on, which duty-cycles the internal master (p. 37). The driver clears it.
+//! * The reset of the inertial die does not reset the AK09916, which has its own (CNTL3.SRST).
 //! * DELAY_ES_SHADOW keeps half-fetched magnetometer bytes out of the burst.
-//! * The magnetometer's y and z run against the other sensors' ([`super::Axes::AK09916`], orientation of axes).
-//! * Its zero may be off by ±2000 counts = ±300 µT (p. 13): useless before calibration.
+//! * The magnetometer's y and z axes are opposite to those of the other sensors
+//!   ([`super::Axes::AK09916`], orientation of axes).
+//! * The magnetometer's offset may be ±2000 counts = ±300 µT (p. 13), so it requires calibration.
 
 mod config;
 pub mod reg;
@@ -25,7 +26,7 @@ pub mod reg;
 pub use config::{IcmConfig, Settings, scale};
 
 use super::port::Port;
-use super::{ChipId, ConfigError, Identity, Imu, ImuError, Part, RawImu, Scale};
+use super::{ChipId, Identity, Imu, ImuError, Part, RawImu, Scale, SettingError};
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 
@@ -35,14 +36,14 @@ pub const WHO_AM_I: u8 = 0xEA;
 pub const AK_WHO_AM_I: u8 = 0x09;
 /// Address of the AK09916 on the internal bus (and outside, in bypass).
 pub const AK_ADDRESS: u8 = 0x0C;
-/// Base conversion rate of both inertial sensors with their filters on, Hz.
+/// Base conversion rate of both inertial sensors with enabled filters, Hz.
 pub const BASE_RATE_HZ: f64 = 1125.0;
 const BURST: usize = 23;
 const SLV4_LIMIT_MS: u32 = 20;
 const RESET_LIMIT_MS: u32 = 100;
 const MAG_TRIES: u32 = 5;
 
-/// Driver. `I` is a bus handle of its own.
+/// The driver. `I` is its own bus handle.
 #[derive(Debug)]
 pub struct Icm20948<I> {
     bus: I,
@@ -57,18 +58,18 @@ pub struct Icm20948<I> {
 }
 
 impl<I: I2c> Icm20948<I> {
-    /// A driver that has not talked to its chip yet.
+    /// A driver that has not accessed its chip yet.
     ///
     /// # Errors
-    /// [`ConfigError`] for a setting that the part does not have.
-    pub fn new(bus: I, config: &IcmConfig) -> Result<Self, ConfigError> {
+    /// [`SettingError`] for a setting that the part does not support.
+    pub fn new(bus: I, config: &IcmConfig) -> Result<Self, SettingError> {
         let settings = config.settings()?;
         let port = Port { part: Part::Icm20948, address: settings.address };
         let (last, last_mag) = (None, None);
         Ok(Self { bus, port, settings, ready: false, bank: None, reads: 0, ranges_next: false, last, last_mag })
     }
 
-    /// Gives the bus back.
+    /// Returns the bus.
     pub fn release(self) -> I {
         self.bus
     }
@@ -77,7 +78,7 @@ impl<I: I2c> Icm20948<I> {
         self.port.set(&mut self.bus, register, value)
     }
 
-    /// Selects a bank. After a failure nobody knows which one is selected.
+    /// Selects a bank. After a failure the selected bank is unknown.
     fn bank(&mut self, bank: u8) -> Result<(), ImuError> {
         self.bank = None;
         self.set(reg::BANK_SEL, bank << 4)?;
@@ -119,9 +120,9 @@ impl<I: I2c> Icm20948<I> {
         self.bank(0)
     }
 
-    /// One byte to or from the magnetometer through the one-shot slave.
+    /// Transfers one byte to or from the magnetometer through the one-shot slave.
     fn aux(&mut self, delay: &mut dyn DelayNs, register: u8, write: Option<u8>) -> Result<u8, ImuError> {
-        self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?; // reading clears what was left in it
+        self.port.get(&mut self.bus, reg::I2C_MST_STATUS)?; // reading clears it
         self.bank(3)?;
         self.set(reg::I2C_SLV4_ADDR, AK_ADDRESS | if write.is_some() { 0 } else { 0x80 })?;
         self.set(reg::I2C_SLV4_REG, register)?;
@@ -144,8 +145,8 @@ impl<I: I2c> Icm20948<I> {
         Err(ImuError::Timeout { part: Part::Ak09916, what: "a transfer", limit_ms: SLV4_LIMIT_MS })
     }
 
-    /// Resets and identifies the magnetometer. It may miss the first transfers after power-up, so
-    /// the internal master is restarted between tries.
+    /// Resets and identifies the magnetometer. It may miss the first transfers after power-on, so the
+    /// internal master is restarted between the attempts.
     fn find_mag(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {
         let mut last = Ok(());
         for _ in 0..MAG_TRIES {
@@ -182,7 +183,7 @@ impl<I: I2c> Icm20948<I> {
         self.bank(0)
     }
 
-    /// Every `canary_every` readings, power settings and ranges in turn.
+    /// Checks power settings and ranges in turn, one of them every `canary_every` readings.
     fn canary(&mut self, suspicious: bool) -> Result<(), ImuError> {
         self.reads = self.reads.wrapping_add(1);
         let due = self.settings.canary_every != 0 && self.reads >= self.settings.canary_every;
@@ -207,11 +208,11 @@ impl<I: I2c> Icm20948<I> {
 
     fn burst(&mut self) -> Result<RawImu, ImuError> {
         if self.bank != Some(0) {
-            self.bank(0)?; // a fault struck while another one was selected
+            self.bank(0)?; // a transfer failed while another bank was selected
         }
         let mut b = [0_u8; BURST];
         self.port.read(&mut self.bus, reg::ACCEL_XOUT_H, &mut b)?;
-        // TMPS and ST2 have bits that are always 0; all ones means the chip let go of the line
+        // TMPS and ST2 have bits that are always 0; all ones means that the chip does not drive the line.
         if b[BURST - 2..] == [0xFF, 0xFF] {
             return Err(self.port.short(&b));
         }
@@ -220,7 +221,7 @@ impl<I: I2c> Icm20948<I> {
 
     fn read_checked(&mut self) -> Result<RawImu, ImuError> {
         let mut raw = self.burst()?;
-        let blank = raw.acc == [0; 3] && raw.gyro == [0; 3]; // what a sleeping chip shows
+        let blank = raw.acc == [0; 3] && raw.gyro == [0; 3]; // the values of a sleeping chip
         self.canary(blank)?;
         raw.fresh = self.last.is_none_or(|l| (l.gyro, l.acc) != (raw.gyro, raw.acc));
         self.last = Some(raw);
@@ -228,9 +229,9 @@ impl<I: I2c> Icm20948<I> {
     }
 }
 
-/// Takes the burst apart. A magnetometer value is new when data-ready was seen with it, or when it
-/// changed (after the reset: from zero): the internal master may have polled, and cleared data-ready,
-/// between two bursts.
+/// Decodes the burst. A magnetometer value is new if its data-ready bit is set or if it has changed (after
+/// the reset: from zero). The change matters because the internal master may poll, and so clear
+/// data-ready, between two bursts.
 fn decode(b: &[u8; BURST], last_mag: &mut Option<[i16; 3]>) -> RawImu {
     let be = |i: usize| i16::from_be_bytes([b[i], b[i + 1]]);
     let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);

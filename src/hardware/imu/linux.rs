@@ -1,21 +1,21 @@
-//! Telling a missing chip from a broken bus on Linux.
+//! Distinguishes a missing chip from a bus fault on Linux.
 //!
-//! The Pi's controller (i2c-bcm2835) reports an address nobody acknowledges as EREMOTEIO (121) and a
-//! clock line held low as ETIMEDOUT (110). Both hardware crates fold these into
-//! `embedded_hal::i2c::ErrorKind::Other`, so a driver above could not tell a pulled plug from a
-//! short. [`Classified`] wraps either bus and restores the distinction (Linux fault codes,
+//! The Pi's controller (i2c-bcm2835) reports an address without acknowledge as EREMOTEIO (121) and a
+//! clock line held low as ETIMEDOUT (110). Both hardware crates map these to
+//! `embedded_hal::i2c::ErrorKind::Other`, so a driver could not distinguish a pulled plug from a short.
+//! [`Classified`] wraps either bus and restores the distinction (Linux fault codes,
 //! Documentation/i2c/fault-codes.rst).
 //!
-//! `linux-embedded-hal` sends a register read as one I2C_RDWR with a repeated start, and opens the
-//! bus file anew whenever the address changes: give each driver a handle of its own. `rppal` sends a
-//! write and a read with a stop between; the parts keep their register pointer over it, but another
-//! program on the same chip could slip in.
+//! `linux-embedded-hal` sends a register read as one I2C_RDWR with a repeated start, and opens the bus
+//! file again whenever the address changes; each driver therefore needs a handle of its own. `rppal`
+//! sends a write and a read with a stop between them. The parts keep their register pointer across the
+//! stop, but another program that uses the same chip could interfere.
 
 use embedded_hal::i2c::{Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 
 /// A bus error that may carry the kernel's error number.
 pub trait Errno {
-    /// The number, if the kernel gave one.
+    /// The error number, if there is one.
     fn errno(&self) -> Option<i32>;
 }
 
@@ -35,16 +35,16 @@ impl Errno for linux_embedded_hal::I2CError {
     }
 }
 
-/// A bus whose errors are sorted by the kernel's number.
+/// A bus whose errors are classified by the kernel's error number.
 #[derive(Debug)]
 pub struct Classified<I>(pub I);
 
-/// A sorted bus error.
+/// A classified bus error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BusError {
-    /// What it means.
+    /// The class.
     pub kind: ErrorKind,
-    /// The kernel's number, if any.
+    /// The kernel's error number, if there is one.
     pub errno: Option<i32>,
 }
 
@@ -54,8 +54,8 @@ impl Error for BusError {
     }
 }
 
-/// The meaning of an error number on an I²C transfer; `None` for one that says nothing.
-fn meaning(errno: i32) -> Option<ErrorKind> {
+/// The class of an error number of an I²C transfer; `None` for an unspecific one.
+fn class_of(errno: i32) -> Option<ErrorKind> {
     match errno {
         libc::EREMOTEIO | libc::ENXIO | libc::ENODEV => Some(ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown)),
         libc::ETIMEDOUT | libc::EIO | libc::EBUSY | libc::EPROTO => Some(ErrorKind::Bus),
@@ -79,7 +79,7 @@ where
     fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
         self.0.transaction(address, operations).map_err(|e| {
             let errno = e.errno();
-            BusError { kind: errno.and_then(meaning).unwrap_or(e.kind()), errno }
+            BusError { kind: errno.and_then(class_of).unwrap_or(e.kind()), errno }
         })
     }
 }
@@ -89,16 +89,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pulled_plug_is_not_a_short() {
-        let nack = |n| matches!(meaning(n), Some(ErrorKind::NoAcknowledge(_)));
+    fn a_missing_acknowledge_differs_from_a_bus_fault() {
+        let nack = |n| matches!(class_of(n), Some(ErrorKind::NoAcknowledge(_)));
         assert!(nack(121) && nack(6) && nack(19));
-        assert_eq!(meaning(110), Some(ErrorKind::Bus));
-        assert_eq!(meaning(11), Some(ErrorKind::ArbitrationLoss));
-        assert_eq!(meaning(22), None);
+        assert_eq!(class_of(110), Some(ErrorKind::Bus));
+        assert_eq!(class_of(11), Some(ErrorKind::ArbitrationLoss));
+        assert_eq!(class_of(22), None);
     }
 
     #[test]
-    fn both_crates_hide_it_and_both_give_it_back() {
+    fn the_error_number_of_both_crates_is_recovered() {
         let raw = || std::io::Error::from_raw_os_error(libc::EREMOTEIO);
         let rppal = rppal::i2c::Error::Io(raw());
         assert_eq!((rppal.kind(), rppal.errno()), (ErrorKind::Other, Some(121)));

@@ -1,8 +1,8 @@
-//! LIS2MDL: a magnetometer of its own at address 0x1E.
+//! LIS2MDL: a separate magnetometer at address 0x1E.
 //!
-//! Source: ST DS12144 (registers, chapter 8) and AN5069. 1.5 mG = 0.15 µT a count, ±49.152 G, block
-//! data update. Trap: the address counter runs from OUTZ_H (0x6D) back to OUTX_L (0x68), so a burst
-//! never reaches the temperature at 0x6E; status and data (0x67 … 0x6D) are one burst of seven.
+//! Source: ST DS12144 (registers, chapter 8) and AN5069. 1.5 mG = 0.15 µT per count, ±49.152 G, block
+//! data update. The address counter wraps from OUTZ_H (0x6D) to OUTX_L (0x68), so a burst cannot reach
+//! the temperature at 0x6E. Status and data (0x67 … 0x6D) are one burst of seven bytes.
 
 use super::port::Port;
 use super::{ChipId, ImuError, Part};
@@ -31,13 +31,13 @@ pub mod reg {
 pub const WHO_AM_I: u8 = 0x40;
 /// The only address.
 pub const ADDRESS: u8 = 0x1E;
-/// µT a count (1.5 mG).
+/// µT per count (1.5 mG).
 pub const UT_PER_LSB: f64 = 0.15;
 const CFG_B: u8 = 0x02; // OFF_CANC: set/reset pulses cancel the bridge offset
 const CFG_C: u8 = 0x10; // BDU
 const RESET_LIMIT_MS: u32 = 20;
 
-/// The chip's share of the two-chip driver; the bus belongs to the caller.
+/// The chip's part of the two-chip driver. The caller owns the bus.
 #[derive(Debug)]
 pub struct Lis2mdl {
     port: Port,
@@ -46,7 +46,7 @@ pub struct Lis2mdl {
 }
 
 impl Lis2mdl {
-    /// For 10, 20, 50 or 100 Hz; `None` for another rate.
+    /// A driver for 10, 20, 50 or 100 Hz; `None` for any other rate.
     #[must_use]
     pub fn new(rate_hz: u16) -> Option<Self> {
         let rate = [10, 20, 50, 100].into_iter().position(|r| r == rate_hz)? as u8;
@@ -57,7 +57,7 @@ impl Lis2mdl {
     /// Identifies, resets and configures the chip.
     ///
     /// # Errors
-    /// [`ImuError`] when it is absent, another one, or does not come up.
+    /// [`ImuError`] when it is absent, is another part, or does not start.
     pub fn init<I: I2c>(&mut self, bus: &mut I, delay: &mut dyn DelayNs) -> Result<ChipId, ImuError> {
         self.last = None;
         let id = self.port.identify(bus, reg::WHO_AM_I, WHO_AM_I)?;
@@ -70,17 +70,17 @@ impl Lis2mdl {
         Ok(id)
     }
 
-    /// A new value in the chip's own axes, if there is one.
+    /// A new value in the chip's axes, if there is one.
     ///
     /// # Errors
-    /// [`ImuError`] when the transfer failed.
+    /// [`ImuError`] when the transfer fails.
     pub fn read<I: I2c>(&mut self, bus: &mut I) -> Result<Option<[i16; 3]>, ImuError> {
         let mut b = [0_u8; 7];
         self.port.read(bus, reg::STATUS, &mut b)?;
         let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
         let value = [le(1), le(3), le(5)];
         if value == [-1; 3] {
-            return Err(self.port.short(&b)); // a field of exactly −1 count thrice is a silent line
+            return Err(self.port.short(&b)); // −1 on all three axes means an undriven line
         }
         let new = b[0] & 0x08 != 0 || self.last.is_some_and(|last| last != value);
         if new {
@@ -89,7 +89,7 @@ impl Lis2mdl {
         Ok(new.then_some(value))
     }
 
-    /// Compares the configuration with what was written.
+    /// Compares the configuration with the values written.
     ///
     /// # Errors
     /// [`ImuError::ResetToDefaults`] after a restart.

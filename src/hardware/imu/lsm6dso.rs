@@ -1,8 +1,9 @@
-//! LSM6DSO with a LIS2MDL beside it: six and three axes at two addresses.
+//! LSM6DSO with a separate LIS2MDL: six and three axes at two addresses.
 //!
 //! Source: ST DS12140 rev. 2 (registers: chapter 9; outputs p. 66-67; rates p. 10). Status,
-//! temperature and all six axes (0x1E … 0x2D) are one burst of sixteen bytes, little-endian; block
-//! data update keeps a conversion together. The magnetometer is read only when it can have news.
+//! temperature and all six axes (0x1E … 0x2D) are one burst of sixteen bytes, little-endian. Block
+//! data update keeps the bytes of a conversion together. The magnetometer is read only when it can have
+//! a new measurement.
 
 mod config;
 
@@ -10,7 +11,7 @@ pub use config::{LsmConfig, Settings, scale};
 
 use super::lis2mdl::Lis2mdl;
 use super::port::Port;
-use super::{ConfigError, Identity, Imu, ImuError, Part, RawImu, Scale};
+use super::{Identity, Imu, ImuError, Part, RawImu, Scale, SettingError};
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 
@@ -50,6 +51,8 @@ const CTRL3: u8 = 0x44; // BDU, IF_INC
 const CTRL9: u8 = 0xE2; // default, I3C disabled
 const BURST: usize = 16;
 const RESET_LIMIT_MS: u32 = 20;
+/// Magnetometer counts from here on count as overflow: within 0.2 % of the full scale of ±32,768 counts.
+const MAG_OVERFLOW: u16 = 32_700;
 
 /// Driver for both chips on one bus.
 #[derive(Debug)]
@@ -65,13 +68,13 @@ pub struct Lsm6dsoLis2mdl<I> {
 }
 
 impl<I: I2c> Lsm6dsoLis2mdl<I> {
-    /// A driver that has not talked to its chips yet.
+    /// A driver that has not accessed its chips yet.
     ///
     /// # Errors
-    /// [`ConfigError`] for a setting that the parts do not have.
-    pub fn new(bus: I, config: &LsmConfig) -> Result<Self, ConfigError> {
+    /// [`SettingError`] for a setting that the parts do not support.
+    pub fn new(bus: I, config: &LsmConfig) -> Result<Self, SettingError> {
         let settings = config.settings()?;
-        let mag = Lis2mdl::new(config.mag_rate_hz).ok_or(ConfigError {
+        let mag = Lis2mdl::new(config.mag_rate_hz).ok_or(SettingError {
             part: Part::Lis2mdl,
             field: "mag_rate_hz",
             value: f64::from(config.mag_rate_hz),
@@ -82,7 +85,7 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
         Ok(Self { bus, port, mag, settings, mag_rate_hz, ready: false, reads: 0, since_mag: 0 })
     }
 
-    /// Gives the bus back.
+    /// Returns the bus.
     pub fn release(self) -> I {
         self.bus
     }
@@ -130,7 +133,7 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
         self.port.read(&mut self.bus, reg::STATUS_REG, &mut b)?;
         let le = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
         let acc = [le(10), le(12), le(14)];
-        // status bits 7:3 are always 0; −1, −1, −1 would be free fall: nobody drives the line
+        // Status bits 7:3 are always 0, and −1 on all axes would be free fall: the line is not driven.
         if b[0] & 0xF8 == 0xF8 || acc == [-1; 3] {
             return Err(self.port.short(&b));
         }
@@ -145,8 +148,8 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
         })
     }
 
-    /// Reads the magnetometer when it can have news. Its failure costs the field, not the sample.
-    fn magnet(&mut self, raw: &mut RawImu) {
+    /// Reads the magnetometer when it can have a new measurement. If that fails, the other axes remain valid.
+    fn read_mag(&mut self, raw: &mut RawImu) {
         self.since_mag += 1;
         if self.since_mag >= self.settings.mag_every {
             self.since_mag = 0;
@@ -154,7 +157,7 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
                 Ok(value) => raw.mag = value,
                 Err(error) => raw.mag_fault = Some(error),
             }
-            raw.mag_overflow = raw.mag.is_some_and(|m| m.iter().any(|c| c.unsigned_abs() >= 32_700));
+            raw.mag_overflow = raw.mag.is_some_and(|m| m.iter().any(|c| c.unsigned_abs() >= MAG_OVERFLOW));
         }
     }
 }
@@ -175,7 +178,7 @@ impl<I: I2c> Imu for Lsm6dsoLis2mdl<I> {
             return Err(ImuError::NotReady { part: Part::Lsm6dso });
         }
         let mut raw = self.burst()?;
-        self.magnet(&mut raw);
+        self.read_mag(&mut raw);
         if let Err(error) = self.canary(&mut raw) {
             self.ready &= !matches!(error, ImuError::ResetToDefaults { .. });
             return Err(error);

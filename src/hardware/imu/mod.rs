@@ -1,17 +1,20 @@
-//! Inertial sensors on I²C, behind one trait.
+//! Inertial sensors on I²C behind one trait.
 //!
-//! A driver owns its bus handle, knows its part's registers and nothing of time: [`Imu::read`] gives
-//! counts, [`Scale::sample`] stamps and scales them. A second sensor (on the base) is a second
-//! instance with another address and a second handle on the same bus.
+//! A driver owns a bus handle and handles the registers of its part. [`Imu::read`] returns counts, and
+//! [`Scale::sample`] converts them to SI units and adds the time. A second sensor (on the base) is a
+//! second instance with another address and a second handle on the same bus.
 //!
-//! | part | transfers a reading | bus time at 400 kHz |
+//! | part | transfers per reading | bus time at 400 kHz |
 //! |---|---|---|
 //! | `icm20948` | one of 23 bytes, nine axes | 0.59 ms |
 //! | `lsm6dso_lis2mdl` | one of 16 bytes; a second of 7 when the magnetometer is due | 0.43 + 0.23 ms |
 //!
-//! Every `canary_every` readings a few settings are read back: a chip that restarted on a supply dip
-//! answers politely at its power-on ranges, and only this tells ([`ImuError::ResetToDefaults`]).
-//! [`fake`] holds register-level twins of the parts, for tests and for the emulated bus.
+//! Every `canary_every` readings the driver reads back a few settings. A chip that has restarted after a
+//! supply dip still answers, but with its power-on ranges, which only this check detects
+//! ([`ImuError::ResetToDefaults`]).
+//!
+//! A new part needs a driver file, and in this file its `mod` line, its [`Part`] and its variant of
+//! [`ChipConfig`].
 
 mod error;
 #[cfg(test)]
@@ -26,13 +29,10 @@ mod port;
 mod raw;
 mod recovery;
 
-pub use error::{ConfigError, ImuError};
+pub use error::{ImuError, SettingError};
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
-pub use recovery::{ImuRecovery, RecoveryConfig};
+pub use recovery::ImuRecovery;
 
-use crate::estimation::fusion::health::ImuReading;
-use crate::estimation::imu_calibration::Correction;
-use crate::primitives::units::Seconds;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 use serde::{Deserialize, Serialize};
@@ -61,10 +61,10 @@ impl std::fmt::Display for Part {
     }
 }
 
-/// A chip that answered with its right name.
+/// A chip that answered with the expected identity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ChipId {
-    /// Which part.
+    /// The part.
     pub part: Part,
     /// 7-bit address.
     pub address: u8,
@@ -72,72 +72,95 @@ pub struct ChipId {
     pub id: u8,
 }
 
-/// What `init` found and set.
+/// The chips that `init` found, and their rates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Identity {
     /// Gyroscope and accelerometer.
     pub inertial: ChipId,
     /// Magnetometer.
     pub magnetic: ChipId,
-    /// Conversions a second of gyroscope and accelerometer.
+    /// Conversions per second of gyroscope and accelerometer.
     pub rate_hz: f64,
-    /// Conversions a second of the magnetometer.
+    /// Conversions per second of the magnetometer.
     pub mag_rate_hz: f64,
 }
 
 /// A nine-axis sensor.
 pub trait Imu {
-    /// Identifies the chips, resets and configures them. May be called again at any time; takes up
-    /// to half a second.
+    /// Identifies, resets and configures the chips. Takes up to half a second and may be repeated at any
+    /// time.
     ///
     /// # Errors
-    /// [`ImuError`] when a chip is absent, another one, or does not come up.
+    /// [`ImuError`] when a chip is absent, is another part, or does not start.
     fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError>;
 
-    /// One reading, without waiting for a new conversion.
+    /// Reads once, without waiting for a new conversion.
     ///
     /// # Errors
-    /// [`ImuError`] when the transfer failed or a restart was found. After
-    /// [`ImuError::ResetToDefaults`] only `init` helps.
+    /// [`ImuError`] when the transfer fails or the chip has restarted. After
+    /// [`ImuError::ResetToDefaults`], `init` is required.
     fn read(&mut self) -> Result<RawImu, ImuError>;
 
-    /// How to read the counts under the present configuration.
+    /// The scale of the counts in the present configuration.
     fn scale(&self) -> Scale;
 }
 
-/// The `[imu]` table: `part = "icm20948"` or `part = "lsm6dso_lis2mdl"`, and that part's settings.
+/// The `chip` table of a sensor: `part = "icm20948"` or `part = "lsm6dso_lis2mdl"`, and the settings of
+/// that part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "part", rename_all = "snake_case")]
-pub enum ImuConfig {
-    /// One chip with everything inside; the default.
+pub enum ChipConfig {
+    /// One chip with nine axes; the default.
     Icm20948(icm20948::IcmConfig),
     /// Two chips on one bus.
     #[serde(rename = "lsm6dso_lis2mdl")]
     Lsm6dsoLis2mdl(lsm6dso::LsmConfig),
 }
 
-impl Default for ImuConfig {
+impl Default for ChipConfig {
     fn default() -> Self {
         Self::Icm20948(icm20948::IcmConfig::default())
+    }
+}
+
+impl ChipConfig {
+    /// Bus address of the inertial chip.
+    #[must_use]
+    pub fn address(&self) -> u8 {
+        match self {
+            Self::Icm20948(c) => c.address,
+            Self::Lsm6dsoLis2mdl(c) => c.address,
+        }
+    }
+
+    /// Readings per second.
+    #[must_use]
+    pub fn rate_hz(&self) -> f64 {
+        match self {
+            Self::Icm20948(c) => c.rate_hz,
+            Self::Lsm6dsoLis2mdl(c) => c.rate_hz,
+        }
+    }
+
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// The first setting that the part does not support.
+    pub fn check(&self) -> Result<(), SettingError> {
+        match self {
+            Self::Icm20948(c) => c.settings().map(|_| ()),
+            Self::Lsm6dsoLis2mdl(c) => c.settings().map(|_| ()),
+        }
     }
 }
 
 /// The driver for a configuration, not yet initialised.
 ///
 /// # Errors
-/// [`ConfigError`] for a setting that the part does not have.
-pub fn open<I: I2c + Send + 'static>(config: &ImuConfig, bus: I) -> Result<Box<dyn Imu + Send>, ConfigError> {
+/// [`SettingError`] for a setting that the part does not support.
+pub fn open<I: I2c + Send + 'static>(config: &ChipConfig, bus: I) -> Result<Box<dyn Imu + Send>, SettingError> {
     Ok(match config {
-        ImuConfig::Icm20948(c) => Box::new(icm20948::Icm20948::new(bus, c)?),
-        ImuConfig::Lsm6dsoLis2mdl(c) => Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus, c)?),
+        ChipConfig::Icm20948(c) => Box::new(icm20948::Icm20948::new(bus, c)?),
+        ChipConfig::Lsm6dsoLis2mdl(c) => Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus, c)?),
     })
-}
-
-/// A reading as the health judge wants it: scaled, corrected and stamped, or the fault.
-#[must_use]
-pub fn outcome(result: &Result<RawImu, ImuError>, scale: &Scale, correction: &Correction, t: Seconds) -> ImuReading {
-    match result {
-        Ok(raw) => ImuReading::Sample(correction.apply(&scale.sample(raw, t)), raw.quality()),
-        Err(error) => ImuReading::Failed(error.fault()),
-    }
 }

@@ -1,4 +1,4 @@
-//! One chip's registers seen through a bus: the four transfers every driver needs.
+//! Register access to one chip on a bus: the transfers that every driver needs.
 
 use super::{ChipId, ImuError, Part};
 use embedded_hal::delay::DelayNs;
@@ -40,7 +40,7 @@ impl Port {
         }
     }
 
-    /// Compares registers with what was written to them, under a mask for each.
+    /// Compares consecutive registers with their values, each under a mask.
     pub fn check<I: I2c>(&self, bus: &mut I, from: u8, want: &[(u8, u8)]) -> Result<(), ImuError> {
         let mut have = [0; 8];
         let n = want.len().min(have.len());
@@ -53,8 +53,8 @@ impl Port {
         Ok(())
     }
 
-    /// Polls a register every millisecond until `mask` is clear. A chip that is resetting may not
-    /// acknowledge; that counts as "not yet".
+    /// Polls a register every millisecond until `mask` is clear. A missing acknowledge counts as busy,
+    /// because a chip may not acknowledge during its reset.
     pub fn wait_clear<I: I2c>(
         &self,
         bus: &mut I,
@@ -75,7 +75,7 @@ impl Port {
         Err(last)
     }
 
-    /// The error for a broken transfer of `want` bytes.
+    /// The error for a failed transfer of `want` bytes.
     pub fn fault(&self, kind: ErrorKind, want: usize) -> ImuError {
         let (part, address) = (self.part, self.address);
         match kind {
@@ -85,7 +85,7 @@ impl Port {
         }
     }
 
-    /// The error for a reading whose tail is 0xFF because nobody drove the line any more.
+    /// The error for a reading whose tail is 0xFF because the bus was no longer driven.
     pub fn short(&self, bytes: &[u8]) -> ImuError {
         let have = bytes.iter().rposition(|b| *b != 0xFF).map_or(0, |i| i + 1);
         ImuError::ShortRead { part: self.part, address: self.address, have, want: bytes.len() }

@@ -1,101 +1,87 @@
-//! Keeps a sensor going: reads it, and sets it up again when reading alone will not help.
+//! Reads a sensor and initialises it again when reading alone cannot restore it.
 //!
 //! ```text
-//! read ── good ─────────────────────────────▶ Sample
-//!   ├── restarted, or another chip ──▶ init ─▶ Failed (and Sample from the next reading on)
-//!   └── failed `retry_after` times ──▶ init ─▶ Failed, with what stands in its way
+//! read ── good ──────────────────────────────▶ Sample
+//!   ├── restarted, or another part ──▶ init ─▶ Failed (and Sample from the next reading on)
+//!   └── failed RETRY_AFTER times ────▶ init ─▶ Failed, with the error of the initialisation
 //! ```
 //!
-//! An init takes up to half a second, so the supervisor lives in the sensor's own thread, never in the
-//! loop's; the loop meanwhile sees failures and silence, and its judge holds the pistons. What comes out is
-//! scaled and stamped but not corrected: the loop does that. Time comes in with the call.
+//! An initialisation takes up to half a second, so this runs in the sensor's own thread and never in the
+//! loop. Meanwhile the loop receives failures or nothing, and the supervisor holds the pistons. Samples
+//! are scaled but not corrected; the loop applies the calibration. Time is an argument.
 
 use super::{Identity, Imu, ImuError};
 use crate::estimation::fusion::health::{ImuReading, ReadFault};
 use crate::primitives::units::Seconds;
 use embedded_hal::delay::DelayNs;
-use serde::Deserialize;
 
-/// When to set a sensor up again.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RecoveryConfig {
-    /// Failed readings in a row after which the chip is set up again. Default 25 (50 ms at 500 Hz). Larger
-    /// waits longer before it interferes; a chip that says it restarted is set up at once.
-    pub retry_after: u32,
-    /// Least time between two attempts, s. Default 0.05. Larger leaves the bus to others for longer.
-    pub retry_every_s: f64,
-}
+/// Consecutive failed readings after which the chip is initialised again: 50 ms at 500 Hz. A chip that
+/// reports a restart is initialised at once.
+const RETRY_AFTER: u32 = 25;
+/// Least time between two initialisations, s, which leaves the bus to other sensors.
+const RETRY_EVERY_S: f64 = 0.05;
 
-impl Default for RecoveryConfig {
-    fn default() -> Self {
-        Self { retry_after: 25, retry_every_s: 0.05 }
-    }
-}
-
-/// A sensor and its keeper.
+/// A sensor that is initialised again when necessary.
 pub struct ImuRecovery<S: Imu + ?Sized> {
-    config: RecoveryConfig,
+    sensor: Box<S>,
     failures: u32,
     tried_s: Option<f64>,
-    in_the_way: Option<ImuError>,
+    init_error: Option<ImuError>,
     restarts: u32,
-    sensor: Box<S>,
 }
 
 impl<S: Imu + ?Sized> ImuRecovery<S> {
-    /// Over a sensor that need not be set up yet.
+    /// Wraps a sensor, which may be uninitialised.
     #[must_use]
-    pub fn new(sensor: Box<S>, config: RecoveryConfig) -> Self {
-        Self { config, failures: 0, tried_s: None, in_the_way: None, restarts: 0, sensor }
+    pub fn new(sensor: Box<S>) -> Self {
+        Self { sensor, failures: 0, tried_s: None, init_error: None, restarts: 0 }
     }
 
-    /// Sets the sensor up for the first time.
+    /// Initialises the sensor for the first time.
     ///
     /// # Errors
-    /// The sensor's; [`Self::read`] will go on trying.
+    /// The error of the sensor. [`Self::read`] tries again.
     pub fn start(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError> {
-        let said = self.sensor.init(delay);
-        self.in_the_way = said.as_ref().err().copied();
-        said
+        let result = self.sensor.init(delay);
+        self.init_error = result.as_ref().err().copied();
+        result
     }
 
-    /// One reading at `now`, and an attempt to set the sensor up again where that is due.
+    /// Reads once at time `now`, and initialises the sensor again if that is due.
     pub fn read(&mut self, delay: &mut dyn DelayNs, now: Seconds) -> ImuReading {
-        let scale = self.sensor.scale();
         let error = match self.sensor.read() {
             Ok(raw) => {
-                (self.failures, self.in_the_way) = (0, None);
-                return ImuReading::Sample(scale.sample(&raw, now), raw.quality());
+                (self.failures, self.init_error) = (0, None);
+                return ImuReading::Sample(self.sensor.scale().sample(&raw, now), raw.quality());
             }
             Err(error) => error,
         };
         self.failures = match error.fault() {
-            // reading on would say the same for ever
-            ReadFault::BrownOut | ReadFault::WrongId => self.failures.max(self.config.retry_after),
+            // Reading again would only repeat these faults.
+            ReadFault::BrownOut | ReadFault::WrongId => self.failures.max(RETRY_AFTER),
             _ => self.failures.saturating_add(1),
         };
-        if self.failures >= self.config.retry_after {
-            if self.tried_s.is_none_or(|t| now.0 - t >= self.config.retry_every_s) {
-                self.tried_s = Some(now.0);
-                self.restarts = self.restarts.saturating_add(1);
-                self.in_the_way = self.sensor.init(delay).err();
-            }
-            // what stands in the way of setting it up is what is wrong
-            return ImuReading::Failed(self.in_the_way.unwrap_or(error).fault());
+        if self.failures < RETRY_AFTER {
+            return ImuReading::Failed(error.fault());
         }
-        ImuReading::Failed(error.fault())
+        if self.tried_s.is_none_or(|t| now.0 - t >= RETRY_EVERY_S) {
+            self.tried_s = Some(now.0);
+            self.restarts = self.restarts.saturating_add(1);
+            self.init_error = self.sensor.init(delay).err();
+        }
+        ImuReading::Failed(self.init_error.unwrap_or(error).fault())
     }
 
-    /// How often the sensor was set up again.
+    /// Number of initialisations by [`Self::read`].
     #[must_use]
     pub fn restarts(&self) -> u32 {
         self.restarts
     }
-    /// Why it cannot be set up at present.
+
+    /// The error of the last initialisation, until a reading succeeds.
     #[must_use]
-    pub fn in_the_way(&self) -> Option<ImuError> {
-        self.in_the_way
+    pub fn init_error(&self) -> Option<ImuError> {
+        self.init_error
     }
 }
 
@@ -107,21 +93,21 @@ mod tests {
 
     const DT_S: f64 = 0.002;
 
-    fn watched() -> (FakeBus, ImuRecovery<Icm20948<FakeBus>>) {
+    fn recovering() -> (FakeBus, ImuRecovery<Icm20948<FakeBus>>) {
         let bus = FakeBus::new();
         bus.machine().attach(FakeIcm20948::new(0x68, 3));
         let sensor = Icm20948::new(bus.clone(), &icm20948::IcmConfig::default()).unwrap();
-        let mut watched = ImuRecovery::new(Box::new(sensor), RecoveryConfig::default());
-        watched.start(&mut bus.delay()).unwrap();
-        (bus, watched)
+        let mut imu = ImuRecovery::new(Box::new(sensor));
+        imu.start(&mut bus.delay()).unwrap();
+        (bus, imu)
     }
 
-    /// Reads for a while; how many samples came and which fault was said last.
-    fn live(bus: &FakeBus, watched: &mut ImuRecovery<Icm20948<FakeBus>>, from_s: f64, seconds: f64) -> (u32, Option<ReadFault>) {
+    /// Reads for a while; returns the number of samples and the last fault.
+    fn read_for(bus: &FakeBus, imu: &mut ImuRecovery<Icm20948<FakeBus>>, from_s: f64, seconds: f64) -> (u32, Option<ReadFault>) {
         let (mut samples, mut last) = (0, None);
         for k in 0..(seconds / DT_S) as u32 {
             bus.machine().advance(DT_S);
-            match watched.read(&mut bus.delay(), Seconds(from_s + f64::from(k) * DT_S)) {
+            match imu.read(&mut bus.delay(), Seconds(from_s + f64::from(k) * DT_S)) {
                 ImuReading::Sample(..) => samples += 1,
                 ImuReading::Failed(fault) => last = Some(fault),
                 ImuReading::Nothing => {}
@@ -131,26 +117,26 @@ mod tests {
     }
 
     #[test]
-    fn a_chip_that_restarted_is_set_up_at_once() {
-        let (bus, mut watched) = watched();
-        assert_eq!(live(&bus, &mut watched, 0.0, 0.2), (100, None));
+    fn a_chip_that_restarted_is_initialised_at_once() {
+        let (bus, mut imu) = recovering();
+        assert_eq!(read_for(&bus, &mut imu, 0.0, 0.2), (100, None));
         bus.machine().brown_out();
-        let (samples, fault) = live(&bus, &mut watched, 1.0, 0.2);
+        let (samples, fault) = read_for(&bus, &mut imu, 1.0, 0.2);
         assert!(samples > 80 && fault == Some(ReadFault::BrownOut), "{samples} {fault:?}");
-        assert_eq!(watched.restarts(), 1);
+        assert_eq!(imu.restarts(), 1);
     }
 
     #[test]
-    fn a_few_lost_readings_are_no_reason_and_a_dead_bus_is_tried_in_vain() {
-        let (bus, mut watched) = watched();
+    fn a_few_lost_readings_do_not_cause_an_initialisation_and_a_dead_bus_does() {
+        let (bus, mut imu) = recovering();
         bus.machine().nack(0x68, 10);
-        assert_eq!(live(&bus, &mut watched, 0.0, 0.2), (90, Some(ReadFault::Nack)));
-        assert_eq!(watched.restarts(), 0);
+        assert_eq!(read_for(&bus, &mut imu, 0.0, 0.2), (90, Some(ReadFault::Nack)));
+        assert_eq!(imu.restarts(), 0);
         bus.machine().stuck = true;
-        let (samples, fault) = live(&bus, &mut watched, 1.0, 0.5);
-        assert!(samples == 0 && fault.is_some() && watched.restarts() > 2 && watched.in_the_way().is_some());
+        let (samples, fault) = read_for(&bus, &mut imu, 1.0, 0.5);
+        assert!(samples == 0 && fault.is_some() && imu.restarts() > 2 && imu.init_error().is_some());
         bus.machine().stuck = false;
-        let (samples, _) = live(&bus, &mut watched, 2.0, 0.5);
-        assert!(samples > 200 && watched.in_the_way().is_none(), "{samples}");
+        let (samples, _) = read_for(&bus, &mut imu, 2.0, 0.5);
+        assert!(samples > 200 && imu.init_error().is_none(), "{samples}");
     }
 }

@@ -1,81 +1,86 @@
-//! The loop's side of motion on hardware: piston targets in, segments to the step thread, counts back.
+//! The loop's side of motion on hardware: takes piston targets, feeds segments to the step thread and
+//! returns counts.
 //!
-//! Every turn tops the queue up to its lead, so a loop that comes late once is on time again at once,
-//! and one that stays away leaves the step thread to brake by itself.
+//! Every update tops the queue up to its lead. A loop that is late once catches up at the next update;
+//! a loop that has stopped leaves the step thread to brake.
 
 use crate::hardware::pins::Pins;
-use crate::hardware::stepper::{StartError, Stepper, Sync};
+use crate::hardware::stepper::{StartError, Stepper, SyncStatus};
+use crate::motion::lines::EmergencyStop;
 use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
 use crate::motion::{Motion, MotionConfig, MotionLimits, MotionState, StepperConfig};
 use crate::primitives::units::Steps;
 
-/// Most segments queued in one turn.
+/// Most segments queued in one update.
 const TOP_UP_MAX: u32 = 16;
 
-/// What the drive is at.
+/// State of the drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DriveState {
-    /// Drivers off, or about to be: targets are ignored.
+    /// The drivers are off or about to be; targets are ignored.
     Off,
-    /// Follows targets.
+    /// Targets are followed.
     Ready,
-    /// Braking or waiting: the target is taken up by itself later.
+    /// Braking or waiting; the target is followed later without a further call.
     Busy,
-    /// At a fault until [`Drive::clear`].
+    /// Faulted until [`Drive::clear`].
     Faulted(StepperFault),
-    /// The step thread is gone.
+    /// The step thread has ended.
     Dead,
 }
 
 /// Motion and the handle on the step thread.
-#[derive(Debug)]
-pub struct Drive<P = Box<dyn Pins>> {
-    stepper: Stepper<P>,
+pub struct Drive {
+    stepper: Stepper<Box<dyn Pins>>,
     motion: Motion,
     period_s: f64,
     lead_ns: i64,
     step_mm: f64,
     on: bool,
-    /// Drivers that were found energised stay so until somebody decides.
+    /// The drivers were found energised and no order has changed that.
     keeps: bool,
-    /// Positions to declare, and once they are ordered the epoch that must pass.
+    /// Positions to declare, mm, and, once that is ordered, the epoch before the order.
     rebase: Option<([f64; 3], Option<u32>)>,
     state: DriveState,
 }
 
-impl<P: Pins + 'static> Drive<P> {
-    /// Starts the step thread on these pins, drivers off, pistons called zero.
+impl Drive {
+    /// Starts the step thread with the drivers off and the pistons at zero.
     ///
     /// # Errors
     /// [`StartError`].
-    pub fn start(pins: P, stepper: &StepperConfig, motion: &MotionConfig, step_mm: f64, period_s: f64) -> Result<Self, StartError> {
+    pub fn start(
+        pins: Box<dyn Pins>,
+        config: &StepperConfig,
+        motion: &MotionConfig,
+        step_mm: f64,
+        period_s: f64,
+        emergency_stop: EmergencyStop,
+    ) -> Result<Self, StartError> {
         let limits = MotionLimits::try_from(motion)?;
-        let stepper_handle = Stepper::start(pins, stepper, motion, step_mm)?;
+        let stepper = Stepper::start(pins, config, motion, step_mm, emergency_stop)?;
         Ok(Self {
-            keeps: stepper_handle.is_energised(),
-            stepper: stepper_handle,
+            keeps: stepper.is_energised(),
+            stepper,
             motion: Motion::new(&limits),
             period_s,
-            lead_ns: (stepper.lead_ms * 1e6) as i64,
+            lead_ns: (config.lead_ms * 1e6) as i64,
             step_mm,
             on: false,
             rebase: None,
             state: DriveState::Off,
         })
     }
-}
 
-impl<P> Drive<P> {
-    /// Takes in what the step thread reports and queues motion towards `target_mm`.
-    pub fn turn(&mut self, now_ns: u64, target_mm: [f64; 3]) -> DriveState {
+    /// Reads the reports of the step thread and queues motion towards `target_mm`.
+    pub fn update(&mut self, now_ns: u64, target_mm: [f64; 3]) -> DriveState {
         self.state = match self.stepper.sync(now_ns) {
-            Sync::Dead => DriveState::Dead,
-            Sync::Faulted(fault) => DriveState::Faulted(fault),
-            Sync::Busy => DriveState::Busy,
-            sync => {
-                if let Sync::Restart(rest_mm) = sync {
-                    self.motion.reset(rest_mm);
-                }
+            SyncStatus::Dead => DriveState::Dead,
+            SyncStatus::Faulted(fault) => DriveState::Faulted(fault),
+            SyncStatus::Busy => DriveState::Busy,
+            SyncStatus::Ready => self.feed(now_ns, target_mm),
+            SyncStatus::Restart(rest_mm) => {
+                self.motion.reset(rest_mm);
                 self.feed(now_ns, target_mm)
             }
         };
@@ -83,10 +88,9 @@ impl<P> Drive<P> {
     }
 
     fn feed(&mut self, now_ns: u64, target_mm: [f64; 3]) -> DriveState {
-        let rests = self.motion.state().iter().all(MotionState::is_rest);
         let pausing = !self.on || self.rebase.is_some();
-        if pausing && rests {
-            // nothing more is queued; when the queue is worked off the thread rests
+        if pausing && self.motion.state().iter().all(MotionState::is_rest) {
+            // Nothing more is queued; when the queue is empty, the thread rests.
             return self.pause();
         }
         for _ in 0..TOP_UP_MAX {
@@ -95,38 +99,41 @@ impl<P> Drive<P> {
             }
             let segment = if pausing { self.motion.brake(self.period_s) } else { self.motion.tick(target_mm, self.period_s) };
             if self.stepper.feed(&segment, now_ns).is_err() {
-                // the ring is full: the thread is stuck, which its lateness will tell
+                // A full ring means that the thread is stuck; its lateness will be a fault.
                 return DriveState::Busy;
             }
         }
         if pausing { DriveState::Busy } else { DriveState::Ready }
     }
 
-    /// Orders what can only be done at rest.
+    /// Sends the orders that are valid only at rest.
     fn pause(&mut self) -> DriveState {
-        let Some(report) = self.stepper.latest() else { return DriveState::Busy };
-        let (resting, epoch, energised) = (report.mode == StepperMode::Resting, report.epoch, report.energised);
-        if !resting {
+        let Some(&StepperReport { mode: StepperMode::Resting, epoch, energised, .. }) = self.stepper.latest() else {
             return DriveState::Busy;
-        }
-        if let Some((position_mm, ordered)) = self.rebase {
-            match ordered {
-                None => {
-                    if self.stepper.order(StepperOrder::Rebase(position_mm)) {
-                        self.rebase = Some((position_mm, Some(epoch)));
-                    }
+        };
+        match self.rebase {
+            Some((position_mm, None)) => {
+                if self.stepper.order(StepperOrder::Rebase(position_mm)) {
+                    self.rebase = Some((position_mm, Some(epoch)));
                 }
-                Some(before) if before != epoch => self.rebase = None,
-                Some(_) => {}
+                DriveState::Busy
             }
-            return DriveState::Busy;
+            Some((_, Some(before))) => {
+                if before != epoch {
+                    self.rebase = None;
+                }
+                DriveState::Busy
+            }
+            None if energised => {
+                // If the ring of orders is full, the next update tries again.
+                let _ = !self.keeps && self.stepper.order(StepperOrder::Release);
+                DriveState::Busy
+            }
+            None => DriveState::Off,
         }
-        // a full ring of orders is tried again on the next turn
-        let _ = energised && !self.keeps && self.stepper.order(StepperOrder::Release);
-        if energised { DriveState::Busy } else { DriveState::Off }
     }
 
-    /// Switches the drivers: on at once, off when the pistons rest.
+    /// Switches the drivers on at once, or off when the pistons rest.
     pub fn energise(&mut self, on: bool) {
         self.keeps = false;
         if on && !self.on {
@@ -138,12 +145,12 @@ impl<P> Drive<P> {
         }
     }
 
-    /// Declares where the pistons are, as soon as they rest.
+    /// Declares the counts of the pistons as soon as they rest.
     pub fn rebase(&mut self, counted: &Steps) {
         self.rebase = Some((counted.0.map(|n| f64::from(n) * self.step_mm), None));
     }
 
-    /// Leaves a fault, as far as its cause is gone.
+    /// Leaves a fault whose cause has gone.
     pub fn clear(&mut self) {
         let _ = self.stepper.order(StepperOrder::Clear);
         if self.on {
@@ -151,21 +158,15 @@ impl<P> Drive<P> {
         }
     }
 
-    /// What the last turn came to.
+    /// The state after the last update.
     #[must_use]
     pub fn state(&self) -> DriveState {
         self.state
     }
 
-    /// What the step thread reported last; `None` before its first report.
+    /// The handle on the step thread.
     #[must_use]
-    pub fn report(&self) -> Option<&StepperReport> {
-        self.stepper.latest()
-    }
-
-    /// The handle itself.
-    #[must_use]
-    pub fn stepper(&self) -> &Stepper<P> {
+    pub fn stepper(&self) -> &Stepper<Box<dyn Pins>> {
         &self.stepper
     }
 }

@@ -1,6 +1,6 @@
-//! Why hardware could not be brought up, in words that say what to do.
+//! Errors of opening the hardware, each with a remedy.
 
-use crate::hardware::imu::{ConfigError as ImuConfigError, ImuError};
+use crate::hardware::imu::{ImuError, SettingError};
 use crate::hardware::pins::OpenError;
 use crate::hardware::stepper::StartError;
 
@@ -18,7 +18,7 @@ pub enum HardwareError {
         "no I²C bus at {path}: enable it (dtparam=i2c_arm=on in config.txt, then `modprobe i2c-dev`), or set imu.bus to one of `ls /dev/i2c-*`"
     )]
     NoBus {
-        /// The path tried.
+        /// Path of the bus.
         path: String,
     },
     /// The bus may not be opened.
@@ -26,37 +26,37 @@ pub enum HardwareError {
         "no permission for {path}: add this user to the group i2c (`sudo usermod -aG i2c $USER`, then log in again) or run as the service"
     )]
     BusPermission {
-        /// The path tried.
+        /// Path of the bus.
         path: String,
     },
     /// The bus cannot be used for another reason.
     #[error("{path} cannot be used as an I²C bus: {why}")]
     Bus {
-        /// The path tried.
+        /// Path of the bus.
         path: String,
-        /// What the library said.
+        /// The message of the library.
         why: String,
     },
-    /// The bus took longer than it ever may.
-    #[error("{path} hangs: nothing came back within {limit_s} s; power-cycle the IMU, then look for a short on SDA or SCL")]
+    /// The set-up of the sensor takes longer than any working bus needs.
+    #[error("{path} hangs: no answer within {limit_s} s; power-cycle the IMU, then look for a short on SDA or SCL")]
     BusHangs {
-        /// The path tried.
+        /// Path of the bus.
         path: String,
-        /// How long was waited, s.
+        /// The time limit, s.
         limit_s: f64,
     },
     /// The sensor.
     #[error("IMU on {path}: {source}")]
     Imu {
-        /// The bus.
+        /// Path of the bus.
         path: String,
-        /// What the driver said.
+        /// The error of the driver.
         source: ImuError,
     },
-    /// A setting that the part does not have.
+    /// The part does not support a setting.
     #[error(transparent)]
-    ImuConfig(#[from] ImuConfigError),
-    /// The operating system gave no thread.
+    Setting(#[from] SettingError),
+    /// The operating system created no thread.
     #[error("the IMU thread could not be started: {0}")]
     Thread(#[from] std::io::Error),
     /// The program was built without the feature `hw`.
@@ -65,9 +65,9 @@ pub enum HardwareError {
 }
 
 impl HardwareError {
-    /// True for a wrong board file (exit code 2), false for hardware that does not answer (exit code 3).
+    /// True for an invalid board file (exit code 2), false for hardware that does not answer (exit code 3).
     #[must_use]
     pub fn is_config(&self) -> bool {
-        matches!(self, Self::Pins(OpenError::Config(_)) | Self::Stepper(StartError::Config(_)) | Self::ImuConfig(_))
+        matches!(self, Self::Pins(OpenError::Config(_)) | Self::Stepper(StartError::Config(_)) | Self::Setting(_))
     }
 }

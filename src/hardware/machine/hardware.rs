@@ -1,60 +1,83 @@
 //! [`Machine`] on hardware.
 
 use crate::estimation::fusion::health::ImuReading;
-use crate::hardware::machine::{Drive, DriveState, HardwareError, MachineConfig, Sensor};
-use crate::hardware::pins;
+use crate::hardware::machine::drive::{Drive, DriveState};
+use crate::hardware::machine::error::HardwareError;
+use crate::hardware::machine::sensor::{Sensor, SensorConfig};
+use crate::hardware::pins::{self, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
-use crate::motion::lines::Inputs;
+use crate::motion::lines::{EmergencyStop, Inputs};
 use crate::motion::report::StepperFault;
+use crate::motion::{MotionConfig, StepperConfig};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
-use crate::supervisor::machine::{Alarm, Machine, Sensed};
-use crate::supervisor::machine::{MachineError, MachineInfo};
+use crate::supervisor::machine::{Alarm, Machine, MachineError, MachineInfo, Sensed};
 
-/// A queue that runs dry once is braked within the limits and taken up again: no step is lost and nothing
-/// needs to be done. This often …
-const STARVED_TIMES: usize = 4;
-/// … within this time, s, it is an alarm.
-const STARVED_WITHIN_S: f64 = 5.0;
+/// A single underrun is braked within the limits and motion resumes: no step is lost and no action is
+/// needed. This number of underruns …
+const UNDERRUNS: usize = 4;
+/// … within this time, s, is an alarm.
+const UNDERRUNS_WITHIN_S: f64 = 5.0;
 
-/// Pistons that are pulsed and sensors that are read.
+/// Configuration of a machine made of hardware.
+#[derive(Debug, Clone)]
+pub struct MachineConfig {
+    /// Name for reports.
+    pub name: String,
+    /// Period of the loop, s.
+    pub period_s: f64,
+    /// Bellow length at rest, mm.
+    pub rest_length_mm: f64,
+    /// Piston travel per microstep, mm.
+    pub step_mm: f64,
+    /// Microsteps per full step.
+    pub microsteps: u32,
+    /// Wiring.
+    pub pins: PinsConfig,
+    /// Pulses and their thread.
+    pub stepper: StepperConfig,
+    /// Reaction of the step thread to the emergency stop.
+    pub emergency_stop: EmergencyStop,
+    /// Limits of motion.
+    pub motion: MotionConfig,
+    /// IMU of the tip.
+    pub imu: Option<SensorConfig>,
+    /// IMU of the base.
+    pub base_imu: Option<SensorConfig>,
+}
+
+/// A machine with drivers that are pulsed and sensors that are read.
 pub struct Hardware {
     drive: Drive,
     imu: Option<Sensor>,
     base_imu: Option<Sensor>,
     info: MachineInfo,
-    /// Monotonic time at the loop's zero, ns; set by the first turn.
+    /// Monotonic time at the loop's zero, ns; set by the first cycle.
     zero_ns: Option<u64>,
-    /// How often the queue ran dry.
-    dry: u32,
-    /// When it did so, the newest last, s.
-    dried_s: [f64; STARVED_TIMES],
-    starved: bool,
+    /// Number of underruns, and the times of the last ones, s, newest last.
+    underruns: u32,
+    underran_s: [f64; UNDERRUNS],
+    underrun_alarm: bool,
 }
 
 impl Hardware {
-    /// Opens pins and sensors and starts their threads; drivers off, pistons called zero.
+    /// Opens pins and sensors and starts their threads, with the drivers off and the pistons at zero.
     ///
     /// # Errors
-    /// [`HardwareError`]; sensors are tried first, so that nothing is driven blind.
+    /// [`HardwareError`]. The sensors are opened first, so that nothing moves without them.
     pub fn open(config: &MachineConfig) -> Result<Self, HardwareError> {
         let imu = config.imu.as_ref().map(Sensor::start).transpose()?;
         let base_imu = config.base_imu.as_ref().map(Sensor::start).transpose()?;
         let pins = pins::open(&config.pins, config.microsteps)?;
-        let drive = Drive::start(pins, &config.stepper, &config.motion, config.step_mm, config.period_s)?;
+        let drive = Drive::start(pins, &config.stepper, &config.motion, config.step_mm, config.period_s, config.emergency_stop)?;
         let info = MachineInfo {
             name: config.name.clone(),
             period_s: config.period_s,
             step_mm: config.step_mm,
             rest_length_mm: config.rest_length_mm,
         };
-        Ok(Self { drive, imu, base_imu, info, zero_ns: None, dry: 0, dried_s: [f64::NEG_INFINITY; STARVED_TIMES], starved: false })
-    }
-
-    /// The motion side.
-    #[must_use]
-    pub fn drive(&self) -> &Drive {
-        &self.drive
+        let underran_s = [f64::NEG_INFINITY; UNDERRUNS];
+        Ok(Self { drive, imu, base_imu, info, zero_ns: None, underruns: 0, underran_s, underrun_alarm: false })
     }
 
     fn alarm(&self) -> Option<Alarm> {
@@ -63,15 +86,33 @@ impl Hardware {
             DriveState::Faulted(StepperFault::Discontinuity { jump_mm, .. }) => Some(Alarm::Discontinuity { jump_mm }),
             DriveState::Faulted(StepperFault::Pins) => Some(Alarm::Pins),
             DriveState::Dead => Some(Alarm::Dead),
-            _ if self.starved => Some(Alarm::Underrun),
+            _ if self.underrun_alarm => Some(Alarm::Underrun),
             _ => None,
+        }
+    }
+
+    /// Raises the alarm when underruns follow one another closely.
+    fn watch_underruns(&mut self, now: Seconds, underruns: u32) {
+        if underruns > self.underruns {
+            self.underruns = underruns;
+            self.underran_s.rotate_left(1);
+            self.underran_s[UNDERRUNS - 1] = now.0;
+            self.underrun_alarm |= now.0 - self.underran_s[0] < UNDERRUNS_WITHIN_S;
         }
     }
 }
 
-/// A stamp on the loop's clock; what was read before its zero is at zero.
-fn on_loop_clock(t_ns: u64, zero_ns: u64) -> Seconds {
-    Seconds(t_ns.saturating_sub(zero_ns) as f64 * 1e-9)
+/// The newest reading of a sensor with its time on the loop's clock; readings from before the loop's
+/// zero are at zero.
+fn newest(sensor: &mut Option<Sensor>, zero_ns: u64) -> ImuReading {
+    let Some(reading) = sensor.as_mut().and_then(Sensor::newest) else { return ImuReading::Nothing };
+    match reading.reading {
+        ImuReading::Sample(sample, quality) => {
+            let t = Seconds(reading.t_ns.saturating_sub(zero_ns) as f64 * 1e-9);
+            ImuReading::Sample(ImuSample { t, ..sample }, quality)
+        }
+        other => other,
+    }
 }
 
 impl Machine for Hardware {
@@ -82,36 +123,20 @@ impl Machine for Hardware {
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let now_ns = monotonic_ns();
         let zero_ns = *self.zero_ns.get_or_insert_with(|| now_ns.saturating_sub((now.0 * 1e9) as u64));
-        let target_mm = wanted.0.map(|n| f64::from(n) * self.info.step_mm);
-        let state = self.drive.turn(now_ns, target_mm);
-        let stamped = |s: &mut Sensor| {
-            s.newest().map(|r| match r.outcome {
-                ImuReading::Sample(sample, quality) => {
-                    ImuReading::Sample(ImuSample { t: on_loop_clock(r.t_ns, zero_ns), ..sample }, quality)
-                }
-                other => other,
-            })
+        let state = self.drive.update(now_ns, wanted.0.map(|n| f64::from(n) * self.info.step_mm));
+        let base_imu = match newest(&mut self.base_imu, zero_ns) {
+            ImuReading::Sample(sample, _) => Some(sample),
+            _ => None,
         };
-        let base_imu = self.base_imu.as_mut().and_then(stamped).and_then(|o| if let ImuReading::Sample(s, _) = o { Some(s) } else { None });
-        let imu = self.imu.as_mut().and_then(stamped).unwrap_or(ImuReading::Nothing);
-        let report = self.drive.report();
-        if let Some(dry) = report.map(|r| r.dry).filter(|d| *d > self.dry) {
-            self.dry = dry;
-            self.dried_s.rotate_left(1);
-            self.dried_s[STARVED_TIMES - 1] = now.0;
-            self.starved |= now.0 - self.dried_s[0] < STARVED_WITHIN_S;
+        let imu = newest(&mut self.imu, zero_ns);
+        let (mut counted, mut inputs) = (Steps::default(), Inputs::default());
+        if let Some(&report) = self.drive.stepper().latest() {
+            (counted, inputs) = (report.counted, report.inputs);
+            inputs.emergency_stop |= state == DriveState::Faulted(StepperFault::EmergencyStop);
+            self.watch_underruns(now, report.underruns);
         }
-        let pressed = state == DriveState::Faulted(StepperFault::EmergencyStop);
-        Ok(Sensed {
-            t: now,
-            imu,
-            base_imu,
-            counted: report.map_or(Steps::default(), |r| r.counted),
-            energised: self.drive.stepper().is_energised(),
-            inputs: report.map_or(Inputs::default(), |r| Inputs { emergency_stop: r.inputs.emergency_stop || pressed, ..r.inputs }),
-            alarm: self.alarm(),
-            truth: None,
-        })
+        let energised = self.drive.stepper().is_energised();
+        Ok(Sensed { t: now, imu, base_imu, counted, energised, inputs, alarm: self.alarm(), truth: None })
     }
 
     fn energise(&mut self, on: bool) {
@@ -123,7 +148,7 @@ impl Machine for Hardware {
     }
 
     fn clear(&mut self) {
-        self.starved = false;
+        self.underrun_alarm = false;
         self.drive.clear();
     }
 
@@ -133,23 +158,28 @@ impl Machine for Hardware {
 
     fn remarks(&self) -> Vec<String> {
         let mut remarks = Vec::new();
-        for (what, sensor) in [("tip", &self.imu), ("base", &self.base_imu)] {
+        for (place, sensor) in [("tip", &self.imu), ("base", &self.base_imu)] {
             if let Some(s) = sensor {
                 let i = s.identity();
-                remarks.push(format!("{what} IMU: {} at {:#04x} on {}, {:.1} Hz", i.inertial.part, i.inertial.address, s.bus(), i.rate_hz));
+                remarks.push(format!(
+                    "{place} IMU: {} at {:#04x} on {}, {:.1} Hz",
+                    i.inertial.part,
+                    i.inertial.address,
+                    s.bus(),
+                    i.rate_hz
+                ));
             }
         }
-        for (name, grant) in self.drive.stepper().status().rows() {
-            remarks.push(format!("step thread, {name}: {grant}"));
+        let stepper = self.drive.stepper();
+        remarks.extend(stepper.status().iter().map(|(name, grant)| format!("step thread, {name}: {grant}")));
+        if self.underruns > 0 {
+            remarks.push(format!("{} underruns of the step queue: the loop did not run in time", self.underruns));
         }
-        if self.dry > 0 {
-            remarks.push(format!("the queue of motion ran dry {} times: the loop was kept from running", self.dry));
-        }
-        if let Some(r) = self.drive.report() {
+        if let Some(r) = stepper.latest() {
             let (p999_us, max_us) = (r.lateness.quantile_ns(0.999) as f64 * 1e-3, r.lateness.max_ns() as f64 * 1e-3);
-            remarks.push(format!("steps late by {p999_us:.0} µs at p99.9, {max_us:.0} µs at most"));
+            remarks.push(format!("step lateness {p999_us:.0} µs at p99.9, {max_us:.0} µs at most"));
         }
-        remarks.extend(self.drive.stepper().pin_words().map(|w| format!("pins: {w}")));
+        remarks.extend(stepper.pin_error().map(|error| format!("pins: {error}")));
         remarks
     }
 }

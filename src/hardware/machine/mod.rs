@@ -2,14 +2,14 @@
 //! [`crate::supervisor::machine::Machine`].
 //!
 //! ```text
-//!  loop ──turn(now, wanted)──▶ Drive ─ Motion ─ ring ─▶ step thread ──▶ pins      position counted
-//!       ◀──────Sensed───────── Sensor ◀─ ring ── IMU thread ◀── I²C               = what was pulsed
+//!  loop ──turn(now, wanted)──▶ Drive ─ Motion ─ ring ─▶ step thread ──▶ pins      position =
+//!       ◀──────Sensed───────── Sensor ◀─ ring ── IMU thread ◀── I²C               steps pulsed
 //! ```
 //!
-//! Samples are handed over as the chip gives them, turned by the mount; the loop corrects them.
+//! Sensors deliver uncorrected samples, rotated by the mount; the loop applies the calibration.
 //!
-//! No thread waits for another. A bus that hangs keeps only its own thread; the loop then sees no
-//! reading, and its judge of health does the rest.
+//! No thread waits for another. A bus that hangs blocks only its own thread. The loop then receives no
+//! reading, and the health monitor reacts.
 
 mod drive;
 mod error;
@@ -18,33 +18,5 @@ mod sensor;
 
 pub use drive::{Drive, DriveState};
 pub use error::HardwareError;
-pub use hardware::Hardware;
+pub use hardware::{Hardware, MachineConfig};
 pub use sensor::{Sensor, SensorConfig};
-
-use crate::hardware::pins::PinsConfig;
-use crate::motion::{MotionConfig, StepperConfig};
-
-/// Everything that hardware is made from.
-#[derive(Debug, Clone)]
-pub struct MachineConfig {
-    /// Name, for reports.
-    pub name: String,
-    /// Time of one turn of the loop, s.
-    pub period_s: f64,
-    /// Bellow length at rest, mm.
-    pub rest_length_mm: f64,
-    /// Piston travel per microstep, mm.
-    pub step_mm: f64,
-    /// Microsteps per full step.
-    pub microsteps: u32,
-    /// The wiring.
-    pub pins: PinsConfig,
-    /// Pulses and their thread.
-    pub stepper: StepperConfig,
-    /// Limits of motion.
-    pub motion: MotionConfig,
-    /// The tip's IMU.
-    pub imu: Option<SensorConfig>,
-    /// The base's IMU.
-    pub base_imu: Option<SensorConfig>,
-}

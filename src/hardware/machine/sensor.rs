@@ -1,68 +1,62 @@
-//! One IMU in a thread of its own: opens the bus, sets the chip up, reads it at its rate, and sets it up
-//! anew when it has restarted or gone silent.
+//! One IMU in a thread of its own, which opens the bus and reads the sensor at its rate.
 //!
-//! Readings go through a wait-free ring with the time at which the transfer began. A transfer that never
-//! returns keeps this thread and nothing else.
+//! Readings travel through a wait-free ring with the time at which their transfer began. A transfer that
+//! never returns blocks only this thread. [`ImuRecovery`] sets the chip up again after a restart or a
+//! series of failures.
 
 use crate::estimation::fusion::health::ImuReading;
-use crate::estimation::imu_calibration::{Correction, ImuCalibration};
-use crate::hardware::imu::{self, Identity, Imu, ImuConfig, ImuError};
-use crate::hardware::machine::HardwareError;
-use crate::hardware::rt::{self, RtRequest, RtStatus};
+use crate::hardware::imu::{self, ChipConfig, Identity, Imu, ImuRecovery};
+use crate::hardware::machine::error::HardwareError;
+use crate::hardware::rt::{self, RtRequest, monotonic_ns};
 use crate::primitives::units::Seconds;
 use embedded_hal::delay::DelayNs;
 use nalgebra::UnitQuaternion;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, Sender};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
-/// Longest time from opening the bus to a chip that is set up, s.
+/// Longest time from opening the bus to a configured chip, s. The slowest part takes half a second.
 const SETUP_MAX_S: f64 = 5.0;
-/// Readings the ring holds: at 500 Hz an eighth of a second.
+/// Capacity of the ring: an eighth of a second at 500 Hz.
 const READINGS: usize = 64;
-/// Failed readings in a row after which the chip is set up anew.
-const FAILURES_MAX: u32 = 25;
-/// Time between two attempts to set the chip up, ns.
-const RETRY_NS: u64 = 250_000_000;
 
-/// What a sensor is made from.
+/// Configuration of a sensor.
 #[derive(Debug, Clone)]
 pub struct SensorConfig {
     /// Device file of the bus.
     pub bus: String,
-    /// Through `rppal` instead of `linux-embedded-hal`.
+    /// Use `rppal` instead of `linux-embedded-hal`.
     pub rppal: bool,
-    /// Sensor to tip (or base).
+    /// Rotation from sensor to tip (or base).
     pub mount: UnitQuaternion<f64>,
-    /// The part.
-    pub chip: ImuConfig,
-    /// Readings a second.
+    /// The part and its settings.
+    pub chip: ChipConfig,
+    /// Readings per second.
     pub rate_hz: f64,
-    /// SCHED_FIFO priority of the thread; 0 asks for none.
+    /// SCHED_FIFO priority of the thread; 0 requests none.
     pub priority: i32,
 }
 
-/// A reading and when its transfer began, ns of the monotonic clock.
+/// A reading with the start of its transfer, ns of the monotonic clock.
 #[derive(Debug, Clone, Copy)]
-pub struct Stamped {
-    /// When.
+pub struct StampedReading {
+    /// Start of the transfer.
     pub t_ns: u64,
-    /// What; the stamp inside a sample is not set yet.
-    pub outcome: ImuReading,
+    /// The reading; the time inside a sample is not set.
+    pub reading: ImuReading,
 }
 
 /// The loop's handle on the thread.
 #[derive(Debug)]
 pub struct Sensor {
-    readings: rtrb::Consumer<Stamped>,
+    readings: rtrb::Consumer<StampedReading>,
     stop: Arc<AtomicBool>,
     identity: Identity,
-    status: RtStatus,
     bus: String,
 }
 
-/// Waiting for a chip, by sleeping.
+/// Delays by sleeping.
 struct Sleep;
 
 impl DelayNs for Sleep {
@@ -75,56 +69,37 @@ impl Sensor {
     /// Opens the bus, sets the chip up and starts reading.
     ///
     /// # Errors
-    /// [`HardwareError`]: no bus, no permission, a chip that does not answer, is another or never comes up.
+    /// [`HardwareError`]: no bus, no permission, or a chip that does not answer, is another part or does
+    /// not start.
     pub fn start(config: &SensorConfig) -> Result<Self, HardwareError> {
-        let (to, readings) = rtrb::RingBuffer::new(READINGS);
+        let (output, readings) = rtrb::RingBuffer::new(READINGS);
         let stop = Arc::new(AtomicBool::new(false));
-        let (tell, told) = std::sync::mpsc::channel();
-        let mut reader = Reader {
-            config: config.clone(),
-            correction: ImuCalibration::default().correction(),
-            to,
-            stop: stop.clone(),
-            failures: 0,
-            retry_ns: 0,
-        };
-        std::thread::Builder::new().name("imu".into()).spawn(move || reader.run(&tell))?;
-        let limit_s = SETUP_MAX_S;
-        match told.recv_timeout(Duration::from_secs_f64(limit_s)) {
-            Ok(Ok((identity, status))) => Ok(Self { readings, stop, identity, status, bus: config.bus.clone() }),
-            Ok(Err(error)) => Err(error),
+        let (sender, receiver) = channel();
+        let (own, end) = (config.clone(), stop.clone());
+        std::thread::Builder::new().name("imu".into()).spawn(move || run(&own, output, &end, &sender))?;
+        let path = config.bus.clone();
+        match receiver.recv_timeout(Duration::from_secs_f64(SETUP_MAX_S)) {
+            Ok(result) => Ok(Self { readings, stop, identity: result?, bus: path }),
             Err(RecvTimeoutError::Timeout) => {
                 stop.store(true, Ordering::Relaxed);
-                Err(HardwareError::BusHangs { path: config.bus.clone(), limit_s })
+                Err(HardwareError::BusHangs { path, limit_s: SETUP_MAX_S })
             }
-            Err(RecvTimeoutError::Disconnected) => {
-                Err(HardwareError::Bus { path: config.bus.clone(), why: "the IMU thread died as it started".to_owned() })
-            }
+            Err(RecvTimeoutError::Disconnected) => Err(HardwareError::Bus { path, why: "the IMU thread ended as it started".to_owned() }),
         }
     }
 
-    /// The newest reading not handed over yet, a failed one too.
-    pub fn newest(&mut self) -> Option<Stamped> {
-        let mut newest = None;
-        while let Ok(next) = self.readings.pop() {
-            newest = Some(next);
-        }
-        newest
+    /// The newest reading since the last call, including failed ones.
+    pub fn newest(&mut self) -> Option<StampedReading> {
+        std::iter::from_fn(|| self.readings.pop().ok()).last()
     }
 
-    /// What was found and set.
+    /// The chips that were found and their rates.
     #[must_use]
     pub fn identity(&self) -> &Identity {
         &self.identity
     }
 
-    /// What the kernel granted the thread.
-    #[must_use]
-    pub fn status(&self) -> &RtStatus {
-        &self.status
-    }
-
-    /// The bus it is on.
+    /// Device file of the bus.
     #[must_use]
     pub fn bus(&self) -> &str {
         &self.bus
@@ -132,76 +107,49 @@ impl Sensor {
 }
 
 impl Drop for Sensor {
-    /// Tells the thread to end. It is not waited for: its bus may hang.
+    /// Tells the thread to end without waiting for it, because its bus may hang.
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
     }
 }
 
-type Started = Result<(Identity, RtStatus), HardwareError>;
-
-/// The thread's side.
-struct Reader {
-    config: SensorConfig,
-    correction: Correction,
-    to: rtrb::Producer<Stamped>,
-    stop: Arc<AtomicBool>,
-    failures: u32,
-    retry_ns: u64,
-}
-
-impl Reader {
-    fn run(&mut self, tell: &Sender<Started>) {
-        let wish = RtRequest { priority: self.config.priority, cpu: None };
-        let begun = open(&self.config).and_then(|mut chip| {
-            let identity = chip.init(&mut Sleep).map_err(|source| HardwareError::Imu { path: self.config.bus.clone(), source })?;
-            Ok((chip, identity))
-        });
-        let mut chip = match begun {
-            Ok((chip, identity)) => {
-                let (status, _guard) = rt::enter(&wish);
-                // the starter may have given up waiting; then `stop` is set
-                let _ = tell.send(Ok((identity, status)));
-                chip
-            }
-            Err(error) => {
-                let _ = tell.send(Err(error));
-                return;
-            }
-        };
-        let period_ns = (1e9 / self.config.rate_hz) as u64;
-        let mut next_ns = rt::monotonic_ns();
-        while !self.stop.load(Ordering::Relaxed) && !self.to.is_abandoned() {
-            self.turn(chip.as_mut());
-            let now_ns = rt::monotonic_ns();
-            next_ns += period_ns;
-            if next_ns < now_ns {
-                next_ns = now_ns; // a slow transfer is not made up for
-            }
-            rt::sleep_until_ns(next_ns);
+/// The thread: reports the result of the set-up, then reads until `stop` or until the handle is dropped.
+fn run(
+    config: &SensorConfig,
+    mut output: rtrb::Producer<StampedReading>,
+    stop: &AtomicBool,
+    started: &Sender<Result<Identity, HardwareError>>,
+) {
+    let set_up = open(config).and_then(|driver| {
+        let mut imu = ImuRecovery::new(driver);
+        let identity = imu.start(&mut Sleep).map_err(|source| HardwareError::Imu { path: config.bus.clone(), source })?;
+        Ok((imu, identity))
+    });
+    let (mut imu, identity) = match set_up {
+        Ok(ready) => ready,
+        Err(error) => {
+            let _ = started.send(Err(error));
+            return;
         }
-    }
-
-    /// One reading; after too many bad ones, or a restart, the chip is set up anew.
-    fn turn(&mut self, chip: &mut (dyn Imu + Send)) {
-        let t_ns = rt::monotonic_ns();
-        let result = chip.read();
-        let restart = matches!(result, Err(ImuError::ResetToDefaults { .. } | ImuError::NotReady { .. }));
-        self.failures = if result.is_ok() { 0 } else { self.failures + 1 };
-        let mut outcome = imu::outcome(&result, &chip.scale(), &self.correction, Seconds(0.0));
-        if let ImuReading::Sample(sample, _) = &mut outcome {
-            sample.gyro_rad_s = self.config.mount * sample.gyro_rad_s;
-            sample.acc_m_s2 = self.config.mount * sample.acc_m_s2;
-            sample.mag_ut = sample.mag_ut.map(|m| self.config.mount * m);
+    };
+    let _guard = rt::enter(&RtRequest { priority: config.priority, cpu: None });
+    // The receiver may have timed out; then `stop` is set.
+    let _ = started.send(Ok(identity));
+    let period_ns = (1e9 / config.rate_hz) as u64;
+    let mut next_ns = monotonic_ns();
+    while !stop.load(Ordering::Relaxed) && !output.is_abandoned() {
+        let t_ns = monotonic_ns();
+        let mut reading = imu.read(&mut Sleep, Seconds(t_ns as f64 * 1e-9));
+        if let ImuReading::Sample(sample, _) = &mut reading {
+            sample.gyro_rad_s = config.mount * sample.gyro_rad_s;
+            sample.acc_m_s2 = config.mount * sample.acc_m_s2;
+            sample.mag_ut = sample.mag_ut.map(|m| config.mount * m);
         }
-        // a full ring means that the loop is stuck; what it will read then is old anyway
-        let _ = self.to.push(Stamped { t_ns, outcome });
-        if (restart || self.failures >= FAILURES_MAX) && t_ns >= self.retry_ns {
-            // what it says is the outcome of the next reading
-            let _ = chip.init(&mut Sleep);
-            self.failures = 0;
-            self.retry_ns = rt::monotonic_ns() + RETRY_NS;
-        }
+        // A full ring means that the loop is stuck, and this reading will be outdated when it resumes.
+        let _ = output.push(StampedReading { t_ns, reading });
+        // After a slow transfer the missed readings are not made up for.
+        next_ns = (next_ns + period_ns).max(monotonic_ns());
+        rt::sleep_until_ns(next_ns);
     }
 }
 
@@ -210,7 +158,7 @@ impl Reader {
 fn open(config: &SensorConfig) -> Result<Box<dyn Imu + Send>, HardwareError> {
     use crate::hardware::imu::linux::Classified;
     let path = config.bus.clone();
-    // the libraries fold the reasons; the file itself tells them apart
+    // The libraries merge the causes of a failure; opening the file here distinguishes them.
     if let Err(e) = std::fs::File::options().read(true).write(true).open(&path) {
         return Err(match e.kind() {
             std::io::ErrorKind::NotFound => HardwareError::NoBus { path },
@@ -219,11 +167,10 @@ fn open(config: &SensorConfig) -> Result<Box<dyn Imu + Send>, HardwareError> {
         });
     }
     if config.rppal {
-        let number = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok());
-        let bus = match number {
-            Some(n) => rppal::i2c::I2c::with_bus(n).map_err(|e| HardwareError::Bus { path, why: e.to_string() })?,
-            None => return Err(HardwareError::Bus { path, why: "rppal wants /dev/i2c-N".to_owned() }),
+        let Some(number) = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok()) else {
+            return Err(HardwareError::Bus { path, why: "rppal requires a path of the form /dev/i2c-N".to_owned() });
         };
+        let bus = rppal::i2c::I2c::with_bus(number).map_err(|e| HardwareError::Bus { path, why: e.to_string() })?;
         return Ok(imu::open(&config.chip, Classified(bus))?);
     }
     let bus = linux_embedded_hal::I2cdev::new(&path).map_err(|e| HardwareError::Bus { path, why: e.to_string() })?;

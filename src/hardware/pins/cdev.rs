@@ -1,79 +1,19 @@
 //! Pins through the GPIO character device, line interface version 2 (Linux 5.10 and newer;
 //! `Documentation/userspace-api/gpio/chardev.rst`).
 //!
-//! All outputs are one request and all inputs another, so one change of levels is one ioctl that
-//! moves every line that differs, whatever their number, and nothing is allocated. The crate
-//! `gpio-cdev` speaks version 1 of the interface, sets whole requests only, knows no resistors and
-//! allocates for every read; that is why the five calls needed are made here directly.
+//! All outputs form one request and all inputs another. One change of levels is therefore one ioctl
+//! that moves every line that differs, and nothing is allocated. The crate `gpio-cdev` does not serve
+//! here: it uses version 1 of the interface, which sets only whole requests and cannot enable pull
+//! resistors, and it allocates for every read. [`super::uapi`] makes the five calls directly.
 
 use crate::hardware::pins::config::Pull;
 use crate::hardware::pins::map::LineMap;
-use crate::hardware::pins::uapi::Uapi;
+use crate::hardware::pins::uapi::{Kernel, LINES_MAX, Request, RequestKind, Uapi};
 use crate::hardware::pins::{PinError, Pins};
-use crate::motion::lines::Inputs;
-use crate::motion::lines::Levels;
+use crate::motion::lines::{Inputs, Levels};
 use std::io;
 
-/// Most lines in one request.
-const LINES_MAX: usize = 64;
-
-/// What is asked of the kernel when lines are requested.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Request {
-    /// Line offsets; line i is bit i.
-    pub offsets: Vec<u32>,
-    /// Outputs with these voltages from the first moment on, or inputs with resistors, one a line.
-    pub kind: RequestKind,
-}
-
-/// Direction of the lines of a request.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum RequestKind {
-    /// Outputs, and their first voltages.
-    Outputs(u64),
-    /// Inputs, and their resistors.
-    Inputs(Vec<Pull>),
-}
-
-/// The kernel's side, so that everything above it can be tried without a chip.
-pub trait Kernel: Send {
-    /// An open chip.
-    type Chip: Send;
-    /// A granted request.
-    type Lines: Send;
-
-    /// Opens a chip and tells its number of lines.
-    ///
-    /// # Errors
-    /// What the kernel said.
-    fn open(&self, path: &str) -> io::Result<(Self::Chip, u32)>;
-
-    /// Requests lines.
-    ///
-    /// # Errors
-    /// What the kernel said.
-    fn request(&self, chip: &Self::Chip, request: &Request) -> io::Result<Self::Lines>;
-
-    /// Who holds a line; `None` when it is free or has no name.
-    ///
-    /// # Errors
-    /// What the kernel said.
-    fn holder(&self, chip: &Self::Chip, offset: u32) -> io::Result<Option<String>>;
-
-    /// Sets the lines of `mask` to `bits`.
-    ///
-    /// # Errors
-    /// What the kernel said.
-    fn set(&self, lines: &Self::Lines, mask: u64, bits: u64) -> io::Result<()>;
-
-    /// Reads the lines of `mask`.
-    ///
-    /// # Errors
-    /// What the kernel said.
-    fn get(&self, lines: &Self::Lines, mask: u64) -> io::Result<u64>;
-}
-
-/// Lines of one chip.
+/// The lines of one chip.
 #[derive(Debug)]
 pub struct CdevPins<K: Kernel = Uapi> {
     kernel: K,
@@ -94,20 +34,20 @@ impl CdevPins<Uapi> {
 }
 
 impl<K: Kernel> CdevPins<K> {
-    /// The same through a given kernel.
+    /// The same through another implementation of the kernel interface.
     ///
     /// # Errors
     /// As [`CdevPins::open`].
     pub fn open_with(kernel: K, path: &str, map: LineMap) -> Result<Self, PinError> {
-        let (chip, lines) = kernel.open(path).map_err(|e| name_open(e, path))?;
-        let wanted = map.outputs().iter().chain(map.inputs().iter().map(|(pin, _)| pin));
-        if let Some(&pin) = wanted.clone().find(|pin| **pin >= lines) {
+        let (chip, lines) = kernel.open(path).map_err(|e| open_error(e, path))?;
+        let requested = map.outputs().iter().chain(map.inputs().iter().map(|(pin, _)| pin));
+        if let Some(&pin) = requested.clone().find(|pin| **pin >= lines) {
             return Err(PinError::NoLine { chip: path.into(), pin, lines });
         }
         if map.outputs().len().max(map.inputs().len()) > LINES_MAX {
             return Err(PinError::Pin { what: "request", why: format!("more than {LINES_MAX} lines") });
         }
-        let bits = map.bits(&Levels::default());
+        let bits = map.output_bits(&Levels::default());
         let outputs = Request { offsets: map.outputs().to_vec(), kind: RequestKind::Outputs(bits) };
         let outputs = request(&kernel, &chip, path, &outputs)?;
         let (offsets, pulls): (Vec<u32>, Vec<Pull>) = map.inputs().iter().copied().unzip();
@@ -121,7 +61,7 @@ impl<K: Kernel> CdevPins<K> {
 
 impl<K: Kernel> Pins for CdevPins<K> {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
-        let bits = self.map.bits(levels);
+        let bits = self.map.output_bits(levels);
         let mask = bits ^ self.bits;
         if mask != 0 {
             self.kernel.set(&self.outputs, mask, bits).map_err(|source| PinError::Io { what: "write", source })?;
@@ -143,12 +83,12 @@ impl<K: Kernel> Pins for CdevPins<K> {
         let Some(lines) = &self.inputs else { return Ok(Inputs::default()) };
         let mask = (1_u64 << self.map.inputs().len()) - 1;
         let bits = self.kernel.get(lines, mask).map_err(|source| PinError::Io { what: "read", source })?;
-        Ok(self.map.meaning(bits))
+        Ok(self.map.inputs_from(bits))
     }
 }
 
-/// Why a chip could not be opened.
-fn name_open(error: io::Error, path: &str) -> PinError {
+/// Converts the error of opening a chip.
+fn open_error(error: io::Error, path: &str) -> PinError {
     match (error.kind(), error.raw_os_error()) {
         (io::ErrorKind::NotFound, _) => PinError::NoChip { path: path.into() },
         (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied { path: path.into() },
@@ -157,11 +97,11 @@ fn name_open(error: io::Error, path: &str) -> PinError {
     }
 }
 
-/// Requests lines; a refusal names the line that is taken and who has it.
+/// Requests lines. The error for a line in use names the line and its consumer.
 fn request<K: Kernel>(kernel: &K, chip: &K::Chip, path: &str, request: &Request) -> Result<K::Lines, PinError> {
     kernel.request(chip, request).map_err(|error| match (error.kind(), error.raw_os_error()) {
         (_, Some(libc::EBUSY)) => {
-            let held = request.offsets.iter().find_map(|&pin| match kernel.holder(chip, pin) {
+            let held = request.offsets.iter().find_map(|&pin| match kernel.consumer(chip, pin) {
                 Ok(Some(by)) => Some((pin, Some(by))),
                 _ => None,
             });
@@ -181,20 +121,20 @@ mod tests {
     use std::sync::{Arc, Mutex};
 
     #[test]
-    fn an_enable_line_that_does_not_follow_is_named() {
+    fn the_error_for_a_stuck_enable_line_names_the_line() {
         let mut pins = CdevPins::open_with(Fake { inputs: 0, ..Fake::default() }, "chip", map()).unwrap();
-        let words = pins.check_enable().unwrap_err().to_string();
-        assert!(words.contains("EN on GPIO 5 stays low when driven high"), "{words}");
+        let message = pins.check_enable().unwrap_err().to_string();
+        assert!(message.contains("EN on GPIO 5 stays low when driven high"), "{message}");
         pins.write(&Levels { enable: true, ..Levels::default() }).unwrap();
         pins.check_enable().unwrap();
     }
 
-    /// A kernel made of a log: what was asked, and what to answer.
+    /// A kernel that records requests and returns preset answers.
     #[derive(Debug, Default, Clone)]
     struct Fake {
         log: Arc<Mutex<Vec<String>>>,
         refuse: Option<i32>,
-        holder: Option<(u32, &'static str)>,
+        consumer: Option<(u32, &'static str)>,
         inputs: u64,
     }
 
@@ -208,8 +148,8 @@ mod tests {
             self.log.lock().unwrap().push(format!("{request:?}"));
             self.refuse.map_or(Ok(()), |e| Err(io::Error::from_raw_os_error(e)))
         }
-        fn holder(&self, (): &(), offset: u32) -> io::Result<Option<String>> {
-            Ok(self.holder.filter(|h| h.0 == offset).map(|h| h.1.to_string()))
+        fn consumer(&self, (): &(), offset: u32) -> io::Result<Option<String>> {
+            Ok(self.consumer.filter(|h| h.0 == offset).map(|h| h.1.to_string()))
         }
         fn set(&self, (): &(), mask: u64, bits: u64) -> io::Result<()> {
             self.log.lock().unwrap().push(format!("set {mask:07b} {bits:07b}"));
@@ -226,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn one_ioctl_moves_all_lines_that_differ() {
+    fn one_ioctl_changes_all_lines_that_differ() {
         let kernel = Fake::default();
         let log = kernel.log.clone();
         let mut pins = CdevPins::open_with(kernel, "chip", map()).unwrap();
@@ -243,26 +183,26 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_says_who_and_what_to_do() {
-        let busy = Fake { refuse: Some(libc::EBUSY), holder: Some((27, "spi0 CS1")), ..Fake::default() };
-        let words = CdevPins::open_with(busy, "chip", map()).unwrap_err().to_string();
-        assert!(words.contains("GPIO 27 is in use by \"spi0 CS1\""), "{words}");
+    fn the_error_for_a_line_in_use_names_its_consumer() {
+        let busy = Fake { refuse: Some(libc::EBUSY), consumer: Some((27, "spi0 CS1")), ..Fake::default() };
+        let message = CdevPins::open_with(busy, "chip", map()).unwrap_err().to_string();
+        assert!(message.contains("GPIO 27 is in use by \"spi0 CS1\""), "{message}");
         let old = Fake { refuse: Some(libc::EINVAL), ..Fake::default() };
         assert!(matches!(CdevPins::open_with(old, "chip", map()), Err(PinError::NotAChip { .. })));
     }
 
     #[test]
-    fn a_line_the_chip_does_not_have_is_named() {
+    fn a_line_that_the_chip_does_not_have_is_refused() {
         let mut config = PinsConfig::default();
         config.channels[1].step = 54;
         let map = LineMap::new(&config, 16).unwrap();
-        let words = CdevPins::open_with(Fake::default(), "/dev/gpiochip0", map).unwrap_err().to_string();
-        assert!(words.contains("has no line 54, only 0 to 53"), "{words}");
+        let message = CdevPins::open_with(Fake::default(), "/dev/gpiochip0", map).unwrap_err().to_string();
+        assert!(message.contains("has no line 54, only 0 to 53"), "{message}");
     }
 
-    /// Against the real kernel of whatever machine runs the tests.
+    /// Runs against the kernel of the machine that runs the tests.
     #[test]
-    fn files_that_are_no_chips_are_told_apart() {
+    fn missing_files_and_files_that_are_not_chips_have_errors_of_their_own() {
         let none = CdevPins::open("/dev/gpiochip-none", map()).unwrap_err();
         assert!(matches!(none, PinError::NoChip { .. }), "{none}");
         let null = CdevPins::open("/dev/null", map()).unwrap_err();

@@ -1,12 +1,11 @@
-//! Pins of any `embedded-hal` implementation as a backend.
+//! A backend of `embedded-hal` pins.
 
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{PinError, Pins};
-use crate::motion::lines::Inputs;
-use crate::motion::lines::Levels;
+use crate::motion::lines::{Inputs, Levels};
 use embedded_hal::digital::{InputPin, OutputPin, PinState};
 
-/// One `embedded-hal` pin a line, in the order of the [`LineMap`].
+/// One `embedded-hal` pin per line, in the order of the [`LineMap`].
 #[derive(Debug)]
 pub struct HalPins<O, I> {
     map: LineMap,
@@ -18,27 +17,19 @@ pub struct HalPins<O, I> {
 }
 
 impl<O: OutputPin, I: InputPin> HalPins<O, I> {
-    /// Takes the pins, which must match the map in number and order, and writes all outputs once:
-    /// drivers released, STEP at rest, microstep levels set.
+    /// Takes the pins, which must match the map in number and order, and writes all outputs once: STEP at
+    /// its resting level, microstep levels set, and the drivers energised or released as given.
     ///
     /// # Errors
     /// [`PinError::Pin`] when that write fails.
-    pub fn new(map: LineMap, outputs: Vec<O>, inputs: Vec<I>) -> Result<Self, PinError> {
-        Self::taking_over(map, outputs, inputs, false)
-    }
-
-    /// The same with drivers that are energised and stay so.
-    ///
-    /// # Errors
-    /// As [`HalPins::new`].
-    pub fn taking_over(map: LineMap, outputs: Vec<O>, inputs: Vec<I>, energised: bool) -> Result<Self, PinError> {
-        let bits = map.bits(&Levels { enable: energised, ..Levels::default() });
+    pub fn new(map: LineMap, outputs: Vec<O>, inputs: Vec<I>, energised: bool) -> Result<Self, PinError> {
+        let bits = map.output_bits(&Levels { enable: energised, ..Levels::default() });
         let mut pins = Self { map, outputs, inputs, bits, level: None, found_energised: energised };
         pins.apply(bits, u64::MAX)?;
         Ok(pins)
     }
 
-    /// Lets EN be read back through `level`, the voltage that is really on an output.
+    /// Reads EN back through `level`, which returns whether an output line is high.
     #[must_use]
     pub fn reading_back(mut self, level: fn(&O) -> bool) -> Self {
         self.level = Some(level);
@@ -57,7 +48,7 @@ impl<O: OutputPin, I: InputPin> HalPins<O, I> {
 
 impl<O: OutputPin + Send, I: InputPin + Send> Pins for HalPins<O, I> {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
-        let bits = self.map.bits(levels);
+        let bits = self.map.output_bits(levels);
         self.apply(bits, bits ^ self.bits)
     }
 
@@ -77,7 +68,7 @@ impl<O: OutputPin + Send, I: InputPin + Send> Pins for HalPins<O, I> {
             let high = pin.is_high().map_err(|e| PinError::Pin { what: "read", why: format!("{e:?}") })?;
             bits |= u64::from(high) << i;
         }
-        Ok(self.map.meaning(bits))
+        Ok(self.map.inputs_from(bits))
     }
 }
 
@@ -88,18 +79,18 @@ mod tests {
     use embedded_hal_mock::eh1::MockError;
     use embedded_hal_mock::eh1::digital::{Mock, State, Transaction};
 
-    /// Pins that expect exactly these levels: [17, 23, 5, 27, 24, 22, 25].
+    /// Output pins 17, 23, 5, 27, 24, 22 and 25 that expect exactly these levels.
     fn pins(expected: [&[State]; 7]) -> Vec<Mock> {
         expected.map(|states| Mock::new(&states.iter().map(|s| Transaction::set(*s)).collect::<Vec<_>>())).into()
     }
 
     #[test]
-    fn only_lines_that_change_are_written() {
+    fn only_changed_lines_are_written() {
         use State::{High, Low};
         let map = LineMap::new(&PinsConfig::default(), 16).unwrap();
         let outputs = pins([&[Low, High, Low], &[Low, High], &[High, Low], &[Low], &[Low], &[Low], &[Low]]);
         let mut checks = outputs.clone();
-        let mut p = HalPins::<Mock, Mock>::new(map, outputs, vec![]).unwrap();
+        let mut p = HalPins::<Mock, Mock>::new(map, outputs, vec![], false).unwrap();
         let mut l = Levels { enable: true, dir: [true, false, false], step: [false; 3] };
         p.write(&l).unwrap();
         l.step[0] = true;
@@ -111,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn inputs_are_read_and_errors_named() {
+    fn inputs_are_read_and_a_failed_read_is_an_error() {
         let config = PinsConfig { emergency_stop: Some(Input { pin: 26, active_low: true, pull: Pull::Up }), ..PinsConfig::default() };
         let map = LineMap::new(&config, 16).unwrap();
         let broken = Transaction::get(State::High).with_error(MockError::Io(std::io::ErrorKind::NotConnected));
@@ -119,7 +110,7 @@ mod tests {
         let mut check = stop.clone();
         let quiet = pins([&[State::Low], &[State::Low], &[State::High], &[State::Low], &[State::Low], &[State::Low], &[State::Low]]);
         let mut checks = quiet.clone();
-        let mut p = HalPins::new(map, quiet, vec![stop]).unwrap();
+        let mut p = HalPins::new(map, quiet, vec![stop], false).unwrap();
         assert!(p.read().unwrap().emergency_stop);
         assert!(!p.read().unwrap().emergency_stop);
         assert!(p.read().unwrap_err().to_string().contains("GPIO read failed"));

@@ -1,17 +1,16 @@
-//! Which bit is which line: meaning to voltage and back, for every backend alike.
+//! Converts logical levels to line voltages and back, for all backends.
 //!
-//! Output line i of [`LineMap::outputs`] is bit i; bits are voltages (1 = high), polarity applied.
-//! MS levels are constants of the A4988 (data sheet, Table 1): full 000, half 100, quarter 010,
-//! eighth 110, sixteenth 111 on MS1 MS2 MS3.
+//! Line i of [`LineMap::outputs`] is bit i of a word of voltages (1 = high). The MS levels are those of
+//! the A4988 (data sheet, Table 1): full 000, half 100, quarter 010, eighth 110, sixteenth 111 on MS1,
+//! MS2, MS3.
 
 use crate::hardware::pins::PinError;
 use crate::hardware::pins::config::{InputPin, PinsConfig, Pull};
 use crate::motion::ConfigError;
-use crate::motion::lines::Inputs;
-use crate::motion::lines::Levels;
+use crate::motion::lines::{Inputs, Levels};
 
-/// Lines and their meaning.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// The lines of a board and their functions.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct LineMap {
     outputs: Vec<u32>,
     inputs: Vec<(u32, Pull)>,
@@ -26,23 +25,12 @@ pub struct LineMap {
 }
 
 impl LineMap {
-    /// Lays out the lines of a valid configuration.
+    /// Assigns bits to the lines of a valid configuration.
     ///
     /// # Errors
-    /// [`ConfigError`] when MS lines are wired and `microsteps` is none the chip knows.
+    /// [`ConfigError`] when MS lines are wired and the chip does not support `microsteps`.
     pub fn new(config: &PinsConfig, microsteps: u32) -> Result<Self, ConfigError> {
-        let mut map = Self {
-            outputs: Vec::new(),
-            inputs: Vec::new(),
-            step: [0; 3],
-            dir: [0; 3],
-            enable: 0,
-            inverted: 0,
-            fixed: 0,
-            home: [0; 3],
-            emergency_stop: 0,
-            inputs_inverted: 0,
-        };
+        let mut map = Self::default();
         for (i, c) in config.channels.iter().enumerate() {
             map.step[i] = map.output(c.step, config.step_active_low);
             map.dir[i] = map.output(c.dir, c.dir_inverted);
@@ -61,7 +49,7 @@ impl LineMap {
         Ok(map)
     }
 
-    /// The bit of an output line, new or shared.
+    /// The bit of an output line, which several signals may share.
     fn output(&mut self, pin: u32, inverted: bool) -> u64 {
         let index = self.outputs.iter().position(|p| *p == pin).unwrap_or_else(|| {
             self.outputs.push(pin);
@@ -79,35 +67,35 @@ impl LineMap {
         bit
     }
 
-    /// Line numbers of the outputs; the order is that of the bits.
+    /// Line numbers of the outputs in the order of the bits.
     #[must_use]
     pub fn outputs(&self) -> &[u32] {
         &self.outputs
     }
 
-    /// Line numbers and resistors of the inputs; the order is that of the bits.
+    /// Line numbers and pull resistors of the inputs in the order of the bits.
     #[must_use]
     pub fn inputs(&self) -> &[(u32, Pull)] {
         &self.inputs
     }
 
-    /// Voltages of all outputs for given levels.
+    /// Voltages of all outputs for logical levels.
     #[inline]
     #[must_use]
-    pub fn bits(&self, levels: &Levels) -> u64 {
-        let mut meant = if levels.enable { self.enable } else { 0 };
+    pub fn output_bits(&self, levels: &Levels) -> u64 {
+        let mut active = if levels.enable { self.enable } else { 0 };
         for channel in 0..3 {
-            meant |= if levels.step[channel] { self.step[channel] } else { 0 };
-            meant |= if levels.dir[channel] { self.dir[channel] } else { 0 };
+            active |= if levels.step[channel] { self.step[channel] } else { 0 };
+            active |= if levels.dir[channel] { self.dir[channel] } else { 0 };
         }
-        (meant ^ self.inverted) | self.fixed
+        (active ^ self.inverted) | self.fixed
     }
 
-    /// Whether the drivers are energised by lines found like this: bit i of `driven` is a line that is an output, of
-    /// `high` its voltage. Without an EN line nobody can tell, and they count as released.
+    /// Whether lines found in this state energise the drivers. Bit i of `driven` tells whether line i is an
+    /// output, bit i of `high` whether it is high. Without an EN line the drivers count as released.
     #[must_use]
     pub fn is_energised(&self, driven: u64, high: u64) -> bool {
-        let on = self.bits(&Levels { enable: true, ..Levels::default() });
+        let on = self.output_bits(&Levels { enable: true, ..Levels::default() });
         self.enable != 0 && driven & self.enable == self.enable && (high ^ on) & self.enable == 0
     }
 
@@ -117,43 +105,43 @@ impl LineMap {
         self.enable
     }
 
-    /// The first EN line whose voltage is not the one written.
+    /// Compares the EN lines with the voltages written.
     ///
     /// # Errors
-    /// [`PinError::EnableStuck`].
+    /// [`PinError::EnableStuck`] with the first line that differs.
     pub fn compare_enable(&self, written: u64, found: u64) -> Result<(), PinError> {
         let wrong = (written ^ found) & self.enable;
         if wrong == 0 {
             return Ok(());
         }
         let bit = wrong.trailing_zeros() as usize;
-        Err(PinError::EnableStuck { pin: self.outputs[bit], wanted_high: written >> bit & 1 == 1 })
+        Err(PinError::EnableStuck { pin: self.outputs[bit], driven_high: written >> bit & 1 == 1 })
     }
 
-    /// Meaning of the voltages of all inputs.
+    /// Logical levels of all inputs for their voltages.
     #[inline]
     #[must_use]
-    pub fn meaning(&self, bits: u64) -> Inputs {
+    pub fn inputs_from(&self, bits: u64) -> Inputs {
         let active = bits ^ self.inputs_inverted;
         Inputs { home: self.home.map(|bit| active & bit != 0), emergency_stop: active & self.emergency_stop != 0 }
     }
 }
 
-/// Levels of MS1 to MS3.
+/// Levels of MS1 to MS3 of the A4988.
 fn ms_levels(microsteps: u32) -> Result<[bool; 3], ConfigError> {
-    match microsteps {
-        1 => Ok([false, false, false]),
-        2 => Ok([true, false, false]),
-        4 => Ok([false, true, false]),
-        8 => Ok([true, true, false]),
-        16 => Ok([true, true, true]),
-        _ => Err(ConfigError {
-            key: "drive.microsteps",
-            value: microsteps.to_string(),
-            allowed: "1, 2, 4, 8 or 16, since the MS lines are wired".into(),
-            mend: "Leave pins.channels.ms out if they are hard-wired.",
-        }),
-    }
+    const TABLE: [(u32, [bool; 3]); 5] = [
+        (1, [false, false, false]),
+        (2, [true, false, false]),
+        (4, [false, true, false]),
+        (8, [true, true, false]),
+        (16, [true, true, true]),
+    ];
+    TABLE.into_iter().find(|row| row.0 == microsteps).map(|row| row.1).ok_or_else(|| ConfigError {
+        key: "drive.microsteps",
+        value: microsteps.to_string(),
+        allowed: "1, 2, 4, 8 or 16, since the MS lines are wired".into(),
+        mend: "Leave pins.channels.ms out if they are hard-wired.",
+    })
 }
 
 #[cfg(test)]
@@ -169,24 +157,24 @@ mod tests {
     }
 
     #[test]
-    fn polarity_and_sharing() {
+    fn outputs_apply_polarity_and_share_lines() {
         let map = LineMap::new(&config(), 8).unwrap();
         assert_eq!(map.outputs(), [17, 23, 5, 27, 24, 6, 13, 19, 22, 25], "the shared EN once");
         let bit = |pin| 1_u64 << map.outputs().iter().position(|p| *p == pin).unwrap();
-        let idle = map.bits(&Levels::default());
+        let idle = map.output_bits(&Levels::default());
         assert_eq!(idle, bit(5) | bit(24) | bit(6) | bit(13), "EN high, inverted DIR high, MS 110");
         let on = Levels { step: [true, false, false], dir: [true, true, false], enable: true };
-        assert_eq!(map.bits(&on), bit(17) | bit(23) | bit(6) | bit(13));
+        assert_eq!(map.output_bits(&on), bit(17) | bit(23) | bit(6) | bit(13));
     }
 
     #[test]
-    fn drivers_are_found_energised_only_by_an_output_at_the_right_level() {
+    fn only_an_output_at_the_active_level_energises_the_drivers() {
         let map = LineMap::new(&config(), 8).unwrap();
         let en = 1 << map.outputs().iter().position(|p| *p == 5).unwrap();
         assert!(map.is_energised(u64::MAX, !en), "EN is active low");
         assert!(map.is_energised(en, 0));
         assert!(!map.is_energised(en, en), "high is released");
-        assert!(!map.is_energised(!en, 0), "an input holds nothing");
+        assert!(!map.is_energised(!en, 0), "an input drives nothing");
         let high = LineMap::new(&PinsConfig { enable_active_low: false, ..config() }, 8).unwrap();
         assert!(high.is_energised(en, en) && !high.is_energised(en, 0));
         let mut bare = config();
@@ -195,15 +183,15 @@ mod tests {
     }
 
     #[test]
-    fn inputs_mean_what_their_polarity_says() {
+    fn inputs_apply_polarity() {
         let map = LineMap::new(&config(), 16).unwrap();
         assert_eq!(map.inputs(), [(16, Pull::Up), (26, Pull::Down)]);
-        assert_eq!(map.meaning(0b01), Inputs::default());
-        assert_eq!(map.meaning(0b10), Inputs { home: [false, true, false], emergency_stop: true });
+        assert_eq!(map.inputs_from(0b01), Inputs::default());
+        assert_eq!(map.inputs_from(0b10), Inputs { home: [false, true, false], emergency_stop: true });
     }
 
     #[test]
-    fn microsteps_the_chip_does_not_know_are_refused_only_if_wired() {
+    fn unsupported_microsteps_are_refused_only_if_the_ms_lines_are_wired() {
         assert_eq!(LineMap::new(&config(), 32).unwrap_err().key, "drive.microsteps");
         LineMap::new(&PinsConfig::default(), 32).unwrap();
     }

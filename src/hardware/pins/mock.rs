@@ -1,15 +1,14 @@
-//! Pins without hardware: every edge is recorded with its time. Part of the product: `bench rt` and
-//! rehearsals of the whole service run on it.
+//! Pins without hardware that record every edge with its time. `bench rt` and boards with
+//! `pins.backend = "mock"` use them.
 
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::monotonic_ns;
-use crate::motion::lines::Inputs;
-use crate::motion::lines::Levels;
+use crate::motion::lines::{Inputs, Levels};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Which line of which channel.
+/// A line of a driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LineName {
     /// STEP of a channel, from 0.
@@ -20,18 +19,18 @@ pub enum LineName {
     Enable,
 }
 
-/// One edge.
+/// A change of one line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Edge {
-    /// When it was written, ns of the monotonic clock.
+    /// Time of the write, ns of the monotonic clock.
     pub t_ns: u64,
-    /// Where.
+    /// The line.
     pub line: LineName,
-    /// To which level (meaning, not voltage).
+    /// The new logical level.
     pub high: bool,
 }
 
-/// Edges between two states of the lines, in the order STEP, DIR, EN.
+/// The edges between two states of the lines.
 pub fn edges(t_ns: u64, old: &Levels, new: &Levels) -> impl Iterator<Item = Edge> {
     let (old, new) = (*old, *new);
     let edge = move |line, was: bool, is: bool| (was != is).then_some(Edge { t_ns, line, high: is });
@@ -41,32 +40,21 @@ pub fn edges(t_ns: u64, old: &Levels, new: &Levels) -> impl Iterator<Item = Edge
         .flatten()
 }
 
-/// Hand on the mock's inputs, for a test or a rehearsal.
-#[derive(Debug, Clone, Default)]
-pub struct MockInputs(Arc<AtomicU64>);
-
-impl MockInputs {
-    /// Sets the voltages of the inputs; the order is that of [`LineMap::inputs`].
-    pub fn set_bits(&self, bits: u64) {
-        self.0.store(bits, Ordering::Relaxed);
-    }
-}
-
-/// Pins that record.
+/// Pins that record edges.
 #[derive(Debug)]
 pub struct MockPins {
     map: LineMap,
     levels: Levels,
     record: Vec<Edge>,
     dropped: u64,
-    inputs: MockInputs,
+    inputs: Arc<AtomicU64>,
     fail_after: Option<u64>,
     found_energised: bool,
     writes: u64,
 }
 
 impl MockPins {
-    /// Pins of a map that record up to `capacity` edges; further ones are only counted.
+    /// Pins of a map that record up to `capacity` edges and count the rest.
     #[must_use]
     pub fn new(map: LineMap, capacity: usize) -> Self {
         Self {
@@ -74,7 +62,7 @@ impl MockPins {
             levels: Levels::default(),
             record: Vec::with_capacity(capacity),
             dropped: 0,
-            inputs: MockInputs::default(),
+            inputs: Arc::default(),
             fail_after: None,
             found_energised: false,
             writes: 0,
@@ -88,32 +76,32 @@ impl MockPins {
         self
     }
 
-    /// Takes the lines over with the drivers energised.
+    /// Reports the drivers as found energised.
     #[must_use]
     pub fn energised(mut self) -> Self {
         (self.levels.enable, self.found_energised) = (true, true);
         self
     }
 
-    /// A hand on the inputs.
+    /// A handle that sets the voltages of the inputs, in the order of [`LineMap::inputs`].
     #[must_use]
-    pub fn inputs(&self) -> MockInputs {
+    pub fn inputs(&self) -> Arc<AtomicU64> {
         self.inputs.clone()
     }
 
-    /// The edges recorded, in order.
+    /// The recorded edges in order.
     #[must_use]
     pub fn record(&self) -> &[Edge] {
         &self.record
     }
 
-    /// Edges that were not recorded for want of room.
+    /// Number of edges beyond the capacity.
     #[must_use]
     pub fn dropped(&self) -> u64 {
         self.dropped
     }
 
-    /// Levels now.
+    /// The present levels.
     #[must_use]
     pub fn levels(&self) -> &Levels {
         &self.levels
@@ -124,7 +112,7 @@ impl Pins for MockPins {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
         self.writes += 1;
         if self.fail_after.is_some_and(|n| self.writes > n) {
-            return Err(PinError::Pin { what: "write", why: "the mock was told to fail".into() });
+            return Err(PinError::Pin { what: "write", why: "the mock was set to fail".into() });
         }
         for edge in edges(monotonic_ns(), &self.levels, levels) {
             if self.record.len() < self.record.capacity() {
@@ -142,6 +130,6 @@ impl Pins for MockPins {
     }
 
     fn read(&mut self) -> Result<Inputs, PinError> {
-        Ok(self.map.meaning(self.inputs.0.load(Ordering::Relaxed)))
+        Ok(self.map.inputs_from(self.inputs.load(Ordering::Relaxed)))
     }
 }

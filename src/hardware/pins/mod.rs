@@ -1,13 +1,13 @@
 //! The pins of the three drivers behind one small trait, and its backends.
 //!
-//! | backend | what | one change of levels costs |
+//! | backend | access | cost of one change of levels |
 //! |---|---|---|
-//! | [`rppal`] | registers of the Raspberry Pi, mapped | one store a line |
+//! | [`rppal`] | mapped registers of a Raspberry Pi | one store per line |
 //! | [`cdev`] | GPIO character device of any Linux board | one ioctl for all lines |
-//! | [`mock`] | none: records every edge with its time | a push |
+//! | [`mock`] | none; records every edge with its time | one push |
 //!
-//! [`hal::HalPins`] makes a backend of any set of `embedded-hal` pins; `rppal` is one use of it.
-//! Polarity is settled in [`map`]: above it a level means something, below it is a voltage.
+//! [`hal::HalPins`] makes a backend of any set of `embedded-hal` pins; the `rppal` backend uses it.
+//! [`map`] applies polarity: above it levels are logical, below it they are voltages.
 
 pub mod cdev;
 pub mod config;
@@ -21,10 +21,9 @@ mod uapi;
 pub use config::{Backend, ChannelPins, InputPin, PinsConfig, Pull};
 pub use mock::MockPins;
 
-use crate::motion::lines::Inputs;
-use crate::motion::lines::Levels;
+use crate::motion::lines::{Inputs, Levels};
 
-/// Why the pins cannot be had, or not be used. All of these are exit code 3.
+/// Why the pins cannot be opened or used. Every variant leads to exit code 3.
 #[derive(Debug, thiserror::Error)]
 pub enum PinError {
     /// There is no such device file.
@@ -32,13 +31,13 @@ pub enum PinError {
         "no GPIO chip at {path}: list the chips with `ls /dev/gpiochip*` and set pins.chip (or pins.backend = \"rppal\" on a Raspberry Pi)"
     )]
     NoChip {
-        /// The path tried.
+        /// Path of the device file.
         path: String,
     },
-    /// The file is there but is no GPIO chip, or its kernel speaks no version 2 of the interface.
+    /// The file is not a GPIO chip, or the kernel does not provide version 2 of the interface.
     #[error("{path} is not a GPIO chip with line interface version 2 (Linux 5.10 or newer): set pins.chip to a /dev/gpiochip*")]
     NotAChip {
-        /// The path tried.
+        /// Path of the device file.
         path: String,
     },
     /// The chip has fewer lines.
@@ -46,17 +45,17 @@ pub enum PinError {
     NoLine {
         /// Chip path or board name.
         chip: String,
-        /// The line wanted.
+        /// Line number.
         pin: u32,
-        /// How many lines there are.
+        /// Number of lines of the chip.
         lines: u32,
     },
-    /// Somebody else holds a line.
+    /// Another consumer holds a line.
     #[error("GPIO {pin} is in use{}: stop that program or driver, or choose another pin", .by.as_ref().map_or(String::new(), |b| format!(" by \"{b}\"")))]
     Busy {
-        /// The line.
+        /// Line number.
         pin: u32,
-        /// Who holds it, if known.
+        /// Name of the consumer, if known.
         by: Option<String>,
     },
     /// The device may not be opened.
@@ -64,62 +63,66 @@ pub enum PinError {
         "no permission for {path}: add this user to the group gpio (`sudo usermod -aG gpio $USER`, then log in again) or run as the service"
     )]
     PermissionDenied {
-        /// The device.
+        /// Path of the device file.
         path: String,
     },
-    /// `rppal` does not know this board.
-    #[error("this is no Raspberry Pi that rppal knows: set pins.backend = \"cdev\"")]
+    /// `rppal` does not support this board.
+    #[error("this is not a Raspberry Pi that rppal supports: set pins.backend = \"cdev\"")]
     UnknownModel,
     /// The program was built without the feature `hw`.
     #[error("this program was built without hardware support: build with `--features hw`")]
     NotBuilt,
-    /// EN does not follow what is written to it.
+    /// EN does not follow its output.
     #[error(
-        "EN on GPIO {pin} stays {} when driven {}: look for a short, a missing driver supply or a second program on the line, and do not rely on the emergency stop until it is mended",
-        if *.wanted_high { "low" } else { "high" },
-        if *.wanted_high { "high" } else { "low" }
+        "EN on GPIO {pin} stays {} when driven {}: look for a short, a missing driver supply or a second program on the line, and do not rely on the emergency stop until this is repaired",
+        level(!.driven_high),
+        level(*.driven_high)
     )]
     EnableStuck {
-        /// The line.
+        /// Line number.
         pin: u32,
-        /// The level that was written.
-        wanted_high: bool,
+        /// The level that was written is high.
+        driven_high: bool,
     },
     /// A read or write failed.
     #[error("GPIO {what} failed: {source}; check the wiring and the kernel log (`dmesg | tail`)")]
     Io {
-        /// What was tried.
+        /// The operation.
         what: &'static str,
-        /// What the kernel said.
+        /// The error of the system call.
         source: std::io::Error,
     },
     /// A pin of an `embedded-hal` implementation failed.
     #[error("GPIO {what} failed: {why}; check the wiring")]
     Pin {
-        /// What was tried.
+        /// The operation.
         what: &'static str,
-        /// The implementation's words.
+        /// The message of the implementation.
         why: String,
     },
+}
+
+fn level(high: bool) -> &'static str {
+    if high { "high" } else { "low" }
 }
 
 /// Output and input lines of the three drivers.
 pub trait Pins: Send {
     /// Brings the lines to these levels, touching only those that differ from the last call.
-    /// Allocates nothing unless it fails.
+    /// Does not allocate unless it fails.
     ///
     /// # Errors
-    /// [`PinError::Io`] or [`PinError::Pin`]; which lines have moved is then unknown.
+    /// [`PinError::Io`] or [`PinError::Pin`]; it is then unknown which lines have changed.
     fn write(&mut self, levels: &Levels) -> Result<(), PinError>;
 
-    /// The drivers were energised when the lines were taken over, and still are: a program before this one
-    /// left them so. Pins that cannot tell were taken over released.
+    /// Whether an earlier program left the drivers energised and they still are. Backends that cannot
+    /// read this take the lines over released.
     fn found_energised(&self) -> bool {
         false
     }
 
-    /// Reads the EN lines back and compares them with what was written last. Pins that cannot be read
-    /// back say nothing.
+    /// Reads the EN lines back and compares them with the last write. Backends that cannot read them
+    /// back accept them.
     ///
     /// # Errors
     /// [`PinError::EnableStuck`], or a failed read.
@@ -127,7 +130,7 @@ pub trait Pins: Send {
         Ok(())
     }
 
-    /// Reads the input lines; those that are not wired read as not pressed.
+    /// Reads the input lines. Lines that are not wired read as not pressed.
     ///
     /// # Errors
     /// [`PinError::Io`] or [`PinError::Pin`].
@@ -149,9 +152,9 @@ impl Pins for Box<dyn Pins> {
     }
 }
 
-/// Opens the configured backend: all lines requested, STEP low, drivers released (or, through the registers of a
-/// Raspberry Pi, left energised if they are found so), microstep levels
-/// set for `microsteps` (1, 2, 4, 8 or 16).
+/// Opens the configured backend and requests all lines: STEP at its resting level, microstep levels set
+/// for `microsteps` (1, 2, 4, 8 or 16), and the drivers released. Only `rppal` can find the drivers
+/// energised; it leaves them so.
 ///
 /// # Errors
 /// [`OpenError`].
@@ -159,7 +162,7 @@ pub fn open(config: &PinsConfig, microsteps: u32) -> Result<Box<dyn Pins>, OpenE
     config.validate()?;
     let map = map::LineMap::new(config, microsteps)?;
     match config.backend {
-        Backend::Mock => Ok(Box::new(MockPins::new(map::LineMap::new(config, microsteps)?, 0))),
+        Backend::Mock => Ok(Box::new(MockPins::new(map, 0))),
         Backend::Cdev => Ok(Box::new(cdev::CdevPins::open(&config.chip, map)?)),
         #[cfg(feature = "hw")]
         Backend::Rppal => Ok(Box::new(rppal::open(map)?)),
@@ -168,7 +171,7 @@ pub fn open(config: &PinsConfig, microsteps: u32) -> Result<Box<dyn Pins>, OpenE
     }
 }
 
-/// Why [`open`] failed: a wrong board file (exit code 2) or the hardware (exit code 3).
+/// Why [`open`] failed: an invalid board file (exit code 2) or the hardware (exit code 3).
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// The configuration.

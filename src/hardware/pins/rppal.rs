@@ -1,8 +1,8 @@
 //! Pins through the mapped registers of a Raspberry Pi (crate `rppal`).
 //!
-//! The pins keep their last levels when the program ends: EN then stays as the shutdown left it,
-//! instead of floating to "energised" on boards that pull it down. A program that was killed leaves it
-//! as it was; drivers that are found energised stay so, for a bent tip would go soft in between.
+//! The pins keep their last levels when the program ends. EN therefore stays as the shutdown left it
+//! instead of floating to "energised" on boards that pull it down. After a program was killed, EN stays
+//! as it was; drivers found energised stay so, because a bent tip would otherwise lose its pressure.
 
 use crate::hardware::pins::PinError;
 use crate::hardware::pins::config::Pull;
@@ -11,23 +11,22 @@ use crate::hardware::pins::map::LineMap;
 use crate::motion::lines::Levels;
 use rppal::gpio::{Error, Gpio, InputPin, Level, Mode, OutputPin, Pin};
 
-/// Where `rppal` reaches the registers.
+/// Device file through which `rppal` maps the registers.
 const DEVICE: &str = "/dev/gpiomem";
 
-/// Opens the header of this Raspberry Pi with the lines of a map.
+/// Opens the lines of a map on the header of this Raspberry Pi.
 ///
 /// # Errors
 /// [`PinError`]: not a Raspberry Pi, no permission, no such line, or a line in use by this program.
 pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
-    let gpio = Gpio::new().map_err(|e| name(e, 0))?;
+    let gpio = Gpio::new().map_err(|e| pin_error(e, 0))?;
     let lines = map.outputs().iter().map(|&pin| get(&gpio, pin)).collect::<Result<Vec<Pin>, PinError>>()?;
-    let driven = lines.iter().enumerate().filter(|(_, line)| line.mode() == Mode::Output).fold(0, |bits, (i, _)| bits | 1 << i);
-    let high = lines.iter().enumerate().filter(|(_, line)| line.read() == Level::High).fold(0, |bits, (i, _)| bits | 1 << i);
-    let energised = map.is_energised(driven, high);
-    let idle = map.bits(&Levels { enable: energised, ..Levels::default() });
+    let bits = |is: fn(&Pin) -> bool| lines.iter().enumerate().fold(0, |bits, (i, line)| bits | u64::from(is(line)) << i);
+    let energised = map.is_energised(bits(|line| line.mode() == Mode::Output), bits(|line| line.read() == Level::High));
+    let idle = map.output_bits(&Levels { enable: energised, ..Levels::default() });
     let mut outputs = Vec::with_capacity(lines.len());
     for (i, line) in lines.into_iter().enumerate() {
-        // The level is set as the line becomes an output, so no driver sees a wrong one in between.
+        // The line becomes an output and receives its level in one step, without a wrong level between.
         let mut line = if idle >> i & 1 == 1 { line.into_output_high() } else { line.into_output_low() };
         line.set_reset_on_drop(false);
         outputs.push(line);
@@ -41,17 +40,17 @@ pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
             Pull::Off => line.into_input(),
         });
     }
-    Ok(HalPins::taking_over(map, outputs, inputs, energised)?.reading_back(OutputPin::is_set_high))
+    Ok(HalPins::new(map, outputs, inputs, energised)?.reading_back(OutputPin::is_set_high))
 }
 
 /// One line of the header.
 fn get(gpio: &Gpio, pin: u32) -> Result<Pin, PinError> {
     let number = u8::try_from(pin).map_err(|_| PinError::NoLine { chip: "this board".into(), pin, lines: 54 })?;
-    gpio.get(number).map_err(|e| name(e, pin))
+    gpio.get(number).map_err(|e| pin_error(e, pin))
 }
 
-/// The crate's error in the words of this house.
-fn name(error: Error, pin: u32) -> PinError {
+/// Converts an error of the crate.
+fn pin_error(error: Error, pin: u32) -> PinError {
     match error {
         Error::UnknownModel => PinError::UnknownModel,
         Error::PinUsed(_) => PinError::Busy { pin, by: Some("this program".into()) },
@@ -59,7 +58,7 @@ fn name(error: Error, pin: u32) -> PinError {
         Error::PermissionDenied(path) => PinError::PermissionDenied { path },
         Error::Io(source) if source.kind() == std::io::ErrorKind::PermissionDenied => PinError::PermissionDenied { path: DEVICE.into() },
         Error::Io(source) => PinError::Io { what: "open", source },
-        Error::ThreadPanic => PinError::Pin { what: "open", why: "a thread of the GPIO library died".into() },
+        Error::ThreadPanic => PinError::Pin { what: "open", why: "a thread of the GPIO library has panicked".into() },
     }
 }
 
@@ -68,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_error_says_what_to_do() {
+    fn every_error_has_a_remedy() {
         let denied = std::io::Error::from(std::io::ErrorKind::PermissionDenied);
         for (error, words) in [
             (Error::UnknownModel, "pins.backend = \"cdev\""),
@@ -77,8 +76,8 @@ mod tests {
             (Error::PermissionDenied("/dev/gpiomem0".into()), "no permission for /dev/gpiomem0"),
             (Error::Io(denied), "group gpio"),
         ] {
-            let said = name(error, 17).to_string();
-            assert!(said.contains(words), "{said}");
+            let message = pin_error(error, 17).to_string();
+            assert!(message.contains(words), "{message}");
         }
     }
 }

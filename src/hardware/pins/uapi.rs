@@ -1,21 +1,21 @@
 //! The five ioctls of the GPIO character device, version 2, exactly as in `linux/gpio.h`.
 //!
-//! The one file of the pins that needs `unsafe`: every call passes a pointer to a fully initialised
-//! `#[repr(C)]` struct of the size that the ioctl number encodes (checked at compile time and, against
-//! the numbers of the header, in a test).
+//! Only this file of the pins needs `unsafe`. Every call passes a pointer to a fully initialised
+//! `#[repr(C)]` struct of the size that the ioctl number encodes; the compiler checks the sizes, and a
+//! test checks the numbers against those of the header.
 
 #![allow(unsafe_code)]
 
-use crate::hardware::pins::cdev::{Kernel, Request, RequestKind};
 use crate::hardware::pins::config::Pull;
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
 
-const LINES_MAX: usize = 64;
+/// Most lines in one request.
+pub const LINES_MAX: usize = 64;
 const ATTRS_MAX: usize = 10;
 const NAME_LEN: usize = 32;
-/// Name under which the lines show in `gpioinfo`.
+/// Consumer name that `gpioinfo` shows for the lines.
 const CONSUMER: &[u8] = b"retroflex";
 
 const FLAG_INPUT: u64 = 1 << 2;
@@ -101,9 +101,65 @@ const SET_VALUES: u32 = ioctl_number::<LineValues>(3, 0x0F);
 /// `number` must encode the size of `T`, and every bit pattern the kernel may write must be a valid `T`.
 unsafe fn ioctl<T: Copy>(fd: RawFd, number: u32, argument: &mut T) -> io::Result<()> {
     // SAFETY: `argument` is a live, exclusive reference to a `T`, whose size the number encodes, so the
-    // kernel reads and writes within it; the rest is the caller's promise.
+    // kernel reads and writes within it; the caller guarantees the rest.
     let result = unsafe { libc::ioctl(fd, number as libc::Ioctl, std::ptr::from_mut(argument)) };
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
+}
+
+/// A request for lines.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Request {
+    /// Line offsets; line i is bit i.
+    pub offsets: Vec<u32>,
+    /// Direction.
+    pub kind: RequestKind,
+}
+
+/// Direction of the lines of a request.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum RequestKind {
+    /// Outputs with their initial voltages; bit i is line i, 1 is high.
+    Outputs(u64),
+    /// Inputs with the pull resistor of each line.
+    Inputs(Vec<Pull>),
+}
+
+/// The kernel interface; a trait, so that tests can do without a chip.
+pub trait Kernel: Send {
+    /// An open chip.
+    type Chip: Send;
+    /// A granted request.
+    type Lines: Send;
+
+    /// Opens a chip and returns its number of lines.
+    ///
+    /// # Errors
+    /// The error of the system call.
+    fn open(&self, path: &str) -> io::Result<(Self::Chip, u32)>;
+
+    /// Requests lines.
+    ///
+    /// # Errors
+    /// The error of the system call.
+    fn request(&self, chip: &Self::Chip, request: &Request) -> io::Result<Self::Lines>;
+
+    /// Name of the consumer that holds a line; `None` if it is free or the consumer has no name.
+    ///
+    /// # Errors
+    /// The error of the system call.
+    fn consumer(&self, chip: &Self::Chip, offset: u32) -> io::Result<Option<String>>;
+
+    /// Sets the lines of `mask` to `bits`.
+    ///
+    /// # Errors
+    /// The error of the system call.
+    fn set(&self, lines: &Self::Lines, mask: u64, bits: u64) -> io::Result<()>;
+
+    /// Reads the lines of `mask`.
+    ///
+    /// # Errors
+    /// The error of the system call.
+    fn get(&self, lines: &Self::Lines, mask: u64) -> io::Result<u64>;
 }
 
 /// The running kernel.
@@ -129,11 +185,11 @@ impl Kernel for Uapi {
         if raw.fd < 0 {
             return Err(io::Error::from_raw_os_error(libc::EBADF));
         }
-        // SAFETY: on success the kernel has opened this descriptor for us and nobody else owns it.
+        // SAFETY: on success the kernel has opened this descriptor, and nothing else owns it.
         Ok(unsafe { OwnedFd::from_raw_fd(raw.fd) })
     }
 
-    fn holder(&self, chip: &File, offset: u32) -> io::Result<Option<String>> {
+    fn consumer(&self, chip: &File, offset: u32) -> io::Result<Option<String>> {
         let mut info = LineInfo {
             name: [0; NAME_LEN],
             consumer: [0; NAME_LEN],
@@ -163,7 +219,7 @@ impl Kernel for Uapi {
     }
 }
 
-/// A request as the kernel wants it.
+/// The request in the layout of the kernel.
 fn raw_request(request: &Request) -> LineRequest {
     let blank = ConfigAttribute { id: 0, padding: 0, value: 0, mask: 0 };
     let mut config = LineConfig { flags: 0, num_attrs: 0, padding: [0; 5], attrs: [blank; ATTRS_MAX] };
@@ -205,9 +261,9 @@ mod tests {
     use super::*;
     use std::mem::offset_of;
 
-    /// As a C compiler computes them from `linux/gpio.h`.
+    /// The expected values are those that a C compiler computes from `linux/gpio.h`.
     #[test]
-    fn numbers_and_layout_are_the_header_s() {
+    fn numbers_and_layout_match_the_header() {
         assert_eq!(
             [GET_CHIPINFO, GET_LINEINFO, GET_LINE, GET_VALUES, SET_VALUES],
             [0x8044_B401, 0xC100_B405, 0xC250_B407, 0xC010_B40E, 0xC010_B40F]
@@ -218,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_are_born_with_their_levels() {
+    fn outputs_have_their_levels_from_the_request_on() {
         let raw = raw_request(&Request { offsets: vec![17, 5, 26], kind: RequestKind::Outputs(0b010) });
         assert_eq!((raw.num_lines, &raw.offsets[..3], raw.config.flags), (3, &[17, 5, 26][..], FLAG_OUTPUT));
         let a = &raw.config.attrs[0];
@@ -227,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn inputs_carry_their_resistors() {
+    fn a_request_for_inputs_contains_their_pull_resistors() {
         let pulls = vec![Pull::Up, Pull::Off, Pull::Up, Pull::Down];
         let raw = raw_request(&Request { offsets: vec![1, 2, 3, 4], kind: RequestKind::Inputs(pulls) });
         let got: Vec<_> = raw.config.attrs[..3].iter().map(|a| (a.id, a.value, a.mask)).collect();

@@ -1,39 +1,38 @@
-//! The step core: what the step thread does at time t. A pure state machine.
+//! The step core: decides what the step thread does at time t. A pure state machine.
 //!
 //! ```text
 //!            segment                     end, at rest, none follows
 //!  Resting ───────────▶ Following ─────────────────────────────────▶ Resting
-//!     ▲                    │ end in motion and none follows (dry), or an order to stop
+//!     ▲                    │ end in motion, none follows (underrun), or an order to stop
 //!     │   at rest          ▼
-//!     └──────────────── Stopping      a step too late, a torn segment, a pin error, the red button:
-//!                                     anything ──▶ Faulted ──(order Clear)──▶ Resting
+//!     └──────────────── Stopping      a late step, a discontinuity, a pin error, the emergency stop:
+//!                                     any mode ──▶ Faulted ──(order Clear)──▶ Resting
 //! ```
 //!
-//! The shell around it does three things for ever: asks [`StepCore::poll`], then either writes the
-//! levels and reports the write with [`StepCore::wrote`], or waits until the told time. Late is when
-//! a step is due and the clock is [`PulseTiming::late_ns`] past it: the thread was kept from running
-//! or the pins are too slow. Then nothing more is pulsed, the drivers hold, and what *was* pulsed is
-//! reported; missed steps are never made up for in a burst. Up to that bound, due steps are made one
-//! by one, no closer than [`PulseTiming::interval_ns`].
+//! The surrounding thread repeats one cycle: it calls [`StepCore::poll`], then either writes the levels
+//! and reports the write with [`StepCore::wrote`], or waits until the given time. A step is late if the
+//! clock is [`PulseTiming::late_ns`] past its due time, because the thread did not run or the pins are
+//! too slow. The core then stops pulsing, keeps the drivers energised and reports the steps that *were*
+//! pulsed; it never catches up in a burst. Up to that bound it makes due steps one by one, no closer
+//! than [`PulseTiming::interval_ns`].
 
 mod modes;
 
-use crate::motion::config::EmergencyStop;
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::MotionLimits;
-use crate::motion::lines::{Inputs, Levels, OutputLine, PulseTiming};
-use crate::motion::queue::{Source, TimedSegment};
+use crate::motion::lines::{EmergencyStop, Inputs, Levels, OutputLine, PulseTiming};
+use crate::motion::queue::TimedSegment;
 use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
 use crate::motion::state::MotionState;
 use crate::motion::steps::StepStream;
 use crate::primitives::units::Steps;
 
-/// What the shell is to do now.
+/// What the step thread must do next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PulseAction {
-    /// Bring the lines to these levels, then call [`StepCore::wrote`].
+    /// Write these levels, then call [`StepCore::wrote`].
     Write(Levels),
-    /// Nothing before this time, ns of the monotonic clock; look at inputs and orders then.
+    /// Wait until this time, ns of the monotonic clock, then read inputs and orders.
     WaitUntil(u64),
 }
 
@@ -47,26 +46,34 @@ pub struct StepCore {
     current: Option<TimedSegment>,
     stream: StepStream,
     lines: [OutputLine; 3],
+    /// Levels on the lines, and those of the write in progress.
     levels: Levels,
     written: Levels,
+    /// Whether the drivers should be energised.
     enable: bool,
+    /// The lines must be written even if their levels are unchanged.
     rewrite: bool,
+    /// Earliest step after energising.
     awake_ns: u64,
+    /// End of the last motion.
     moved_ns: u64,
+    /// States of the pistons at the end of the current segment.
     at: [MotionState; 3],
     counted: [i32; 3],
     epoch: u32,
     after_stop: AfterStop,
     inputs: Inputs,
+    /// Consecutive readings with the emergency stop pressed.
     pressed: u8,
-    dry: u32,
+    underruns: u32,
     refused: u32,
     lateness: Histogram,
     interval_error: Histogram,
-    last_rise: [(u64, u64); 3],
+    /// Due time and actual time of the last step of each channel.
+    last_step_ns: [(u64, u64); 3],
 }
 
-/// What follows when a stop has come to rest.
+/// What follows a completed stop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum AfterStop {
     Rest,
@@ -74,13 +81,13 @@ enum AfterStop {
     Finish,
 }
 
-/// Consecutive readings of the emergency stop that count as pressed.
+/// Consecutive readings of the emergency stop that count as pressed; one may be a disturbance.
 const PRESSED_READINGS: u8 = 2;
-/// Steps further apart than this are not an interval of one motion, ns.
+/// Steps farther apart than this are not an interval of one motion, ns.
 const INTERVAL_LONGEST_NS: u64 = 50_000_000;
 
 impl StepCore {
-    /// At rest at zero, drivers released.
+    /// At rest at zero with the drivers released.
     #[must_use]
     pub fn new(timing: PulseTiming, limits: &MotionLimits, step_mm: f64) -> Self {
         Self {
@@ -103,15 +110,15 @@ impl StepCore {
             after_stop: AfterStop::Rest,
             inputs: Inputs::default(),
             pressed: 0,
-            dry: 0,
+            underruns: 0,
             refused: 0,
             lateness: Histogram::default(),
             interval_error: Histogram::default(),
-            last_rise: [(0, 0); 3],
+            last_step_ns: [(0, 0); 3],
         }
     }
 
-    /// The drivers are energised already at `now_ns`, and stay so until they are told otherwise.
+    /// The same with drivers that are already energised at `now_ns` and stay so until an order.
     #[must_use]
     pub fn found_energised(mut self, now_ns: u64) -> Self {
         self.moved_ns = now_ns;
@@ -120,36 +127,37 @@ impl StepCore {
         self
     }
 
-    /// What to do at `now_ns`, a reading of the clock just taken.
-    pub fn poll(&mut self, now_ns: u64, source: &mut impl Source) -> PulseAction {
-        self.advance(now_ns, source);
+    /// The action at `now_ns`, a fresh reading of the clock. `next` takes the next segment from the
+    /// queue and never waits.
+    pub fn poll(&mut self, now_ns: u64, next: &mut impl FnMut() -> Option<TimedSegment>) -> PulseAction {
+        self.advance(now_ns, next);
         self.check_lateness(now_ns);
-        self.idle(now_ns);
+        self.release_when_idle(now_ns);
         if self.mode == StepperMode::Faulted(StepperFault::Pins) {
             return PulseAction::WaitUntil(now_ns + self.timing.poll_ns);
         }
-        let wanted = self.wanted(now_ns);
-        if wanted == self.levels && !self.rewrite {
+        let desired = self.desired_levels(now_ns);
+        if desired == self.levels && !self.rewrite {
             return PulseAction::WaitUntil(self.next_ns(now_ns));
         }
-        self.written = wanted;
-        PulseAction::Write(wanted)
+        self.written = desired;
+        PulseAction::Write(desired)
     }
 
-    /// The levels last asked for are on the lines; the write was over at `done_ns`.
+    /// Records that the levels of the last [`PulseAction::Write`] are on the lines since `done_ns`.
     pub fn wrote(&mut self, done_ns: u64) {
         let (old, new) = (self.levels, self.written);
         for channel in 0..3 {
             let line = &mut self.lines[channel];
             if new.dir[channel] != old.dir[channel] {
-                line.turned(new.dir[channel], done_ns, &self.timing);
+                line.dir_changed(new.dir[channel], done_ns, &self.timing);
             }
             match (old.step[channel], new.step[channel]) {
                 (false, true) => {
-                    line.rose(done_ns, &self.timing);
-                    self.stepped(channel, done_ns);
+                    line.step_rose(done_ns, &self.timing);
+                    self.count_step(channel, done_ns);
                 }
-                (true, false) => line.fell(done_ns, &self.timing),
+                (true, false) => line.step_fell(done_ns, &self.timing),
                 _ => {}
             }
         }
@@ -161,15 +169,15 @@ impl StepCore {
         self.rewrite = false;
     }
 
-    /// The pins failed: nothing is known of them any more, so they are left alone until
-    /// [`StepperOrder::Clear`], and then written whether they seem to need it or not.
+    /// Records a failure of the pins. Their state is unknown, so they are not touched until
+    /// [`StepperOrder::Clear`] and are then written unconditionally.
     pub fn pins_failed(&mut self) {
         self.fail(StepperFault::Pins);
         self.mode = StepperMode::Faulted(StepperFault::Pins);
         self.rewrite = true;
     }
 
-    /// The input lines as just read.
+    /// Takes a reading of the input lines.
     pub fn observe(&mut self, inputs: Inputs) {
         self.pressed = if inputs.emergency_stop { self.pressed.saturating_add(1) } else { 0 };
         self.inputs = inputs;
@@ -198,25 +206,25 @@ impl StepCore {
             }
             StepperOrder::Energise if !faulted => self.enable = true,
             StepperOrder::Release if self.mode == StepperMode::Resting || faulted => self.enable = false,
-            StepperOrder::Clear if faulted && self.pressed < PRESSED_READINGS => self.settle(),
+            StepperOrder::Clear if faulted && self.pressed < PRESSED_READINGS => self.clear(),
             StepperOrder::Rebase(position_mm) if self.mode == StepperMode::Resting => self.rebase(position_mm),
             _ => {}
         }
     }
 
-    /// True when [`StepperOrder::Finish`] has been carried out and the lines are in their last state.
+    /// Whether [`StepperOrder::Finish`] is complete and the lines are in their final state.
     #[must_use]
     pub fn is_finished(&self) -> bool {
-        let down = !self.levels.enable && self.levels.step == [false; 3];
-        let over = match self.mode {
+        let released = !self.levels.enable && self.levels.step == [false; 3];
+        let ended = match self.mode {
             StepperMode::Faulted(StepperFault::Pins) => true,
-            StepperMode::Resting | StepperMode::Faulted(_) => down,
+            StepperMode::Resting | StepperMode::Faulted(_) => released,
             StepperMode::Following | StepperMode::Stopping => false,
         };
-        self.after_stop == AfterStop::Finish && over
+        self.after_stop == AfterStop::Finish && ended
     }
 
-    /// Everything worth knowing.
+    /// The state at `now_ns`.
     #[must_use]
     pub fn report(&self, now_ns: u64) -> StepperReport {
         StepperReport {
@@ -227,63 +235,33 @@ impl StepCore {
             rest_mm: self.at.map(|s| s.position_mm),
             energised: self.levels.enable,
             inputs: self.inputs,
-            dry: self.dry,
+            underruns: self.underruns,
             refused: self.refused,
             lateness: self.lateness,
         }
     }
 
-    /// What it is at.
-    #[must_use]
-    pub fn mode(&self) -> StepperMode {
-        self.mode
-    }
-
-    /// Segments of this epoch are taken.
-    #[must_use]
-    pub fn epoch(&self) -> u32 {
-        self.epoch
-    }
-
-    /// The drivers are energised.
-    #[must_use]
-    pub fn is_energised(&self) -> bool {
-        self.levels.enable
-    }
-
-    /// Input lines as last read.
-    #[must_use]
-    pub fn inputs(&self) -> Inputs {
-        self.inputs
-    }
-
-    /// Steps really pulsed, signed, since zero.
-    #[must_use]
-    pub fn counted(&self) -> Steps {
-        Steps(self.counted)
-    }
-
-    /// How far the time between two steps of a channel was off the time wanted.
+    /// Deviation of the intervals between two steps of a channel from the planned intervals.
     #[must_use]
     pub fn interval_error(&self) -> &Histogram {
         &self.interval_error
     }
 
-    /// A step of a channel has been pulsed.
-    fn stepped(&mut self, channel: usize, done_ns: u64) {
+    /// Counts a pulsed step of a channel.
+    fn count_step(&mut self, channel: usize, done_ns: u64) {
         let Some((due_ns, direction)) = self.stream.peek(channel) else { return };
         self.stream.take(channel);
         self.counted[channel] += direction;
         self.lateness.record(done_ns.saturating_sub(due_ns));
-        let (last_due_ns, last_done_ns) = self.last_rise[channel];
-        let (wanted, got) = (due_ns.saturating_sub(last_due_ns), done_ns.saturating_sub(last_done_ns));
-        if wanted < INTERVAL_LONGEST_NS {
-            self.interval_error.record(wanted.abs_diff(got));
+        let (last_due_ns, last_done_ns) = self.last_step_ns[channel];
+        let (planned, actual) = (due_ns.saturating_sub(last_due_ns), done_ns.saturating_sub(last_done_ns));
+        if planned < INTERVAL_LONGEST_NS {
+            self.interval_error.record(planned.abs_diff(actual));
         }
-        self.last_rise[channel] = (due_ns, done_ns);
+        self.last_step_ns[channel] = (due_ns, done_ns);
     }
 
-    /// A step that is due and too late is a fault.
+    /// Raises a fault if a due step is too late.
     fn check_lateness(&mut self, now_ns: u64) {
         for channel in 0..3 {
             if let Some((due_ns, _)) = self.stream.peek(channel) {
@@ -296,46 +274,46 @@ impl StepCore {
         }
     }
 
-    /// Releases the drivers after a long rest, if that is wanted.
-    fn idle(&mut self, now_ns: u64) {
+    /// Releases the drivers after the configured time at rest.
+    fn release_when_idle(&mut self, now_ns: u64) {
         let over = self.timing.idle_ns.is_some_and(|idle_ns| now_ns > self.moved_ns + idle_ns);
-        if over && self.levels.enable && self.mode != StepperMode::Stopping && self.stream.is_spent() {
+        if over && self.levels.enable && self.mode != StepperMode::Stopping && self.stream.is_empty() {
             self.enable = false;
         }
     }
 
-    /// The levels the lines should have now. At most one line of a channel moves at a time.
-    fn wanted(&self, now_ns: u64) -> Levels {
-        let mut wanted = Levels { enable: self.enable, ..self.levels };
+    /// The levels that the lines should have now. At most one line of a channel changes at a time.
+    fn desired_levels(&self, now_ns: u64) -> Levels {
+        let mut desired = Levels { enable: self.enable, ..self.levels };
         for (channel, line) in self.lines.iter().enumerate() {
-            if line.high {
-                wanted.step[channel] = now_ns < line.fall_ns;
+            if line.step_high {
+                desired.step[channel] = now_ns < line.fall_ns;
             } else if let Some((due_ns, direction)) = self.stream.peek(channel) {
                 let up = direction > 0;
-                if up != line.up {
-                    wanted.dir[channel] = if now_ns >= line.turn_ns { up } else { line.up };
+                if up != line.dir_high {
+                    desired.dir[channel] = if now_ns >= line.dir_ns { up } else { line.dir_high };
                 } else if self.levels.enable && self.enable {
-                    wanted.step[channel] = now_ns >= due_ns.max(line.rise_ns).max(self.awake_ns);
+                    desired.step[channel] = now_ns >= due_ns.max(line.rise_ns).max(self.awake_ns);
                 }
             }
         }
-        wanted
+        desired
     }
 
-    /// When there is something to do next.
+    /// The time of the next possible action.
     fn next_ns(&self, now_ns: u64) -> u64 {
         let mut next_ns = now_ns + self.timing.poll_ns;
         for (channel, line) in self.lines.iter().enumerate() {
-            if line.high {
+            if line.step_high {
                 next_ns = next_ns.min(line.fall_ns);
             } else if let Some((due_ns, direction)) = self.stream.peek(channel) {
-                let turned = (direction > 0) == line.up;
-                let ready_ns = if turned { due_ns.max(line.rise_ns).max(self.awake_ns) } else { line.turn_ns };
+                let dir_set = (direction > 0) == line.dir_high;
+                let ready_ns = if dir_set { due_ns.max(line.rise_ns).max(self.awake_ns) } else { line.dir_ns };
                 next_ns = next_ns.min(ready_ns);
             }
         }
         match &self.current {
-            Some(current) if self.stream.is_spent() => next_ns.min(current.end_ns()),
+            Some(current) if self.stream.is_empty() => next_ns.min(current.end_ns()),
             _ => next_ns,
         }
     }

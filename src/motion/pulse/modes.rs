@@ -1,56 +1,63 @@
-//! Modes of the step core and what leads from one to the next: taking up segments, running dry,
-//! stopping, failing, starting again. The diagram is in [`super`].
+//! Transitions between the modes of the step core: loading segments, underrun, stop, fault, restart.
+//! The diagram is in [`super`].
 
 use super::{AfterStop, StepCore};
-use crate::motion::queue::{Source, TimedSegment};
+use crate::motion::plan::Plan;
+use crate::motion::queue::TimedSegment;
 use crate::motion::report::{StepperFault, StepperMode};
 use crate::motion::segment::Segment;
 use crate::motion::state::MotionState;
 use crate::motion::steps::count;
-use crate::motion::stop::stop_segment;
+
+/// Tolerance of the joint between two segments, mm: rounding of a chain of cubics.
+const JOINT_TOLERANCE_MM: f64 = 1e-6;
 
 impl StepCore {
-    /// Goes on to the segment that is due, or brakes for want of one.
-    pub(super) fn advance(&mut self, now_ns: u64, source: &mut impl Source) {
+    /// Continues with the next segment when the current one ends, or brakes if there is none.
+    pub(super) fn advance(&mut self, now_ns: u64, next: &mut impl FnMut() -> Option<TimedSegment>) {
         loop {
             if matches!(self.mode, StepperMode::Faulted(_)) {
-                self.refuse_all(source);
+                while next().is_some() {
+                    self.refused += 1;
+                }
                 return;
             }
-            let end_ns = match &self.current {
-                Some(current) if now_ns < current.end_ns() || !self.stream.is_spent() => return,
-                Some(current) => Some(current.end_ns()),
-                None => None,
-            };
-            if let (Some(_), StepperMode::Stopping) = (end_ns, self.mode)
-                && self.at.iter().all(MotionState::is_rest)
-            {
+            let end_ns = self.current.as_ref().map(TimedSegment::end_ns);
+            if end_ns.is_some_and(|end_ns| now_ns < end_ns || !self.stream.is_empty()) {
+                return;
+            }
+            if end_ns.is_some() && self.mode == StepperMode::Stopping && self.is_at_rest() {
                 self.finish_stop();
                 continue;
             }
             if self.mode != StepperMode::Stopping
-                && let Some(next) = source.next_segment()
+                && let Some(segment) = next()
             {
-                self.accept(&next, end_ns, now_ns);
+                self.accept(&segment, end_ns, now_ns);
                 continue;
             }
             match end_ns {
-                Some(end_ns) if !self.at.iter().all(MotionState::is_rest) => self.brake(end_ns),
+                Some(end_ns) if !self.is_at_rest() => self.brake(end_ns),
                 _ => {
                     self.current = None;
-                    if self.mode == StepperMode::Stopping {
-                        self.finish_stop();
+                    match self.mode {
+                        StepperMode::Stopping => self.finish_stop(),
+                        StepperMode::Following => self.mode = StepperMode::Resting,
+                        StepperMode::Resting | StepperMode::Faulted(_) => {}
                     }
-                    self.mode = if let StepperMode::Following = self.mode { StepperMode::Resting } else { self.mode };
                     return;
                 }
             }
         }
     }
 
-    /// Takes up a segment if it is of this epoch, in time and joins on; else refuses or fails.
+    fn is_at_rest(&self) -> bool {
+        self.at.iter().all(MotionState::is_rest)
+    }
+
+    /// Loads a segment if it is of this epoch, in time and continuous; otherwise refuses it or fails.
     fn accept(&mut self, next: &TimedSegment, end_ns: Option<u64>, now_ns: u64) {
-        let in_time = if self.at.iter().all(MotionState::is_rest) {
+        let in_time = if self.is_at_rest() {
             let fresh = next.segment.is_still() || now_ns <= next.start_ns + self.timing.late_ns;
             fresh && next.start_ns >= end_ns.unwrap_or(0)
         } else {
@@ -59,30 +66,27 @@ impl StepCore {
         if next.epoch != self.epoch || !in_time {
             self.refused += 1;
             if next.epoch == self.epoch {
-                // The loop must learn that its time line is broken.
+                // The new epoch tells the loop that its chain of segments is broken.
                 self.epoch += 1;
             }
-            return;
-        }
-        if let Some(fault) = self.tear(&next.segment) {
+        } else if let Some(fault) = self.discontinuity(&next.segment) {
             self.fail(fault);
-            return;
+        } else {
+            self.mode = StepperMode::Following;
+            self.begin(*next);
         }
-        self.mode = StepperMode::Following;
-        self.begin(*next);
     }
 
-    /// The first channel of a segment that jumps, outruns the speed limit or is no number.
-    fn tear(&self, segment: &Segment) -> Option<StepperFault> {
-        let longest_mm = self.limits.speed_max_mm_s * segment.duration_s * 1.001 + 1e-6;
-        segment.channels.iter().enumerate().find_map(|(channel, c)| {
-            let gap_mm = c.start.position_mm - self.at[channel].position_mm;
-            let way_mm = c.end.position_mm - c.start.position_mm;
-            if gap_mm.abs() <= 1e-6 && way_mm.abs() <= longest_mm {
-                None
-            } else {
-                Some(StepperFault::Discontinuity { channel, jump_mm: if gap_mm.abs() <= 1e-6 { way_mm } else { gap_mm } })
-            }
+    /// The first channel of a segment that jumps, exceeds the speed limit or is not finite.
+    fn discontinuity(&self, segment: &Segment) -> Option<StepperFault> {
+        // A thousandth covers the rounding of the duration to nanoseconds.
+        let longest_mm = self.limits.speed_max_mm_s * segment.duration_s * 1.001 + JOINT_TOLERANCE_MM;
+        segment.channels.iter().zip(&self.at).enumerate().find_map(|(channel, (c, at))| {
+            let gap_mm = c.start.position_mm - at.position_mm;
+            let distance_mm = c.end.position_mm - c.start.position_mm;
+            let joins = gap_mm.abs() <= JOINT_TOLERANCE_MM;
+            let valid = joins && distance_mm.abs() <= longest_mm;
+            (!valid).then_some(StepperFault::Discontinuity { channel, jump_mm: if joins { distance_mm } else { gap_mm } })
         })
     }
 
@@ -97,47 +101,44 @@ impl StepCore {
         self.current = Some(next);
     }
 
-    /// No segment follows although the pistons move: brake from where the last one ended.
+    /// Brakes from the end of the last segment. In [`StepperMode::Following`] this is an underrun.
     fn brake(&mut self, end_ns: u64) {
         if self.mode == StepperMode::Following {
-            self.dry += 1;
+            self.underruns += 1;
             self.epoch += 1;
             self.after_stop = AfterStop::Rest;
         }
         self.mode = StepperMode::Stopping;
-        let segment = stop_segment(&self.at, &self.limits);
-        let duration_ns = (segment.duration_s * 1e9).round() as u64;
+        let plan = Plan::stopping(&self.at, &self.limits);
+        // The next whole nanosecond after the end, so that the segment ends at rest.
+        let duration_ns = (plan.duration_s() * 1e9) as u64 + 2;
+        let segment = plan.cut(&self.at, 0.0, duration_ns as f64 * 1e-9);
         self.begin(TimedSegment { epoch: self.epoch, start_ns: end_ns, duration_ns, segment });
     }
 
-    /// From the end of the segment in hand on, brake; nothing queued before counts any more.
+    /// Brakes from the end of the current segment on and invalidates everything queued before.
     pub(super) fn stop(&mut self, after: AfterStop) {
-        if self.mode == StepperMode::Stopping {
-            // A stop under way is only ever made more final.
-            if after != AfterStop::Rest {
-                self.after_stop = after;
-            }
-            return;
+        if self.mode != StepperMode::Stopping {
+            self.epoch += 1;
+            self.after_stop = after;
+            self.mode = StepperMode::Stopping;
+        } else if after != AfterStop::Rest {
+            // A stop in progress can only become more final.
+            self.after_stop = after;
         }
-        self.epoch += 1;
-        self.after_stop = after;
-        self.mode = StepperMode::Stopping;
     }
 
-    /// A stop has come to rest.
+    /// Completes a stop.
     fn finish_stop(&mut self) {
         self.current = None;
+        self.enable &= self.after_stop != AfterStop::Finish;
         self.mode = match self.after_stop {
             AfterStop::Fault(fault) => StepperMode::Faulted(fault),
-            AfterStop::Rest => StepperMode::Resting,
-            AfterStop::Finish => {
-                self.enable = false;
-                StepperMode::Resting
-            }
+            AfterStop::Rest | AfterStop::Finish => StepperMode::Resting,
         };
     }
 
-    /// Stops dead: no further step; what was pulsed is where the pistons are.
+    /// Stops at once: no further step; the pistons are where the pulsed steps have brought them.
     pub(super) fn fail(&mut self, fault: StepperFault) {
         if !matches!(self.mode, StepperMode::Faulted(_)) {
             self.mode = StepperMode::Faulted(fault);
@@ -148,27 +149,20 @@ impl StepCore {
         self.at = self.counted.map(|n| MotionState::rest(f64::from(n) * self.step_mm));
     }
 
-    /// Leaves a fault, at rest where the count says.
-    pub(super) fn settle(&mut self) {
+    /// Leaves a fault at rest at the present count.
+    pub(super) fn clear(&mut self) {
         self.mode = StepperMode::Resting;
         self.after_stop = AfterStop::Rest;
         self.epoch += 1;
     }
 
-    /// Declares positions, and the counts they round to.
+    /// Declares positions and the counts to which they round.
     pub(super) fn rebase(&mut self, position_mm: [f64; 3]) {
         if position_mm.iter().all(|p| p.is_finite()) {
             self.at = position_mm.map(MotionState::rest);
             self.counted = position_mm.map(|p| count(p, self.step_mm));
             self.stream.reset(self.counted);
             self.epoch += 1;
-        }
-    }
-
-    /// Throws away what is queued.
-    fn refuse_all(&mut self, source: &mut impl Source) {
-        while source.next_segment().is_some() {
-            self.refused += 1;
         }
     }
 }

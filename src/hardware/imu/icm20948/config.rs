@@ -1,7 +1,7 @@
 //! Settings of the ICM-20948 in people's units, and their translation into its registers.
 
 use super::BASE_RATE_HZ;
-use crate::hardware::imu::{Axes, ConfigError, Part, STANDARD_GRAVITY_M_S2, Scale};
+use crate::hardware::imu::{Axes, Part, STANDARD_GRAVITY_M_S2, Scale, SettingError};
 use serde::{Deserialize, Serialize};
 
 /// Gyroscope filters: 3 dB bandwidth by GYRO_DLPFCFG 0 to 7 (DS-000189, table of GYRO_CONFIG_1).
@@ -88,8 +88,8 @@ impl IcmConfig {
     ///
     /// # Errors
     /// The first setting that the part does not have.
-    pub fn settings(&self) -> Result<Settings, ConfigError> {
-        let no = |field, value, allowed| ConfigError { part: Part::Icm20948, field, value, allowed };
+    pub fn settings(&self) -> Result<Settings, SettingError> {
+        let no = |field, value, allowed| SettingError { part: Part::Icm20948, field, value, allowed };
         let range = |list: &[u16], have: u16| (0_u8..).zip(list).find(|(_, x)| **x == have).map(|(i, _)| i);
         if !matches!(self.address, 0x68 | 0x69) {
             return Err(no("address", f64::from(self.address), "104 (0x68) or 105 (0x69)"));
@@ -170,7 +170,7 @@ mod tests {
         ];
         for (config, field) in bad {
             let error = config.settings().expect_err(field);
-            assert!(error.to_string().contains(&format!("`imu.{field}`")), "{error}");
+            assert!(error.to_string().contains(&format!("`imu.chip.{field}`")), "{error}");
         }
     }
 

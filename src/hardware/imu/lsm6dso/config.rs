@@ -1,7 +1,7 @@
 //! Settings of the LSM6DSO and its LIS2MDL in people's units, and their translation into registers.
 
 use super::RATES_HZ;
-use crate::hardware::imu::{Axes, ConfigError, Part, STANDARD_GRAVITY_M_S2, Scale, lis2mdl};
+use crate::hardware::imu::{Axes, Part, STANDARD_GRAVITY_M_S2, Scale, SettingError, lis2mdl};
 use serde::{Deserialize, Serialize};
 
 /// Settings of an LSM6DSO and the LIS2MDL beside it.
@@ -99,8 +99,8 @@ impl LsmConfig {
     ///
     /// # Errors
     /// The first setting that the parts do not have.
-    pub fn settings(&self) -> Result<Settings, ConfigError> {
-        let no = |field, value, allowed| ConfigError { part: Part::Lsm6dso, field, value, allowed };
+    pub fn settings(&self) -> Result<Settings, SettingError> {
+        let no = |field, value, allowed| SettingError { part: Part::Lsm6dso, field, value, allowed };
         if !matches!(self.address, 0x6A | 0x6B) {
             return Err(no("address", f64::from(self.address), "106 (0x6A) or 107 (0x6B)"));
         }
@@ -187,12 +187,12 @@ mod tests {
             assert_eq!(config.settings().expect_err(field).field, field);
         }
         let text = "part = \"lsm6dso_lis2mdl\"\nmag_axes = [\"-y\", \"+x\", \"+z\"]\nacc_range_g = 8\n";
-        let config: crate::hardware::imu::ImuConfig = toml::from_str(text).expect("valid");
-        let crate::hardware::imu::ImuConfig::Lsm6dsoLis2mdl(config) = config else { panic!("wrong part") };
+        let config: crate::hardware::imu::ChipConfig = toml::from_str(text).expect("valid");
+        let crate::hardware::imu::ChipConfig::Lsm6dsoLis2mdl(config) = config else { panic!("wrong part") };
         assert_eq!(config.acc_range_g, 8);
         let twice = LsmConfig { mag_axes: Axes([crate::hardware::imu::Axis::PlusX; 3]), ..LsmConfig::default() };
         assert_eq!(twice.settings().expect_err("twice x").field, "mag_axes");
-        assert!(toml::from_str::<crate::hardware::imu::ImuConfig>("part = \"icm20948\"\nacc_rang_g = 8\n").is_err());
-        assert!(toml::from_str::<crate::hardware::imu::ImuConfig>("part = \"mpu6050\"\n").is_err());
+        assert!(toml::from_str::<crate::hardware::imu::ChipConfig>("part = \"icm20948\"\nacc_rang_g = 8\n").is_err());
+        assert!(toml::from_str::<crate::hardware::imu::ChipConfig>("part = \"mpu6050\"\n").is_err());
     }
 }
