@@ -1,9 +1,8 @@
-//! The `retroflex` program: a table of contents.
+//! The `retroflex` program.
 
-use clap::Parser;
-use retroflex::cli::{Cli, run};
+use retroflex::cli;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    run(Cli::parse())
+    cli::run(cli::parse())
 }

@@ -1,4 +1,4 @@
-//! `retroflex commission`: is the machine wired as its board file says, and is it tight?
+//! `retroflex commission`: verifies that the machine is wired as its board file says, and that its lines are tight.
 
 use crate::cli::{CommandOutcome, manual_motion, output};
 use crate::config::board::Board;
@@ -14,13 +14,13 @@ pub struct Args {
     /// Board file.
     #[arg(long)]
     board: PathBuf,
-    /// Write what was found wrong into the board file.
+    /// Correct the board file where it differs from the machine.
     #[arg(long)]
     write: bool,
     /// Stroke of the wiring test, mm, 1 to 6.
     #[arg(long, default_value_t = 3.0)]
     stroke: f64,
-    /// Duration of the leak test of each line, s; 0 leaves it out.
+    /// Duration of the leak test of each line, s, up to 120; 0 skips it.
     #[arg(long, default_value_t = 10.0)]
     hold: f64,
 }
@@ -28,16 +28,16 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A report: bad input, hardware that does not answer, or what ended the procedure.
+/// A report: bad input, hardware that does not answer, or the reason that ended the procedure.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     if !((1.0..=6.0).contains(&args.stroke) && (0.0..=120.0).contains(&args.hold)) {
         return Err(miette!("--stroke {} --hold {}: give 1 to 6 mm and 0 to 120 s", args.stroke, args.hold));
     }
     let (board, mut machine) = manual_motion::open(&args.board, |_| ())?;
     let config = TrialConfig { stroke_mm: args.stroke, hold_s: args.hold, ..TrialConfig::new(board.geometry.law()) };
-    let findings = manual_motion::at_hand(machine.as_mut(), |hand| {
+    let findings = manual_motion::with_manual_control(machine.as_mut(), |hand| {
         trial::run(hand, &config, &mut |step| eprintln!("{step}")).map_err(|e| match e {
-            TrialError::Motion(e) => manual_motion::ended(e),
+            TrialError::Motion(e) => manual_motion::motion_error(e),
             e => miette!("{e}"),
         })
     })?;
@@ -53,14 +53,17 @@ fn verdict(findings: &Findings) -> CommandOutcome {
     if findings.is_good() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough }
 }
 
-/// Writes a wiring into the board file, value by value.
+/// Writes the wiring that was found into the board file and keeps everything else as it is.
 fn write_back(path: &Path, board: &Board, wiring: &Wiring) -> Result<()> {
     if wiring.is_right() {
         return Ok(());
     }
     let text = std::fs::read_to_string(path).into_diagnostic()?;
     let (new, changes) = rewired(&text, board, wiring).map_err(|key| {
-        miette!("{}: {key} is not written in the file, so it cannot be changed there; add it to its table and run again", path.display())
+        miette!(
+            "{}: {key} does not appear in the file, so it cannot be corrected there; add it to its table and run the command again",
+            path.display()
+        )
     })?;
     source::parse::<Board>(&path.display().to_string(), &new)?;
     output::write(path, &new)?;
@@ -70,7 +73,7 @@ fn write_back(path: &Path, board: &Board, wiring: &Wiring) -> Result<()> {
     Ok(())
 }
 
-/// The text with the wiring mended; or the key that it lacks.
+/// The corrected text of a board file and the list of changes; or the key that the text lacks.
 fn rewired(text: &str, board: &Board, wiring: &Wiring) -> Result<(String, Vec<String>), String> {
     let mut new = text.to_owned();
     let mut changes = Vec::new();
@@ -81,7 +84,7 @@ fn rewired(text: &str, board: &Board, wiring: &Wiring) -> Result<(String, Vec<St
     };
     let Some(pins) = &board.pins else { return Err("pins".to_owned()) };
     for (i, &bellow) in wiring.reaches.iter().enumerate() {
-        // the driver of channel i belongs where its line ends
+        // the driver that is configured as channel i drives `bellow`
         let from = &pins.channels[i];
         if bellow != i {
             set(format!("pins.channels.{bellow}.step"), from.step.to_string())?;
@@ -105,19 +108,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_back_is_a_board_that_is_wired_so() {
+    fn the_corrected_file_describes_the_wiring_that_was_found() {
         let text = include_str!("../../boards/pi4.toml");
         let board: Board = source::parse("pi4", text).unwrap();
         let wiring = Wiring { reaches: [1, 0, 2], inverted: [true, false, false], turned_rad: 0.7, residual_rad: 0.0 };
         let (new, changes) = rewired(text, &board, &wiring).unwrap();
         let mended: Board = source::parse("new", &new).unwrap();
         let (was, is) = (board.pins.unwrap().channels, mended.pins.unwrap().channels);
-        // driver 1 reaches bellow 2 and turns the wrong way
+        // driver 1 drives bellow 2 and turns in the wrong direction
         assert_eq!((is[1].step, is[1].dir, is[1].dir_inverted), (was[0].step, was[0].dir, true));
         assert_eq!((is[0].step, is[0].dir, is[0].dir_inverted), (was[1].step, was[1].dir, false));
         assert_eq!(is[2], was[2]);
         assert!((mended.imu.unwrap().mount().angle() - 0.7).abs() < 1e-3 && changes.len() == 6, "{changes:?}");
-        // comments and everything else are as they were
+        // comments and everything else are unchanged
         assert_eq!(new.lines().count(), text.lines().count());
         let sim: Board = source::parse("sim", include_str!("../../boards/sim.toml")).unwrap();
         assert_eq!(rewired("", &sim, &wiring).unwrap_err(), "pins");

@@ -1,5 +1,4 @@
-//! `retroflex doctor`: the board file against the machine, line by line: pass, warn or fail, each with
-//! the mend.
+//! `retroflex doctor`: compares this computer with the board file. Each line passes, warns or fails, and names the remedy.
 
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::board::Board;
@@ -13,73 +12,89 @@ use std::path::{Path, PathBuf};
 /// Arguments of `doctor`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Board file; without it the paper twin.
+    /// Board file; the default is the paper twin.
     #[arg(long)]
     board: Option<PathBuf>,
-    /// Write the lines as JSON.
-    #[arg(long)]
+    /// Write the lines as JSON to this file (`-`: standard output).
+    #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
 
-/// How a line came out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+/// Result of one check.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// As it should be.
+    /// As required.
     Pass,
-    /// It will run, less well.
+    /// The machine works, but less well.
     Warn,
-    /// It will not run.
+    /// The machine does not work.
     Fail,
 }
 
-/// One line.
+/// One line of the result.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// What was looked at.
+    /// What was checked.
     pub what: String,
-    /// How it came out.
+    /// The result.
     pub verdict: Verdict,
     /// What was found.
     pub found: String,
-    /// What to do about it; empty where nothing is to be done.
-    pub mend: String,
+    /// What to do about it; empty if nothing is to be done.
+    pub remedy: String,
 }
 
 impl Finding {
-    /// A line.
-    pub fn new(what: &str, verdict: Verdict, found: impl Into<String>, mend: &str) -> Self {
-        let mend = if verdict == Verdict::Pass { String::new() } else { mend.to_owned() };
-        Self { what: what.to_owned(), verdict, found: found.into(), mend }
+    fn new(what: &str, verdict: Verdict, found: impl Into<String>, remedy: &str) -> Self {
+        Self { what: what.to_owned(), verdict, found: found.into(), remedy: remedy.to_owned() }
+    }
+
+    fn pass(what: &str, found: impl Into<String>) -> Self {
+        Self::new(what, Verdict::Pass, found, "")
+    }
+
+    fn warn(what: &str, found: impl Into<String>, remedy: &str) -> Self {
+        Self::new(what, Verdict::Warn, found, remedy)
+    }
+
+    fn fail(what: &str, found: impl Into<String>, remedy: &str) -> Self {
+        Self::new(what, Verdict::Fail, found, remedy)
+    }
+
+    /// Passes if `good`, else warns.
+    fn pass_or_warn(good: bool, what: &str, found: impl Into<String>, remedy: &str) -> Self {
+        if good { Self::pass(what, found) } else { Self::warn(what, found, remedy) }
+    }
+
+    fn line(&self) -> String {
+        let mark = match self.verdict {
+            Verdict::Pass => "pass",
+            Verdict::Warn => "WARN",
+            Verdict::Fail => "FAIL",
+        };
+        let remedy = if self.remedy.is_empty() { String::new() } else { format!("\n      → {}", self.remedy) };
+        format!("{mark}  {:<18} {}{remedy}\n", self.what, self.found)
     }
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// A report for a board file that is not one.
+/// A report that names what is wrong with the board file.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let files: Vec<&Path> = args.board.iter().map(PathBuf::as_path).collect();
     output::check(&[("--json", args.json.as_deref())], &files)?;
     let board = inputs::board(args.board.as_deref())?;
     let findings = examine(&board);
     output::json(args.json.as_deref(), &findings)?;
-    let mut text = String::new();
-    for f in &findings {
-        let mark = match f.verdict {
-            Verdict::Pass => "pass",
-            Verdict::Warn => "WARN",
-            Verdict::Fail => "FAIL",
-        };
-        let mend = if f.mend.is_empty() { String::new() } else { format!("\n      → {}", f.mend) };
-        text.push_str(&format!("{mark}  {:<18} {}{mend}\n", f.what, f.found));
-    }
+    let text: String = findings.iter().map(Finding::line).collect();
     output::show(&text, args.json.as_deref());
     let failed = findings.iter().any(|f| f.verdict == Verdict::Fail);
     Ok(if failed { CommandOutcome::NotGoodEnough } else { CommandOutcome::Good })
 }
 
-/// Everything that can be seen without driving anything.
+/// All checks that need no motion.
 #[must_use]
 pub fn examine(board: &Board) -> Vec<Finding> {
     let mut findings = vec![model(), kernel()];
@@ -95,40 +110,32 @@ fn read(path: &str) -> Option<String> {
 
 fn model() -> Finding {
     match read("/proc/device-tree/model") {
-        Some(model) if model.contains("Raspberry Pi") => Finding::new("computer", Verdict::Pass, model, ""),
-        Some(model) => Finding::new("computer", Verdict::Warn, model, "not a Raspberry Pi: pins through the GPIO character device only"),
-        None => Finding::new("computer", Verdict::Warn, std::env::consts::ARCH, "no device tree: plants and replays only"),
+        Some(model) if model.contains("Raspberry Pi") => Finding::pass("computer", model),
+        Some(model) => Finding::warn("computer", model, "not a Raspberry Pi: use the GPIO character device for the pins"),
+        None => Finding::warn("computer", std::env::consts::ARCH, "no device tree: only simulations and replays run here"),
     }
 }
 
 fn kernel() -> Finding {
     let release = read("/proc/sys/kernel/osrelease").unwrap_or_default();
     let preempt = read("/sys/kernel/realtime").as_deref() == Some("1") || release.contains("-rt");
-    let verdict = if preempt { Verdict::Pass } else { Verdict::Warn };
-    Finding::new(
-        "kernel",
-        verdict,
-        release,
-        "not a PREEMPT_RT kernel: rare late steps, see `retroflex bench rt`; a latched fault guards against harm",
-    )
+    let remedy = "not a PREEMPT_RT kernel: single steps can be late, see `retroflex bench rt`; a step that is too late latches a fault";
+    Finding::pass_or_warn(preempt, "kernel", release, remedy)
 }
 
-/// Buses, chips and pins that the board names; the sensors are asked who they are, nothing is driven.
+/// Buses, GPIO chips and sensors that the board names. Sensors are identified; no output is driven.
 fn devices(board: &Board) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (what, section) in [("tip IMU", &board.imu), ("base IMU", &board.base_imu)] {
         let Some(imu) = section else { continue };
-        findings.push(device(&format!("{what}, bus"), Path::new(&imu.bus), "enable I²C (`dtparam=i2c_arm=on`) and join group i2c"));
+        findings.push(device(&format!("{what}, bus"), Path::new(&imu.bus), "enable I²C (`dtparam=i2c_arm=on`) and join the group i2c"));
         findings.extend(bus_speed(&imu.bus));
     }
     if let Some(pins) = &board.pins
         && pins.chip.starts_with("/dev/")
     {
-        findings.push(device(
-            "pins",
-            Path::new(&pins.chip),
-            "join group gpio; on a Raspberry Pi 5 with an older kernel the header is on /dev/gpiochip4",
-        ));
+        let remedy = "join the group gpio; on a Raspberry Pi 5 with an older kernel the header is /dev/gpiochip4";
+        findings.push(device("pins", Path::new(&pins.chip), remedy));
     }
     let Some(machine) = board.hardware() else { return findings };
     for (what, sensor) in [("tip IMU", &machine.imu), ("base IMU", &machine.base_imu)] {
@@ -136,44 +143,40 @@ fn devices(board: &Board) -> Vec<Finding> {
         findings.push(match Sensor::start(config) {
             Ok(s) => {
                 let i = s.identity();
-                Finding::new(what, Verdict::Pass, format!("{} at {:#04x}, {:.0} Hz", i.inertial.part, i.inertial.address, i.rate_hz), "")
+                Finding::pass(what, format!("{} at {:#04x}, {:.0} Hz", i.inertial.part, i.inertial.address, i.rate_hz))
             }
-            Err(e) => Finding::new(what, Verdict::Fail, e.to_string(), "check plug, supply, address and part; see [imu] of the board file"),
+            Err(e) => Finding::fail(what, e.to_string(), "check connector, supply, address and part; see [imu] in the board file"),
         });
     }
     findings
 }
 
-fn device(what: &str, path: &Path, mend: &str) -> Finding {
+fn device(what: &str, path: &Path, remedy: &str) -> Finding {
     match std::fs::File::options().read(true).write(true).open(path) {
-        Ok(_) => Finding::new(what, Verdict::Pass, path.display().to_string(), ""),
-        Err(e) => Finding::new(what, Verdict::Fail, format!("{}: {e}", path.display()), mend),
+        Ok(_) => Finding::pass(what, path.display().to_string()),
+        Err(e) => Finding::fail(what, format!("{}: {e}", path.display()), remedy),
     }
 }
 
-/// Clock of a bus as the device tree has it, Hz, big-endian.
+/// Clock frequency of a bus in the device tree, Hz as a big-endian 32-bit number; fast mode (400 kHz) is required for the sample rate.
 fn bus_speed(bus: &str) -> Option<Finding> {
     let name = Path::new(bus).file_name()?.to_str()?;
     let bytes = std::fs::read(format!("/sys/class/i2c-adapter/{name}/of_node/clock-frequency")).ok()?;
     let hz = u32::from_be_bytes(bytes.get(..4)?.try_into().ok()?);
-    let verdict = if hz >= 400_000 { Verdict::Pass } else { Verdict::Warn };
-    Some(Finding::new(
-        "bus speed",
-        verdict,
-        format!("{} kHz", hz / 1000),
-        "set `dtparam=i2c_arm_baudrate=400000` in config.txt and restart",
-    ))
+    let remedy = "set `dtparam=i2c_arm_baudrate=400000` in config.txt and restart";
+    Some(Finding::pass_or_warn(hz >= 400_000, "bus speed", format!("{} kHz", hz / 1000), remedy))
 }
 
-/// What the kernel grants, asked for in a thread of its own that gives it back by ending.
+/// What the kernel grants, requested in a temporary thread so that this one keeps its scheduling.
 fn real_time(board: &Board) -> Vec<Finding> {
-    let wish = RtRequest { priority: board.service.priority, cpu: board.service.cpu };
-    let asked = std::thread::spawn(move || rt::enter(&wish).0);
-    let Ok(status) = asked.join() else { return vec![Finding::new("real time", Verdict::Fail, "could not be asked", "")] };
+    let request = RtRequest { priority: board.service.priority, cpu: board.service.cpu };
+    let Ok(status) = std::thread::spawn(move || rt::enter(&request).0).join() else {
+        return vec![Finding::fail("real time", "the test thread panicked", "")];
+    };
     let line = |(name, grant): (&'static str, Grant)| match grant {
         Grant::NotRequested => None,
-        Grant::Granted => Some(Finding::new(name, Verdict::Pass, "granted", "")),
-        Grant::Denied(d) => Some(Finding::new(name, Verdict::Warn, format!("{} denied", d.request), d.remedy)),
+        Grant::Granted => Some(Finding::pass(name, "granted")),
+        Grant::Denied(d) => Some(Finding::warn(name, format!("{} denied", d.request), d.remedy)),
     };
     status.into_iter().filter_map(line).collect()
 }
@@ -181,17 +184,16 @@ fn real_time(board: &Board) -> Vec<Finding> {
 fn clock() -> Finding {
     let source = read("/sys/devices/system/clocksource/clocksource0/current_clocksource").unwrap_or_else(|| "unknown".to_owned());
     let good = ["arch_sys_counter", "tsc", "kvm-clock"].contains(&source.as_str());
-    let verdict = if good { Verdict::Pass } else { Verdict::Warn };
-    Finding::new("clock", verdict, source, "a slow clock source makes every look at the time expensive")
+    Finding::pass_or_warn(good, "clock", source, "reading the time is slow with this clock source; select another in sysfs")
 }
 
-/// Bits of the firmware's word (`vcgencmd get_throttled`): 0 under-voltage now, 1 capped, 2 throttled,
+/// Bits of the firmware's status (`vcgencmd get_throttled`): 0 under-voltage, 1 frequency capped, 2 throttled;
 /// 16 to 18 the same since boot.
 fn throttling() -> Finding {
-    let Some(word) = read("/sys/devices/platform/soc/soc:firmware/get_throttled") else {
-        return Finding::new("power", Verdict::Pass, "no firmware to ask", "");
+    let Some(status) = read("/sys/devices/platform/soc/soc:firmware/get_throttled") else {
+        return Finding::pass("power", "no firmware status on this computer");
     };
-    let bits = u32::from_str_radix(word.trim_start_matches("0x"), 16).unwrap_or(0);
+    let bits = u32::from_str_radix(status.trim_start_matches("0x"), 16).unwrap_or(0);
     let names = [
         (0, "under-voltage now"),
         (1, "frequency capped now"),
@@ -201,52 +203,38 @@ fn throttling() -> Finding {
     ];
     let set: Vec<&str> = names.iter().filter(|(bit, _)| bits >> bit & 1 == 1).map(|(_, name)| *name).collect();
     if set.is_empty() {
-        return Finding::new("power", Verdict::Pass, "no under-voltage, not throttled", "");
+        return Finding::pass("power", "no under-voltage, not throttled");
     }
     let verdict = if bits & 1 == 1 { Verdict::Fail } else { Verdict::Warn };
-    Finding::new("power", verdict, set.join(", "), "use the official supply, and feed the motors from one of their own")
+    Finding::new("power", verdict, set.join(", "), "use the official power supply, and a separate one for the motors")
 }
 
+/// Free space for state and recordings: 1 MiB holds the state, 512 MiB about half an hour of recording.
 fn disk(state: &Path) -> Finding {
-    let mut folder = state;
-    while !folder.exists() {
-        match folder.parent() {
-            Some(parent) => folder = parent,
-            None => break,
-        }
-    }
-    let out = std::process::Command::new("df").args(["-Pk"]).arg(folder).output();
+    let folder = state.ancestors().find(|f| f.exists()).unwrap_or(Path::new("/"));
+    let out = std::process::Command::new("df").arg("-Pk").arg(folder).output();
     let free_kib = out.ok().and_then(|o| {
         let text = String::from_utf8_lossy(&o.stdout).into_owned();
         text.lines().nth(1)?.split_whitespace().nth(3)?.parse::<u64>().ok()
     });
-    match free_kib {
-        None => Finding::new("disk", Verdict::Warn, "free space unknown", "see that the state folder can be written"),
-        Some(k) if k < 1024 => Finding::new(
-            "disk",
-            Verdict::Fail,
-            format!("{k} KiB free under {}", folder.display()),
-            "make room: memory and recordings need it",
-        ),
-        Some(k) if k < 512 * 1024 => Finding::new(
-            "disk",
-            Verdict::Warn,
-            format!("{} MiB free under {}", k / 1024, folder.display()),
-            "a recording takes 15 MiB a minute",
-        ),
-        Some(k) => Finding::new("disk", Verdict::Pass, format!("{} MiB free under {}", k / 1024, folder.display()), ""),
+    let Some(kib) = free_kib else {
+        return Finding::warn("disk", "free space unknown", "make sure that the state folder is writable");
+    };
+    let found = format!("{} MiB free under {}", kib / 1024, folder.display());
+    match kib {
+        ..1024 => Finding::fail("disk", found, "free some space: the state and recordings need it"),
+        1024..524_288 => Finding::warn("disk", found, "a recording takes 15 MiB per minute"),
+        _ => Finding::pass("disk", found),
     }
 }
 
 fn folder(what: &str, path: Option<&Path>) -> Finding {
-    let Some(path) = path else { return Finding::new(what, Verdict::Fail, "none", "name the socket with its folder") };
+    let Some(path) = path else { return Finding::fail(what, "none", "give the socket's path with its folder") };
     match std::fs::metadata(path) {
-        Ok(m) => Finding::new(what, Verdict::Pass, format!("{} ({:o}, {}:{})", path.display(), m.mode() & 0o777, m.uid(), m.gid()), ""),
-        Err(e) => Finding::new(
-            what,
-            Verdict::Warn,
-            format!("{}: {e}", path.display()),
-            "the unit's RuntimeDirectory= makes it; by hand use --socket",
-        ),
+        Ok(m) => Finding::pass(what, format!("{} ({:o}, {}:{})", path.display(), m.mode() & 0o777, m.uid(), m.gid())),
+        Err(e) => {
+            let remedy = "RuntimeDirectory= of the systemd unit creates it; use --socket when starting by hand";
+            Finding::warn(what, format!("{}: {e}", path.display()), remedy)
+        }
     }
 }

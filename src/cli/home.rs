@@ -1,4 +1,4 @@
-//! `retroflex home`: zero by home switches, or by a person who brings the pistons to rest.
+//! `retroflex home`: finds zero with home switches, or with the help of an operator.
 
 use crate::cli::{CommandOutcome, manual_motion, output};
 use crate::config::board::Board;
@@ -15,11 +15,11 @@ pub struct Args {
     /// Board file.
     #[arg(long)]
     board: PathBuf,
-    /// The tip is off or its lines are vented: switches stand at the end of travel, where a closed line
-    /// would be at its full pressure.
+    /// Confirm that the tip is removed or the lines are vented. The switches are at the end of travel, where a closed line would
+    /// be at full pressure.
     #[arg(long)]
     vented: bool,
-    /// The pistons were brought to rest by hand; without it a question is asked.
+    /// Confirm that the pistons are at their rest marks; by default the command prompts for it.
     #[arg(long)]
     at_rest: bool,
 }
@@ -27,7 +27,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A report: bad input, hardware that does not answer, or why zero was not found.
+/// A report: bad input, hardware that does not answer, or the reason why zero was not found.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let board: Board = source::read(&args.board)?;
     let text = match board.homing.method {
@@ -40,7 +40,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 fn by_switches(args: &Args, board: &Board) -> Result<String> {
     if !args.vented {
-        return Err(miette!("homing drives every piston to the end of its travel: take the tip off or vent its lines, then say --vented"));
+        return Err(miette!("homing drives every piston to the end of its travel: remove the tip or vent its lines, then add --vented"));
     }
     let (h, travel_mm) = (board.homing, board.limits.travel_mm);
     let search_max_mm = 2.0 * travel_mm + h.back_off_mm;
@@ -53,44 +53,44 @@ fn by_switches(args: &Args, board: &Board) -> Result<String> {
     };
     let (_, mut machine) = manual_motion::open(&args.board, |c| {
         (c.imu, c.base_imu) = (None, None);
-        // where the pistons are is not known yet, so the rack's length is no limit on the count
+        // the position is still unknown, so the count may exceed the length of the rack
         c.motion.travel_max_mm = search_max_mm + 2.0 * travel_mm;
     })?;
-    let homed = manual_motion::at_hand(machine.as_mut(), |hand| {
-        hand.energise(true).map_err(manual_motion::ended)?;
+    let homed = manual_motion::with_manual_control(machine.as_mut(), |hand| {
+        hand.energise(true).map_err(manual_motion::motion_error)?;
         let homed = homing::with_switches(hand, &config).map_err(|e| match e {
-            homing::HomingError::Motion(e) => manual_motion::ended(e),
+            homing::HomingError::Motion(e) => manual_motion::motion_error(e),
             e => miette!("{e}"),
         })?;
-        hand.energise(false).map_err(manual_motion::ended)?;
+        hand.energise(false).map_err(manual_motion::motion_error)?;
         Ok(homed)
     })?;
     let row = |v: [f64; 3]| v.map(|x| format!("{x:.3}")).join(", ");
     Ok(format!(
-        "zero found: it was off by {} mm; closings repeat within {} mm; pistons at zero, drivers released\n",
+        "zero found: corrected by {} mm, switches repeat within {} mm; pistons at zero, drivers released\n",
         row(homed.moved_mm),
         row(homed.repeat_mm)
     ))
 }
 
-/// Drivers stay off: a person can turn the pinions, and air equalises.
+/// Keeps the drivers off while the operator turns the pinions and the pressure equalises.
 fn by_operator(args: &Args) -> Result<String> {
     if !args.at_rest {
-        eprintln!("Open the lines, bring every piston to its rest mark by hand, close the lines; then type `rest` and press Enter.");
+        eprintln!("Open the lines, move every piston to its rest mark by hand and close the lines. Then type `rest` and press Enter.");
         let mut line = String::new();
         let read = std::io::stdin().lock().read_line(&mut line);
         if read.is_err() || line.trim() != "rest" {
-            return Err(miette!("not confirmed; zero is where it was"));
+            return Err(miette!("not confirmed; zero is unchanged"));
         }
     }
     let (_, mut machine) = manual_motion::open(&args.board, |c| (c.imu, c.base_imu) = (None, None))?;
-    manual_motion::at_hand(machine.as_mut(), |hand| {
+    manual_motion::with_manual_control(machine.as_mut(), |hand| {
         let mut all = || {
             hand.energise(true)?;
             hand.stand(0.2, &mut |_| ())?;
             hand.energise(false)
         };
-        all().map_err(manual_motion::ended)
+        all().map_err(manual_motion::motion_error)
     })?;
-    Ok("zero is here: pistons at rest as confirmed, drivers answer and are released\n".to_owned())
+    Ok("zero set: pistons at rest as confirmed; the drivers respond and are released\n".to_owned())
 }

@@ -1,14 +1,14 @@
-//! `retroflex jog`: one piston, slowly, a little; and back, for pressure must not be left on a motor
-//! without current.
+//! `retroflex jog`: moves one piston slowly over a short distance and back. It returns because the drivers are released at the
+//! end, and pressure would then push the piston.
 
 use crate::cli::{CommandOutcome, manual_motion, output};
 use miette::{Result, miette};
 use std::path::PathBuf;
 
-/// Farthest that a jog goes, mm.
-const FAR_MM: f64 = 10.0;
-/// Fastest that it goes, mm/s.
-const FAST_MM_S: f64 = 10.0;
+/// Longest jog, mm: about a third of the travel.
+const DISTANCE_MAX_MM: f64 = 10.0;
+/// Highest speed, mm/s.
+const SPEED_MAX_MM_S: f64 = 10.0;
 
 /// Arguments of `jog`.
 #[derive(Debug, clap::Args)]
@@ -19,19 +19,19 @@ pub struct Args {
     /// Channel, 1 to 3.
     #[arg(long, value_parser = clap::value_parser!(u8).range(1..=3))]
     channel: u8,
-    /// How far, mm; + elongates the bellow. At most 10.
+    /// Distance, mm, at most 10; positive elongates the bellow.
     #[arg(long, allow_negative_numbers = true)]
     mm: f64,
-    /// How fast, mm/s. At most 10.
+    /// Speed, mm/s, at most 10.
     #[arg(long, default_value_t = 2.0)]
     speed: f64,
-    /// How long to stand there, s.
+    /// Time to hold there, s.
     #[arg(long, default_value_t = 1.0)]
     hold: f64,
-    /// Stay there instead of going back; the drivers are released, and pressure will push the piston.
+    /// Stay there instead of returning. The drivers are released, so pressure will push the piston.
     #[arg(long)]
     stay: bool,
-    /// Go out and back this many times.
+    /// Number of strokes.
     #[arg(long, default_value_t = 1)]
     times: u32,
 }
@@ -39,25 +39,25 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A report: bad input, hardware that does not answer, or what ended the move.
+/// A report: bad input, hardware that does not answer, or the reason that ended the motion.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    if !(args.mm.abs() <= FAR_MM && args.speed > 0.0 && args.speed <= FAST_MM_S && (0.0..=60.0).contains(&args.hold)) {
+    if !(args.mm.abs() <= DISTANCE_MAX_MM && args.speed > 0.0 && args.speed <= SPEED_MAX_MM_S && (0.0..=60.0).contains(&args.hold)) {
         return Err(miette!(
-            "--mm {} --speed {} --hold {}: a jog goes at most {FAR_MM} mm at most {FAST_MM_S} mm/s and holds at most 60 s",
+            "--mm {} --speed {} --hold {}: a jog covers at most {DISTANCE_MAX_MM} mm at 0 to {SPEED_MAX_MM_S} mm/s and holds for at most 60 s",
             args.mm,
             args.speed,
             args.hold
         ));
     }
     if args.stay && args.times != 1 {
-        return Err(miette!("--stay and --times {} contradict each other; leave one out", args.times));
+        return Err(miette!("--stay and --times {} contradict each other; omit one of them", args.times));
     }
     let (_, mut machine) = manual_motion::open(&args.board, |config| {
-        // no sensor is needed to turn a motor
+        // the sensors are not needed to turn a motor
         (config.imu, config.base_imu) = (None, None);
     })?;
     let channel = usize::from(args.channel) - 1;
-    let (out, back) = manual_motion::at_hand(machine.as_mut(), |hand| {
+    let (out, back) = manual_motion::with_manual_control(machine.as_mut(), |hand| {
         let mut all = || {
             hand.energise(true)?;
             let mut target = [0.0; 3];
@@ -74,11 +74,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
             hand.energise(false)?;
             Ok((out, hand.stands_mm()[channel]))
         };
-        all().map_err(manual_motion::ended)
+        all().map_err(manual_motion::motion_error)
     })?;
     let step_mm = machine.info().step_mm;
     let text = format!(
-        "channel {}: out to {out:.3} mm ({:.0} steps), now at {back:.3} mm ({:.0} steps), drivers released\n",
+        "channel {}: reached {out:.3} mm ({:.0} steps), now at {back:.3} mm ({:.0} steps), drivers released\n",
         args.channel,
         out / step_mm,
         back / step_mm

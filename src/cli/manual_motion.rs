@@ -1,4 +1,4 @@
-//! What the commands that move a machine by hand share: opening it, its clock, and how to end.
+//! Shared by the commands that move a machine manually: opening it, its clock, and its errors.
 
 use crate::cli::Unreachable;
 use crate::config::board::Board;
@@ -16,8 +16,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Reads a board and opens its machine: hardware where it has pins, else its plant. `prepare` may change
-/// what hardware is made from.
+/// Reads a board file and opens its machine: the hardware if it has pins, else its plant. `prepare` can adjust the hardware
+/// configuration.
 ///
 /// # Errors
 /// A report; [`Unreachable`] when the hardware does not answer.
@@ -25,19 +25,19 @@ pub fn open(path: &Path, prepare: impl FnOnce(&mut MachineConfig)) -> Result<(Bo
     let board: Board = source::read(path)?;
     if let Some(mut config) = board.hardware() {
         prepare(&mut config);
-        let machine = Hardware::open(&config).map_err(|e| told(path, e))?;
+        let machine = Hardware::open(&config).map_err(|e| hardware_error(path, e))?;
         return Ok((board, Box::new(machine)));
     }
     let Some(plant) = &board.plant else {
-        return Err(miette!("{}: has neither [pins] nor [plant], so there is nothing to move", path.display()));
+        return Err(miette!("{}: there is neither a [pins] nor a [plant] table, so there is nothing to move", path.display()));
     };
     let sim = Sim::new(&plant.make(), 0, 0, plant.period_s).into_diagnostic()?;
     Ok((board, Box::new(Lockstep::new(sim))))
 }
 
-/// A machine's refusal as a report with the right exit code.
+/// Converts an error of the hardware into a report with the right exit code.
 #[must_use]
-pub fn told(path: &Path, error: HardwareError) -> miette::Report {
+pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
     if error.is_config() {
         return miette!("{}: {error}", path.display());
     }
@@ -49,12 +49,12 @@ pub fn told(path: &Path, error: HardwareError) -> miette::Report {
     Unreachable { what: what.to_owned(), why: error.to_string() }.into()
 }
 
-/// Does something with a hand on the machine, at its own pace. SIGINT and SIGTERM end the move; then, and
-/// after every other end, the drivers are released where the machine's threads end.
+/// Runs `work` with manual control of the machine, in real time unless the machine is simulated. SIGINT and SIGTERM end the
+/// motion. The drivers are released when the machine is dropped, whatever the outcome.
 ///
 /// # Errors
-/// What `work` says.
-pub fn at_hand<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut ManualMotion<'_>) -> Result<T>) -> Result<T> {
+/// The error of `work`.
+pub fn with_manual_control<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut ManualMotion<'_>) -> Result<T>) -> Result<T> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, stop.clone()).into_diagnostic()?;
@@ -75,9 +75,9 @@ pub fn at_hand<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut ManualMotion
     work(&mut ManualMotion::new(machine, &mut wait))
 }
 
-/// What ended a move, as a report: pins that fail are hardware (exit code 3).
+/// Converts the reason that ended a motion into a report; failing pins count as hardware (exit code 3).
 #[must_use]
-pub fn ended(error: ManualMotionError) -> miette::Report {
+pub fn motion_error(error: ManualMotionError) -> miette::Report {
     match &error {
         ManualMotionError::Alarm { .. } | ManualMotionError::NotSwitched(_) | ManualMotionError::World(_) => {
             Unreachable { what: "the machine".to_owned(), why: error.to_string() }.into()

@@ -1,12 +1,13 @@
-//! The command line: one file a command, one place for exit codes.
+//! The command line: one file for each command, and the exit codes.
 //!
-//! 0 done · 1 the run finished and the answer is "not good enough" · 2 bad input or usage · 3 hardware
-//! or service not reachable.
+//! 0: done. 1: the run finished and its answer is "not good enough". 2: bad input or usage. 3: hardware or service not
+//! reachable.
 
 pub mod bench;
 pub mod calibrate;
 pub mod client;
 pub mod commission;
+pub mod completions;
 pub mod doctor;
 pub mod drill;
 pub mod evaluate;
@@ -25,7 +26,8 @@ pub mod output;
 pub mod replay;
 pub mod run;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use std::fmt::Write;
 use std::process::ExitCode;
 
 /// Closed-loop bend control and gap diagnosis for a disposable pneumatic endoscope tip.
@@ -40,36 +42,75 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run the paper's experiment: three open-loop arms and the closed loop.
+    /// Run the paper's experiment: the open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
-    /// Prove with small guarded moves that a machine is wired as its board file says, and tight.
+    /// Verify the wiring and the tightness of a machine with small guarded moves.
     Commission(commission::Args),
-    /// Find zero.
+    /// Find the zero position of the pistons.
     Home(home::Args),
-    /// Move one piston slowly, for bring-up.
+    /// Move one piston slowly.
     Jog(jog::Args),
-    /// Measure this machine.
+    /// Measure the timing of this computer.
     #[command(subcommand)]
     Bench(bench::Bench),
     /// Diagnose the gap between model and machine.
     #[command(subcommand)]
     Gap(gap::Gap),
-    /// Find the errors of a sensor and write them into a calibration file.
+    /// Identify the errors of the IMU, or the transmission of a running service.
     #[command(subcommand)]
     Calibrate(calibrate::Calibrate),
-    /// Orientation filters on recordings.
+    /// Score orientation filters on recordings.
     #[command(subcommand)]
     Imu(imu::Imu),
-    /// Run the service.
+    /// Run the control service.
     Run(run::Args),
     #[command(flatten)]
     Client(client::Client),
-    /// Hold the board file against this machine.
+    /// Compare this computer and its devices with the board file.
     Doctor(doctor::Args),
-    /// Inject every fault that is claimed to be survived.
+    /// Inject every fault that the project claims to survive.
     Drill(drill::Args),
-    /// Run a recording through the loop of today.
+    /// Run a recording through the current control loop and compare bit for bit.
     Replay(replay::Args),
+    /// Print a completion script for a shell.
+    Completions(completions::Args),
+}
+
+/// The commands by task, as `--help` lists them.
+const GROUPS: [(&str, &[&str]); 7] = [
+    ("Move", &["run", "arm", "bend", "stream", "play", "hold", "stop", "relax", "disarm", "status", "subscribe", "reset-fault", "reload"]),
+    ("Bring up", &["doctor", "jog", "home", "commission", "bench"]),
+    ("Calibrate", &["zero", "calibrate", "imu"]),
+    ("Diagnose", &["record", "replay", "gap"]),
+    ("Simulate", &["evaluate"]),
+    ("Prove", &["drill"]),
+    ("Other", &["completions", "help"]),
+];
+
+const HELP_TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
+
+/// The command line as `clap` describes it, with the commands grouped by task.
+#[must_use]
+pub fn command() -> clap::Command {
+    let cli = Cli::command();
+    let mut text = String::new();
+    for (task, names) in GROUPS {
+        let _ = writeln!(text, "\n{task}:");
+        for name in names {
+            let about = cli
+                .find_subcommand(name)
+                .and_then(clap::Command::get_about)
+                .map_or_else(|| "Print help for a command.".to_owned(), ToString::to_string);
+            let _ = writeln!(text, "  {name:<13} {about}");
+        }
+    }
+    cli.help_template(HELP_TEMPLATE).after_help(text.trim_end().to_owned())
+}
+
+/// Parses the arguments of the process; prints help or a usage error and exits where that is due.
+#[must_use]
+pub fn parse() -> Cli {
+    Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|e| e.exit())
 }
 
 /// How a command ended, other than by an error.
@@ -77,23 +118,23 @@ enum Command {
 pub enum CommandOutcome {
     /// Done.
     Good,
-    /// It ran to its end, and the answer is "not good enough".
+    /// The run finished, and its answer is "not good enough".
     NotGoodEnough,
 }
 
-/// Hardware or a service that should be there and does not answer; anywhere in a report's chain it
-/// makes the exit code 3. Raise it as a `Report` with `?` or `Report::from`; `into_diagnostic` would hide
-/// what it is.
+/// Hardware or a service that does not answer. Anywhere in the chain of a report it makes the exit code 3.
+///
+/// Convert it to a `Report` with `?` or `Report::from`; `into_diagnostic` would hide its type.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 #[error("{what} cannot be reached: {why}")]
 pub struct Unreachable {
     /// Which device, bus or service.
     pub what: String,
-    /// The system's reason, and what to do about it.
+    /// The system's reason, and the remedy.
     pub why: String,
 }
 
-/// Runs the command line and turns its end into an exit code.
+/// Runs a command and returns its exit code.
 #[must_use]
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
@@ -110,6 +151,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Drill(args) => drill::run(&args),
         Command::Replay(args) => replay::run(&args),
+        Command::Completions(args) => Ok(completions::run(&args)),
     };
     if let Err(report) = &end {
         eprintln!("{report:?}");
@@ -132,7 +174,7 @@ mod tests {
     use miette::{WrapErr, miette};
 
     #[test]
-    fn every_end_has_its_code() {
+    fn every_outcome_has_its_exit_code() {
         assert_eq!(exit_code(&Ok(CommandOutcome::Good)), 0);
         assert_eq!(exit_code(&Ok(CommandOutcome::NotGoodEnough)), 1);
         assert_eq!(exit_code(&Err(miette!("bad key"))), 2);
@@ -140,5 +182,16 @@ mod tests {
         assert_eq!(exit_code(&Err(gone().into())), 3);
         let deep: miette::Result<CommandOutcome> = Err(miette::Report::from(gone())).wrap_err("at start");
         assert_eq!(exit_code(&deep), 3);
+    }
+
+    #[test]
+    fn help_lists_every_command_once() {
+        let mut listed: Vec<&str> = GROUPS.iter().flat_map(|g| g.1).copied().filter(|n| *n != "help").collect();
+        let cli = Cli::command();
+        let mut all: Vec<&str> = cli.get_subcommands().filter(|c| !c.is_hide_set()).map(clap::Command::get_name).collect();
+        listed.sort_unstable();
+        all.sort_unstable();
+        assert_eq!(listed, all);
+        command().debug_assert();
     }
 }

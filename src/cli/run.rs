@@ -148,7 +148,7 @@ pub fn open(args: &Args, board: &Board, _calibration: &Calibration) -> Result<Bo
     }
     if let Some(config) = board.hardware() {
         let path = args.board.as_deref().unwrap_or(Path::new("the built-in board"));
-        return Ok(Box::new(Hardware::open(&config).map_err(|e| manual_motion::told(path, e))?));
+        return Ok(Box::new(Hardware::open(&config).map_err(|e| manual_motion::hardware_error(path, e))?));
     }
     let section = board.plant.clone().ok_or_else(|| {
         miette!("this board has neither [pins] nor [plant], so there is nothing to run on; give --plant, or a board that describes one")

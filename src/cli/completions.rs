@@ -1,0 +1,21 @@
+//! `retroflex completions SHELL`: a completion script on standard output.
+
+use crate::cli::{CommandOutcome, command, output};
+use clap_complete::Shell;
+
+/// Arguments of `completions`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Shell that the script is for.
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+/// Runs the command.
+#[must_use]
+pub fn run(args: &Args) -> CommandOutcome {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut command(), "retroflex", &mut script);
+    output::print(&String::from_utf8_lossy(&script));
+    CommandOutcome::Good
+}
