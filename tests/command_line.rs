@@ -1,4 +1,4 @@
-//! The program from outside: results, exit codes, and one clear error for every kind of bad input.
+//! The program from outside: results, exit codes, and one clear error for each kind of bad input.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use serde_json::Value;
@@ -11,7 +11,7 @@ fn retroflex(args: &[&str]) -> (i32, String, String) {
     let out = Command::new(env!("CARGO_BIN_EXE_retroflex"))
         .args(args)
         .current_dir(env!("CARGO_MANIFEST_DIR"))
-        // the drawing of errors depends on the terminal's width and colours
+        // the layout of errors depends on the terminal
         .env("NO_COLOR", "1")
         .output()
         .unwrap();
@@ -19,28 +19,28 @@ fn retroflex(args: &[&str]) -> (i32, String, String) {
     (out.status.code().unwrap_or(-1), text(&out.stdout), text(&out.stderr))
 }
 
-/// The error as one line: drawing characters and line breaks of the report taken out.
+/// The error as one line, without the drawing characters and line breaks of the report.
 fn flat(stderr: &str) -> String {
     let plain: String = stderr.chars().map(|c| if "│╭╰─▶×├┬·".contains(c) { ' ' } else { c }).collect();
     plain.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Runs, expects exit code 2 and one error that holds all of `words`; and no result.
+/// Expects exit code 2, one error that contains all of `words`, and no result.
 fn refused(args: &[&str], words: &[&str]) {
     let folder = TempDir::new().unwrap();
     let json = folder.path().join("r.json");
     let mut all = args.to_vec();
     all.extend(["--json", json.to_str().unwrap()]);
     let (code, _, stderr) = retroflex(&all);
-    let said = flat(&stderr);
+    let error = flat(&stderr);
     println!("{args:?}\n{stderr}");
-    assert_eq!(code, 2, "{said}");
+    assert_eq!(code, 2, "{error}");
     for w in words {
-        assert!(said.contains(w), "`{w}` is not in: {said}");
+        assert!(error.contains(w), "`{w}` is not in: {error}");
     }
     // one error: at most one cross, no panic, no backtrace
-    assert!(stderr.matches('×').count() <= 1 && !said.contains("panicked") && !said.contains("RUST_BACKTRACE"), "{stderr}");
-    assert!(!json.exists(), "no result of a run that did not take place");
+    assert!(stderr.matches('×').count() <= 1 && !error.contains("panicked") && !error.contains("RUST_BACKTRACE"), "{stderr}");
+    assert!(!json.exists(), "a refused run writes no result");
 }
 
 fn file(folder: &TempDir, name: &str, text: &str) -> String {
@@ -50,7 +50,7 @@ fn file(folder: &TempDir, name: &str, text: &str) -> String {
 }
 
 #[test]
-fn bad_files_are_named_with_line_key_and_range() {
+fn errors_in_files_name_line_key_and_range() {
     let folder = TempDir::new().unwrap();
     refused(&["evaluate", "--board", "/nowhere/board.toml"], &["/nowhere/board.toml", "No such file"]);
     let cases: [(&str, &str, &[&str]); 12] = [
@@ -92,7 +92,7 @@ fn bad_files_are_named_with_line_key_and_range() {
 }
 
 #[test]
-fn contradictory_and_unknown_arguments_are_refused() {
+fn contradictory_and_unknown_arguments_are_rejected() {
     let folder = TempDir::new().unwrap();
     let bare = file(&folder, "bare.toml", "[geometry]\ntriangle_side_mm = 7.0\n");
     refused(&["evaluate", "--board", &bare], &["bare.toml", "[plant]", "--plant"]);
@@ -107,7 +107,7 @@ fn contradictory_and_unknown_arguments_are_refused() {
     let both = both.to_str().unwrap();
     let (code, _, stderr) = retroflex(&["evaluate", "--json", both, "--html", both]);
     assert_eq!(code, 2);
-    assert!(flat(&stderr).contains("two results"), "{stderr}");
+    assert!(flat(&stderr).contains("both --json and --html name this file"), "{stderr}");
     assert_eq!(retroflex(&["evaluat"]).0, 2);
     assert_eq!(retroflex(&[]).0, 2);
 }
@@ -115,17 +115,17 @@ fn contradictory_and_unknown_arguments_are_refused() {
 const HELLO: &str = r#"{"plant":"sh","protocol":1,"imu_period_s":0.005,"step_mm":0.029452,"rest_length_mm":20.0}"#;
 const STILL: &str = r#""imu":{"acc":[0,0,9.81],"gyr":[0,0,0],"mag":[20,0,-40]}"#;
 
-/// A plant in a few lines of shell, run by `sh`.
+/// A plant written as a shell script.
 fn shell(folder: &TempDir, name: &str, body: &str) -> String {
     let path = file(folder, name, body);
     format!("exec:sh '{path}'")
 }
 
 #[test]
-fn plants_that_lie_hang_or_die_end_the_run() {
+fn invalid_or_dying_plants_end_the_run() {
     let folder = TempDir::new().unwrap();
     let greet = format!("echo '{HELLO}'\n");
-    // answers line after line with the time asked for
+    // answers every line with the requested time
     let answer = |rest: &str| format!("{greet}n=0; while read l; do t=${{l#*\\\"t\\\":}}; t=${{t%%,*}}; n=$((n+1)); {rest} done\n");
     let cases: [(&str, String, &[&str]); 9] = [
         ("mute.sh", "exit 7\n".to_owned(), &["plant ended", "exit status: 7"]),
@@ -153,17 +153,14 @@ fn plants_that_lie_hang_or_die_end_the_run() {
 }
 
 #[test]
-fn a_plant_that_hangs_is_given_five_seconds() {
+fn a_silent_plant_ends_the_run() {
     let folder = TempDir::new().unwrap();
-    let begun = std::time::Instant::now();
     let hung = shell(&folder, "hangs.sh", &format!("echo '{HELLO}'; read l; exec sleep 60\n"));
     refused(&["evaluate", "--plant", &hung, "--calib", "calib/paper.toml"], &["silent for 5 s", "protocol"]);
-    let waited = begun.elapsed().as_secs_f64();
-    assert!((4.9..15.0).contains(&waited), "{waited} s");
 }
 
 #[test]
-fn a_tip_that_never_rests_is_no_tip_to_align() {
+fn a_tip_that_never_stands_still_cannot_be_aligned() {
     let folder = TempDir::new().unwrap();
     let body = format!(
         "echo '{HELLO}'; s=1; while read l; do t=${{l#*\\\"t\\\":}}; t=${{t%%,*}}; s=$((0-s)); echo \"{{\\\"t\\\":$t,\\\"imu\\\":{{\\\"acc\\\":[0,0,9.8],\\\"gyr\\\":[$s,0,0],\\\"mag\\\":null}}}}\"; done\n"
@@ -176,7 +173,7 @@ fn json(path: &Path) -> Value {
 }
 
 #[test]
-fn results_are_what_the_contract_says() {
+fn results_have_the_documented_form() {
     let folder = TempDir::new().unwrap();
     let [result, page, drawing]: [PathBuf; 3] = ["r.json", "r.html", "r.svg"].map(|n| folder.path().join(n));
     let (code, stdout, stderr) = retroflex(&[
@@ -209,14 +206,14 @@ fn results_are_what_the_contract_says() {
     assert!(!html.contains("<script") && !html.contains("src=") && !html.contains("href=") && !html.contains("NaN"));
     assert_eq!(html.matches("<svg").count(), html.matches("</svg>").count());
     assert!(std::fs::read_to_string(&drawing).unwrap().starts_with("<svg"));
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "nothing is left beside the results");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "no temporary files remain");
 }
 
 #[test]
-fn an_answer_that_is_not_good_enough_is_written_too() {
+fn a_result_that_is_not_good_enough_is_written_too() {
     let folder = TempDir::new().unwrap();
     let result = folder.path().join("r.json");
-    // a feedback that may add next to nothing cannot mend a calibration that is far off
+    // a feedback with little authority cannot correct a calibration that is far off
     let gains = file(&folder, "weak.toml", "[loop]\nintegral_max_deg = 0.5\nkp_max = 0.01\n[refine]\nenabled = false\n");
     let calib = file(&folder, "off.toml", "[transmission]\nk_epsilon = [1.0, 1.0, 1.0]\nk_lambda_mm = [0.1, 0.1, 0.1]\n");
     let (code, stdout, stderr) =
@@ -228,7 +225,7 @@ fn an_answer_that_is_not_good_enough_is_written_too() {
 }
 
 #[test]
-fn a_foreign_plant_in_python_is_brought_within_a_degree() {
+fn the_loop_controls_a_foreign_plant_within_a_degree() {
     if let Err(why) = Command::new("python3").arg("--version").output() {
         println!("skipped: python3 is not on this machine ({why})");
         return;
@@ -243,4 +240,40 @@ fn a_foreign_plant_in_python_is_brought_within_a_degree() {
     let rmse = r["arms"][0]["bend_rmse_deg"].as_f64().unwrap();
     println!("bend RMSE {rmse:.2}°");
     assert!(rmse <= 1.0, "{rmse}");
+}
+
+#[test]
+fn results_never_overwrite_inputs() {
+    let folder = TempDir::new().unwrap();
+    let recordings = ["a.csv.gz", "b.csv.gz"].map(|name| file(&folder, name, "a recording"));
+    let calib = file(&folder, "tip.toml", "[transmission]\n");
+    let cases: [(&[&str], &[&str]); 3] = [
+        // the shell expands `--json *.csv.gz` to this
+        (&["imu", "score", "--all", "--json", &recordings[0], &recordings[1]], &["a.csv.gz", "b.csv.gz"]),
+        (&["imu", "score", &recordings[0], "--json", &recordings[0]], &["would overwrite the input file", "a.csv.gz"]),
+        (&["evaluate", "--calib", &calib, "--svg", &calib], &["would overwrite the input file", "tip.toml"]),
+    ];
+    for (args, words) in cases {
+        let (code, _, stderr) = retroflex(args);
+        assert!(code == 2 && words.iter().all(|w| stderr.contains(w)), "{args:?}: {code} {stderr}");
+    }
+    assert!(recordings.iter().all(|path| std::fs::read_to_string(path).unwrap() == "a recording"));
+}
+
+#[test]
+fn a_dash_stands_for_standard_output() {
+    let (code, stdout, stderr) = retroflex(&["doctor", "--json", "-"]);
+    let findings: Value = serde_json::from_str(&stdout).unwrap();
+    assert!(code <= 1 && findings[0]["what"] == "computer" && stderr.contains("computer"), "{stderr}");
+}
+
+#[test]
+fn help_is_grouped_by_task_and_shells_complete() {
+    let (code, help, _) = retroflex(&["--help"]);
+    let tasks = ["Move:", "Bring up:", "Calibrate:", "Diagnose:", "Simulate:", "Prove:"];
+    assert!(code == 0 && tasks.iter().all(|t| help.contains(t)) && help.contains("Not a medical device"), "{help}");
+    for shell in ["bash", "zsh", "fish"] {
+        let (code, script, _) = retroflex(&["completions", shell]);
+        assert!(code == 0 && script.contains("evaluate"), "{shell}");
+    }
 }

@@ -1,0 +1,61 @@
+//! The documents and the repository agree: every test, file and link that a document names exists.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use common::repo;
+use std::path::PathBuf;
+
+/// The documents with their text.
+fn documents() -> Vec<(PathBuf, String)> {
+    let mut paths = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "calib/README.md"].map(repo).to_vec();
+    let folder = std::fs::read_dir(repo("docs")).unwrap().map(|e| e.unwrap().path());
+    paths.extend(folder.filter(|p| p.extension().is_some_and(|e| e == "md")));
+    paths.into_iter().map(|p| (p.clone(), std::fs::read_to_string(&p).unwrap())).collect()
+}
+
+/// What stands between pairs of backticks, code blocks excepted.
+fn code(text: &str) -> Vec<&str> {
+    let prose = text.split("```").step_by(2);
+    prose.flat_map(|part| part.split('`').skip(1).step_by(2)).collect()
+}
+
+#[test]
+fn everything_that_the_documents_name_exists() {
+    let mut missing = Vec::new();
+    for (path, text) in documents() {
+        for name in code(&text) {
+            let (file, test) = name.split_once("::").map_or((name, None), |(f, t)| (f, Some(t)));
+            let is_path =
+                ["src/", "tests/", "docs/", "boards/", "calib/", "examples/", ".ci/", "systemd/"].iter().any(|p| file.starts_with(p));
+            if !is_path || file.contains(['*', ' ']) || file.contains("NAME") {
+                continue;
+            }
+            let found = std::fs::read_to_string(repo(file));
+            let exists = match test {
+                Some(test) => found.is_ok_and(|code| code.contains(&format!("fn {test}("))),
+                None => repo(file).exists(),
+            };
+            if !exists {
+                missing.push(format!("{}: {name}", path.display()));
+            }
+        }
+        for link in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+            let file = link.split('#').next().unwrap();
+            if !file.is_empty() && !link.contains("://") && !path.with_file_name(file).exists() {
+                missing.push(format!("{}: link to {link}", path.display()));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "{}", missing.join("\n"));
+}
+
+#[test]
+fn the_architecture_lists_the_rooms_of_the_library() {
+    let lib = std::fs::read_to_string(repo("src/lib.rs")).unwrap();
+    let architecture = std::fs::read_to_string(repo("ARCHITECTURE.md")).unwrap();
+    let rooms: Vec<&str> = lib.lines().filter_map(|l| l.strip_prefix("//! | [`")?.split('`').next()).collect();
+    let listed: Vec<&str> =
+        architecture.split("## ").next().unwrap().lines().filter_map(|l| l.strip_prefix("| `")?.split('`').next()).collect();
+    assert!(rooms.len() == 16 && rooms == listed, "{rooms:?} {listed:?}");
+}
