@@ -1,4 +1,4 @@
-//! Laws: pure, stateless, forward beside inverse (paper, Eq. 1-17).
+//! Kinematics and transmission of the tip (paper, Eq. 1-17), forward beside inverse, and the effects beyond them.
 
 pub mod arc;
 pub mod bend;

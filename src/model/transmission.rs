@@ -1,14 +1,14 @@
 //! Transmission through the air line (paper, Eq. 12-17): extension and backlash, forward beside inverse.
 //!
 //! `q̃ = q + K_ε q + K_λ sgn(q̇)`: the piston must travel k_ε q further than the bellow (the air is a
-//! spring) and k_λ to the side it moves to. The law has two readings:
+//! spring) and k_λ to the side it moves to. The law is used in two directions:
 //!
 //! * forward, from piston to bellow, it is a play operator of half-width k_λ followed by 1/(1 + k_ε):
-//!   the hidden slack `w` is dragged along only when the piston pushes against one end of the gap;
+//!   the play output `w` moves only when the piston pushes against one end of the gap;
 //! * inverse, from bellow to piston, it is Eq. 16 with the side as explicit state.
 //!
-//! The side is passed in and returned, never kept: these are laws, not behaviour. The paper allows
-//! tanh in place of sgn; [`Side::Smooth`] is that.
+//! The functions are pure: the side is an argument and a result. The paper allows tanh in place of sgn, which is
+//! [`Side::Smooth`].
 
 /// Gains of one channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,19 +20,19 @@ pub struct Line {
 }
 
 impl Line {
-    /// Play operator: where the slack's far end `w` goes when the piston moves to `piston_mm`.
+    /// Play operator: the output `w` after the piston moves to `piston_mm`.
     #[must_use]
     #[inline]
     pub fn play(&self, w_mm: f64, piston_mm: f64) -> f64 {
         w_mm.max(piston_mm - self.k_lambda_mm).min(piston_mm + self.k_lambda_mm)
     }
-    /// Bellow length change of the slack's far end, `q = w / (1 + k_ε)`.
+    /// Bellow length change for a play output, `q = w / (1 + k_ε)`.
     #[must_use]
     #[inline]
     pub fn bellow_mm(&self, w_mm: f64) -> f64 {
         w_mm / (1.0 + self.k_epsilon)
     }
-    /// Slack position that gives a bellow length change: inverse of [`Line::bellow_mm`].
+    /// Play output for a bellow length change: inverse of [`Line::bellow_mm`].
     #[must_use]
     pub fn play_output_mm(&self, q_mm: f64) -> f64 {
         q_mm * (1.0 + self.k_epsilon)
@@ -44,48 +44,48 @@ impl Line {
     }
 }
 
-/// How the side sgn(q̇) of Eq. 15 follows the wanted motion.
+/// How the side sgn(q̇) of Eq. 15 follows the commanded motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Side {
-    /// The side flips only once the wanted slack position has turned back by more than the band
-    /// (mm of slack): inside it nothing moves, so the loop cannot hunt in the gap.
+    /// The side changes only once the commanded play output has reversed by more than the band (mm of play
+    /// output). Inside the band nothing moves, so the loop cannot limit-cycle in the gap.
     Band {
         /// Reversal that is ignored, mm.
         band_mm: f64,
     },
     /// The paper's smooth option: tanh(q̇ / rate).
     Smooth {
-        /// Slack speed at which the compensation reaches 76 % of k_λ, mm/s.
+        /// Speed of the play output at which the compensation reaches 76 % of k_λ, mm/s.
         rate_mm_s: f64,
     },
 }
 
-/// What the inverse remembers of one channel.
+/// State of the inverse of one channel.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SideState {
-    /// Slack position last commanded, mm.
+    /// Play output last commanded, mm.
     pub w_mm: f64,
-    /// Where the piston stands in its gap: −1..=1, 0 before the first motion (play starts centred).
+    /// Position of the piston in its gap: −1..=1, 0 before the first motion (play starts centred).
     pub side: f64,
-    /// Way of the last motion: −1, 0 before the first, 1.
+    /// Direction of the last motion: −1, 1, or 0 before the first.
     pub way: f64,
 }
 
-/// One tick of wanted motion for [`Side::invert`].
+/// Commanded motion of one tick, for [`Side::invert`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wanted {
     /// Bellow length change, mm.
     pub q_mm: f64,
     /// Time since the last, s; used by the smooth form only.
     pub dt_s: f64,
-    /// Share of the gap that a reversal jumps at once, 0..=1. A reversal asked for by the set-point
-    /// jumps all of it; one asked for by feedback, which only nudges, may jump less: a gap believed
-    /// too wide then costs a moment of standing still in place of a limit cycle.
+    /// Share of the gap that a reversal crosses at once, 0..=1. A reversal of the set-point crosses all of it; a
+    /// reversal of the feedback may cross less, so that an overestimated gap causes a short standstill instead of a
+    /// limit cycle.
     pub reach: f64,
 }
 
 impl Side {
-    /// The inverse with memory: wanted bellow change in, piston position and new state out.
+    /// The inverse with state: from commanded bellow change to piston position and new state.
     #[must_use]
     pub fn invert(&self, line: &Line, state: SideState, wanted: &Wanted) -> (f64, SideState) {
         let want = line.play_output_mm(wanted.q_mm);
@@ -100,19 +100,19 @@ impl Side {
     }
 }
 
-/// Where the slack stands when the piston has only got to `piston_mm` on its way to `state`: it goes
-/// from `realised_mm` towards `state.w_mm` and never back, so a gap being crossed is no motion.
+/// Play output reached when the piston is at `piston_mm` on its way to `state`. It moves from `realised_mm` towards
+/// `state.w_mm` and never back, so that crossing the gap is not counted as motion.
 #[must_use]
 pub fn realised(line: &Line, state: &SideState, realised_mm: f64, piston_mm: f64) -> f64 {
     let reached = piston_mm - line.k_lambda_mm * state.side;
     if state.way >= 0.0 { realised_mm.max(reached.min(state.w_mm)) } else { realised_mm.min(reached.max(state.w_mm)) }
 }
 
-/// Follow on in the way of the last motion; ignore a reversal up to the band; else turn round.
+/// Follows motion in the direction of the last; ignores a reversal up to the band; otherwise reverses.
 fn band(state: SideState, want: f64, band_mm: f64, reach: f64) -> SideState {
     let ahead = want - state.w_mm;
     if ahead * state.way > 0.0 {
-        // a set-point that moves on takes the rest of the gap with it
+        // a set-point that moves on crosses the remaining gap
         let side = if reach >= 1.0 { state.way } else { state.side };
         SideState { w_mm: want, side, ..state }
     } else if ahead.abs() > band_mm {
@@ -134,22 +134,22 @@ mod tests {
     }
 
     #[test]
-    fn a_nudge_jumps_only_its_share_of_the_gap() {
+    fn a_feedback_reversal_crosses_only_its_share_of_the_gap() {
         let l = Line { k_epsilon: 2.0, k_lambda_mm: 1.0 };
         let side = Side::Band { band_mm: 0.03 };
         let (_, up) = side.invert(&l, SideState::default(), &wanted(1.0));
         let (u, down) = side.invert(&l, up, &Wanted { reach: 0.25, ..wanted(0.9) });
         assert!((u - (2.7 + 0.5)).abs() < 1e-12 && down.way == -1.0);
         let (u, _) = side.invert(&l, down, &wanted(0.8));
-        assert!((u - (2.4 - 1.0)).abs() < 1e-12, "the set-point takes the rest of it");
+        assert!((u - (2.4 - 1.0)).abs() < 1e-12, "the set-point crosses the rest");
     }
 
     #[test]
-    fn a_gap_being_crossed_is_no_motion() {
+    fn crossing_the_gap_is_not_motion() {
         let l = Line { k_epsilon: 2.0, k_lambda_mm: 1.0 };
         let down = SideState { w_mm: 2.0, side: -1.0, way: -1.0 };
         assert_eq!(realised(&l, &down, 3.0, 4.0), 3.0, "the piston has not turned yet");
-        assert_eq!(realised(&l, &down, 3.0, 1.5), 2.5, "half of the way is done");
+        assert_eq!(realised(&l, &down, 3.0, 1.5), 2.5, "half of the distance is covered");
         assert_eq!(realised(&l, &down, 2.5, 1.0), 2.0);
     }
 
@@ -158,7 +158,7 @@ mod tests {
     }
 
     proptest! {
-        /// Inverse then forward gives back every wanted motion, through any number of reversals.
+        /// Inverse then forward reproduces every commanded motion, through any number of reversals.
         #[test]
         fn round_trips_through_reversals(l in line(), path in prop::collection::vec(-6.0..6.0f64, 1..60)) {
             let mut inv = SideState::default();
@@ -191,7 +191,7 @@ mod tests {
         fn equation_16_round_trips(l in line(), q in -6.0..6.0f64, up in any::<bool>()) {
             let side = if up { 1.0 } else { -1.0 };
             let u = l.piston_mm(q, side);
-            // arriving from far on the other side, the slack is pushed from behind
+            // arriving from far on the other side, the play output is pushed from behind
             let w = l.play(l.play_output_mm(q) - side * 50.0, u);
             prop_assert!((l.bellow_mm(w) - q).abs() < 1e-9);
         }

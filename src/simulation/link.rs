@@ -1,9 +1,9 @@
-//! A foreign plant behind the newline-delimited JSON of the plant link.
+//! A plant in another program, driven over the newline-delimited JSON of the plant link.
 //!
-//! The program is started with its stdin and stdout as the link, stderr left to the terminal. A
-//! reader thread turns its lines into a channel so that silence can be told from thinking.
+//! The link is the program's stdin and stdout; its stderr goes to the terminal. A reader thread passes its lines
+//! through a channel, so that a read can time out.
 
-use crate::primitives::frames::Rotation;
+use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::world::{Reply, World};
@@ -15,9 +15,9 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
-/// Longest silence, s.
+/// Longest time without an answer, s.
 const SILENCE_S: f64 = 5.0;
-/// Longest line that is read, bytes.
+/// Longest line, bytes.
 const LINE_MAX: u64 = 64 * 1024;
 
 #[derive(Deserialize)]
@@ -49,7 +49,7 @@ struct Reference {
     quat: [f64; 4],
 }
 
-/// A running foreign plant.
+/// A running plant program.
 pub struct Link {
     child: Child,
     to: BufWriter<ChildStdin>,
@@ -63,11 +63,11 @@ impl Link {
     /// Starts `program` with `args` and reads its greeting.
     ///
     /// # Errors
-    /// [`MachineError`] when it cannot be started or does not greet as the protocol says.
+    /// [`MachineError`] if the program cannot be started or its greeting violates the protocol.
     pub fn start(program: &str, args: &[String]) -> Result<Self, MachineError> {
         let fail = |source| MachineError::Start { program: program.to_owned(), source };
         let mut child = Command::new(program).args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().map_err(fail)?;
-        let missing = || fail(std::io::Error::other("no pipe to it"));
+        let missing = || fail(std::io::Error::other("its pipes could not be opened"));
         let to = BufWriter::new(child.stdin.take().ok_or_else(missing)?);
         let from = read_lines(child.stdout.take().ok_or_else(missing)?);
         let info = MachineInfo { name: String::new(), period_s: 0.0, step_mm: 0.0, rest_length_mm: 0.0 };
@@ -82,16 +82,16 @@ impl Link {
                 line.trim_end().clone_into(&mut self.last);
                 Ok(line)
             }
-            Err(RecvTimeoutError::Timeout) => Err(MachineError::Silent { seconds: SILENCE_S, last: shown(&self.last) }),
+            Err(RecvTimeoutError::Timeout) => Err(MachineError::Silent { seconds: SILENCE_S, last: excerpt(&self.last) }),
             Ok(Err(e)) => {
-                Err(MachineError::Malformed { line: shown(&self.last), problem: format!("then its output could not be read: {e}") })
+                Err(MachineError::Malformed { line: excerpt(&self.last), problem: format!("then its output could not be read: {e}") })
             }
             Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => Err(self.died()),
         }
     }
 
     fn died(&mut self) -> MachineError {
-        // its output closes a moment before it is gone
+        // the output closes shortly before the process ends
         let ended = (0..50).find_map(|_| match self.child.try_wait() {
             Ok(None) => {
                 std::thread::sleep(Duration::from_millis(10));
@@ -100,14 +100,14 @@ impl Link {
             known => Some(known.ok().flatten()),
         });
         let status = ended.flatten().map_or(String::new(), |s| format!(" ({s})"));
-        MachineError::Died { last: shown(&self.last), status }
+        MachineError::Died { last: excerpt(&self.last), status }
     }
 }
 
 impl Drop for Link {
     fn drop(&mut self) {
-        // it ends at end of file by contract; one that does not is ended here. Both calls fail only
-        // when the child is already gone, which is what is wanted
+        // a plant ends at end of file; one that does not is killed here. Both calls fail only if the process has
+        // already ended, which is the desired state
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -124,7 +124,7 @@ impl World for Link {
         let [a, b, c] = steps.0;
         let sent = writeln!(self.to, "{{\"t\":{t:.6},\"steps\":[{a},{b},{c}]}}").and_then(|()| self.to.flush());
         if sent.is_err() {
-            // the reader may still hold its last words; its end is what counts
+            // the channel may still contain lines; the end of the process is the error
             return Err(self.died());
         }
         let line = self.line()?;
@@ -132,10 +132,10 @@ impl World for Link {
     }
 }
 
-/// Splits a command line at blanks; a part in single or double quotes stays whole.
+/// Splits a command line at whitespace; text in single or double quotes stays together.
 ///
 /// # Errors
-/// When a quote is not closed.
+/// If a quote is not closed.
 pub fn words(line: &str) -> Result<Vec<String>, String> {
     let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
     for c in line.chars() {
@@ -170,13 +170,13 @@ fn read_lines(out: ChildStdout) -> Receiver<std::io::Result<String>> {
     rx
 }
 
-fn shown(line: &str) -> String {
+fn excerpt(line: &str) -> String {
     let cut: String = line.trim_end().chars().take(160).collect();
     if cut.len() < line.trim_end().len() { format!("{cut}…") } else { cut }
 }
 
 fn malformed(line: &str, problem: impl Into<String>) -> MachineError {
-    MachineError::Malformed { line: shown(line), problem: problem.into() }
+    MachineError::Malformed { line: excerpt(line), problem: problem.into() }
 }
 
 fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
@@ -187,7 +187,7 @@ fn greeting(line: &str) -> Result<MachineInfo, MachineError> {
         )
     })?;
     if h.protocol != 1 {
-        return Err(malformed(line, format!("protocol {} is not spoken here, 1 is", h.protocol)));
+        return Err(malformed(line, format!("protocol {} is not supported, only 1 is", h.protocol)));
     }
     let ranges = [
         ("imu_period_s", h.imu_period_s, 0.0002, 0.05),
@@ -207,7 +207,7 @@ fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
         malformed(line, format!("not an answer ({e}); expected {{\"t\":…,\"imu\":{{…}} or null,\"ref\":{{\"quat\":[w,x,y,z]}}}}"))
     })?;
     if (a.t - t).abs() > 1e-4 {
-        return Err(malformed(line, format!("answers for t = {} s, asked was {t:.6} s", a.t)));
+        return Err(malformed(line, format!("answers for t = {} s, the request was for {t:.6} s", a.t)));
     }
     let truth = match a.reference {
         None => None,
@@ -222,7 +222,7 @@ fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
     Ok(Reply { t: Seconds(t), imu, truth })
 }
 
-fn orientation(q: &[f64; 4]) -> Option<Rotation<crate::primitives::frames::Base, crate::primitives::frames::Tip>> {
+fn orientation(q: &[f64; 4]) -> Option<Rotation<Base, Tip>> {
     let q = Quaternion::new(q[0], q[1], q[2], q[3]);
     ((q.norm() - 1.0).abs() < 1e-2).then(|| Rotation::assert_frames(UnitQuaternion::from_quaternion(q)))
 }
@@ -232,40 +232,40 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quotes_keep_words_together() {
+    fn quotes_keep_text_together() {
         assert_eq!(words(" a  'b c' d\"e f\" ''").unwrap(), ["a", "b c", "de f", ""]);
         assert!(words("a 'b").unwrap_err().contains("not closed"));
         assert!(words("  ").unwrap().is_empty());
     }
 
     #[test]
-    fn greetings_are_judged() {
+    fn invalid_greetings_are_refused() {
         let good = r#"{"plant":"x","protocol":1,"imu_period_s":0.005,"step_mm":0.029452,"rest_length_mm":20.0}"#;
         assert_eq!(greeting(good).unwrap().period_s, 0.005);
-        for (bad, word) in [
+        for (bad, text) in [
             (good.replace("\"protocol\":1", "\"protocol\":2"), "protocol 2"),
             (good.replace("0.005", "5"), "imu_period_s = 5"),
             (good.replace("0.029452", "-1"), "step_mm = -1"),
             ("hello".to_owned(), "not a greeting"),
         ] {
             let why = greeting(&bad).unwrap_err().to_string();
-            assert!(why.contains(word) && why.contains(&shown(&bad)), "{why}");
+            assert!(why.contains(text) && why.contains(&excerpt(&bad)), "{why}");
         }
     }
 
     #[test]
-    fn answers_are_judged() {
+    fn invalid_answers_are_refused() {
         let good = r#"{"t":0.005,"imu":{"acc":[0,0,9.8],"gyr":[0,0,0],"mag":null},"ref":{"quat":[1,0,0,0]}}"#;
         let r = reply(good, 0.005).unwrap();
         assert!(r.imu.unwrap().mag_ut.is_none() && r.truth.is_some());
         assert!(reply(r#"{"t":0.005,"imu":null}"#, 0.005).unwrap().imu.is_none());
-        for (bad, word) in [
+        for (bad, text) in [
             (good.replace("0.005", "0.010"), "answers for t = 0.01"),
             (good.replace("[1,0,0,0]", "[2,0,0,0]"), "unit quaternion"),
             (good.replace("[0,0,9.8]", "[0,0]"), "not an answer"),
         ] {
             let why = reply(&bad, 0.005).unwrap_err().to_string();
-            assert!(why.contains(word), "{why}");
+            assert!(why.contains(text), "{why}");
         }
     }
 }

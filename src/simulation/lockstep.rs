@@ -6,20 +6,20 @@ use crate::primitives::units::{Seconds, Steps};
 use crate::simulation::world::World;
 use crate::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};
 
-/// Turns of a world that one turn of a late loop may catch up on at most.
+/// Largest number of periods that the world advances in one cycle of a late loop.
 const CATCH_UP_MAX: u32 = 2000;
 
-/// Any [`World`] as a machine: with drivers off it stands, and a late loop finds that the world went on
-/// without it, on the counts it had.
+/// Any [`World`] as a machine: with its drivers off it holds its counts, and during a late cycle of the loop it
+/// advances with the counts of the cycle before.
 #[derive(Debug, Clone)]
 pub struct Lockstep<W> {
     /// The world.
     pub world: W,
-    /// Time the world has reached.
+    /// Time that the world has reached, s.
     reached_s: f64,
-    /// Counts that the world was told last; it counts from its own zero.
+    /// Counts last sent to the world, from its own zero.
     held: Steps,
-    /// World counts that the loop calls zero.
+    /// Counts of the world at the zero of the loop.
     zero: Steps,
     energised: bool,
 }
@@ -38,7 +38,7 @@ impl<W: World + Send> Machine for Lockstep<W> {
 
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let period_s = self.world.info().period_s;
-        let mut said = Sensed {
+        let mut sensed = Sensed {
             t: now,
             imu: ImuReading::Nothing,
             base_imu: None,
@@ -50,19 +50,19 @@ impl<W: World + Send> Machine for Lockstep<W> {
         };
         let periods = (((now.0 - self.reached_s) / period_s).round().max(0.0) as u32).min(CATCH_UP_MAX);
         for k in 0..periods {
-            // what is wanted now is only there in the last of several periods
+            // the new counts apply to the last of several periods only
             if k + 1 == periods && self.energised {
                 self.held = Steps([0, 1, 2].map(|i| wanted.0[i].wrapping_add(self.zero.0[i])));
             }
             let reply = self.world.step(&self.held)?;
             if let Some(sample) = reply.imu {
-                said.imu = ImuReading::from_world(Some(sample));
+                sensed.imu = ImuReading::from_world(Some(sample));
             }
-            said.truth = reply.truth;
+            sensed.truth = reply.truth;
         }
         self.reached_s += f64::from(periods) * period_s;
-        said.counted = Steps([0, 1, 2].map(|i| self.held.0[i].wrapping_sub(self.zero.0[i])));
-        Ok(said)
+        sensed.counted = Steps([0, 1, 2].map(|i| self.held.0[i].wrapping_sub(self.zero.0[i])));
+        Ok(sensed)
     }
 
     fn energise(&mut self, on: bool) {

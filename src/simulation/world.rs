@@ -1,8 +1,7 @@
-//! The worlds the loop can live in: one trait, lockstep.
+//! The interface of a simulated machine in lockstep.
 //!
-//! A world takes microstep counts, lets its time go on by one period, and answers with what the
-//! sensors said. What a world knows of the *true* orientation travels beside the reading and never
-//! into [`crate::control::tick::Input`]: it is for the judge alone.
+//! A world takes microstep counts, advances by one period, and returns the sensor reading. The *true* orientation
+//! is returned beside the reading, for scoring only; it never becomes part of [`crate::control::tick::Input`].
 
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
@@ -17,18 +16,18 @@ pub struct Reply {
     pub t: Seconds,
     /// A sample, if the sensor had one.
     pub imu: Option<ImuSample>,
-    /// True tip orientation relative to rest, for the judge.
+    /// True tip orientation relative to the start, for scoring.
     pub truth: Option<Rotation<Base, Tip>>,
 }
 
-/// Something that moves when microsteps are counted.
+/// A simulated machine.
 pub trait World {
-    /// What it is.
+    /// Description of the machine.
     fn info(&self) -> &MachineInfo;
-    /// Holds the counts for one period and answers.
+    /// Holds the counts for one period.
     ///
     /// # Errors
-    /// [`MachineError`] when the other side is gone, silent or talks nonsense.
+    /// [`MachineError`] if a plant program ends, does not answer or violates the protocol.
     fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError>;
 }
 

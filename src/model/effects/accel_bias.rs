@@ -9,7 +9,7 @@
 //! |---|---|---|---|
 //! | `x`, `y`, `z` b | m/s² | 0 ± 0.3 | 0.1-1 (10-100 mg) |
 //!
-//! Signature: in the accelerometer only, and the norm depends on the pose. Easily confused with
+//! Signature: in the accelerometer only, and the norm depends on the pose. Similar to
 //! `gravity` (the tip really sags), a tilted base and `mount_misalignment` (turns the other sensors
 //! too). Many attitudes separate it.
 
@@ -46,16 +46,16 @@ impl Effect for AccelBias {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&AccelBias);
+    fn is_consistent() {
+        proof::is_consistent(&AccelBias);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&AccelBias, &[0.5, -0.3, 0.2]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&AccelBias, &[0.5, -0.3, 0.2]);
     }
 
     #[test]

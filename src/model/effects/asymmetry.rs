@@ -11,9 +11,9 @@
 //! |---|---|---|---|
 //! | `difference` a, one per channel | – | 0 ± 0.1 | 0.03-0.2 (5-40 % between the slopes) |
 //!
-//! Signature: the slope changes at zero. Easily confused with `gas_compression` (no corner, the same in
+//! Signature: the slope changes at zero. Similar to `gas_compression` (no corner, the same in
 //! all channels) and, in orientation alone, `crosstalk` to both neighbours. Amplitudes of both signs and an
-//! offset of length, which moves the corner away, separate it.
+//! offset of length, which shifts the corner, separate it.
 
 use crate::model::effects::smooth::magnitude;
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
@@ -54,16 +54,16 @@ impl Effect for Asymmetry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Asymmetry);
+    fn is_consistent() {
+        proof::is_consistent(&Asymmetry);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Asymmetry, &[0.2, -0.1, 0.1]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Asymmetry, &[0.2, -0.1, 0.1]);
     }
 
     #[test]
@@ -76,6 +76,6 @@ mod tests {
         let slope = |q: f64| (at(q + 0.01) - at(q - 0.01)) / 0.02;
         assert!((slope(4.0) - Vector3::new(1.2, 1.0, 0.8)).norm() < 2e-3);
         assert!((slope(-4.0) - Vector3::new(0.8, 1.0, 1.2)).norm() < 2e-3);
-        assert!((slope(4.0) - slope(2.0)).norm() < 5e-3, "straight beyond the corner");
+        assert!((slope(4.0) - slope(2.0)).norm() < 5e-3, "linear beyond the corner");
     }
 }

@@ -1,9 +1,9 @@
 //! The base turns during the log.
 //!
-//! Cause: the holder slips, a hand shifts, a table settles. Law: rigid-body rotation; from its attitude
-//! at rest the base has turned by the rotation vector
-//! `θ(t) = θ₁ s((t − t₁)/d₁) + θ₂ s((t − t₂)/d₂)`, s a cubic from 0 to 1. A slow turn is one event that
-//! lasts, a knock one that does not, there and back two of opposite sign.
+//! Cause: the holder slips, a hand shifts, a table settles. Law: rigid-body rotation; since the start
+//! the base has turned by the rotation vector
+//! `θ(t) = θ₁ s((t − t₁)/d₁) + θ₂ s((t − t₂)/d₂)`, s a cubic from 0 to 1. A slow turn is one long event,
+//! a knock a short one, a turn and its return two events of opposite sign.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
@@ -11,12 +11,11 @@
 //! | `lasting1`, `lasting2` d | s | 2 ± 40 | 0.2-300 |
 //! | `x1`, `y1`, `z1`, `x2`, `y2`, `z2` θ, base frame | rad | 0 ± 0.08 | 0.02-0.17 (1-10°) |
 //!
-//! Signature: all sensors turn together and no piston explains it. Easily confused with
+//! Signature: all sensors turn together and no piston explains it. Similar to
 //! `missed_steps` (a jump that bends, so it depends on the pose), `thermal_drift` and `gyro_bias`
 //! (gyroscope only). A second IMU on the base separates it.
 //!
-//! The error surface is flat in an event's time but for the event itself: a fit has to search `t1_s`
-//! and `t2_s`.
+//! Away from the event the error surface is flat in its time, so a fit has to search `t1_s` and `t2_s`.
 
 use crate::model::effects::param::join;
 use crate::model::effects::smooth::smoothstep;
@@ -72,11 +71,11 @@ impl Effect for BaseMotion {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&BaseMotion);
+    fn is_consistent() {
+        proof::is_consistent(&BaseMotion);
     }
 
     fn turned(p: &[f64], t_s: f64) -> Vector3<f64> {
@@ -84,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_turn_a_knock_and_there_and_back() {
+    fn slow_turns_knocks_and_returns_are_two_events_at_most() {
         let slow = [10.0, 100.0, 0.1, 0.0, 0.0, 150.0, 2.0, 0.0, 0.0, 0.0];
         assert!((turned(&slow, 60.0).x - 0.05).abs() < 1e-9 && (turned(&slow, 200.0).x - 0.1).abs() < 1e-9);
         let knock = [50.0, 0.3, 0.0, 0.1, 0.0, 150.0, 2.0, 0.0, 0.0, 0.0];

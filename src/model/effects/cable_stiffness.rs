@@ -6,15 +6,15 @@
 //!
 //! Law: `b′ = b + S(x) b` with the traceless symmetric
 //! `S = [A B; B −A]`, `A + iB = s e^(2iψ)`: bends along ψ grow by s, bends across it shrink by s.
-//! The strength may change with bend: `A = A₀ + A₁ (x − 3/4)`, x = β/75°. The trace is a common gain and
-//! left to the gains; at constant length they absorb A₀ and B₀, too.
+//! The strength may change with bend: `A = A₀ + A₁ (x − 3/4)`, x = β/75°. The trace is a common gain, which
+//! the nominal gains contain; at constant length they absorb A₀ and B₀ as well.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
 //! | `along` A₀, `aslant` B₀ | – | 0 ± 0.1 | 0.02-0.2 |
 //! | `along_grow` A₁, `aslant_grow` B₁ | – | 0 ± 0.1 | 0-0.2 |
 //!
-//! Signature: two-fold in the direction δ. Easily confused with unequal k_ε (whose common-mode length
+//! Signature: two-fold in the direction δ. Similar to unequal k_ε (whose common-mode length
 //! leaks into bend), `crosstalk` and `clocking`. Length changes separate it.
 
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
@@ -55,17 +55,17 @@ impl Effect for CableStiffness {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
     use nalgebra::Vector3;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&CableStiffness);
+    fn is_consistent() {
+        proof::is_consistent(&CableStiffness);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&CableStiffness, &[0.1, -0.15, 0.05, 0.1]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&CableStiffness, &[0.1, -0.15, 0.05, 0.1]);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Cause: tolerance of the mould and of gluing. Law: Eq. 10 with `α_i + ζ_i`,
 //! `q_i = (l − l₀) − r (b_x cos(α_i + ζ_i) − b_y sin(α_i + ζ_i))`, solved for (l, b): three equations for
-//! three unknowns, linear in q. The hook adds what differs from the solution at ζ = 0.
+//! three unknowns, linear in q. The difference from the solution at ζ = 0 is added.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
@@ -10,7 +10,7 @@
 //!
 //! Signature: an error periodic in the direction δ that rotates the bend plane. All three alike turn
 //! the plane itself: in the IMU alone that is `mount_misalignment` about the tip's axis, because the
-//! base frame is refitted. Also confused with `crosstalk`. A full circle of δ separates it; a reference
+//! base frame is refitted. Also similar to `crosstalk`. A full circle of δ separates it; a reference
 //! separates the common turn.
 
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
@@ -39,7 +39,7 @@ impl Effect for Clocking {
     fn starts(&self) -> Starts {
         vec![vec![0.01; 3]]
     }
-    /// Memory holds the angles and, from 3 on, the 2 × 3 matrix that they lead to, column by column.
+    /// Memory holds the angles and, from 3 on, the 2 × 3 matrix that follows from them, column by column.
     fn shape(&self, p: &[f64], m: &mut Memory, at: &Moment, pose: &mut Pose) {
         if m.0[..3] != p[..3] {
             m.0[..3].copy_from_slice(&p[..3]);
@@ -64,17 +64,17 @@ fn bend_of_lengths(zeta: &Vector3<f64>) -> Matrix2x3<f64> {
 mod tests {
     use super::*;
     use crate::model::arc::Geometry;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
     use nalgebra::{Rotation2, Vector2};
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Clocking);
+    fn is_consistent() {
+        proof::is_consistent(&Clocking);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Clocking, &[0.1, -0.2, 0.05]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Clocking, &[0.1, -0.2, 0.05]);
     }
 
     #[test]

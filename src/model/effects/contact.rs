@@ -3,10 +3,10 @@
 //! Cause: the tip meets tissue or a duct; a body can be pushed but not pulled (Signorini's condition,
 //! as a penalty law: Hunt and Crossley, *J. Appl. Mech.* 1975, without the damping).
 //!
-//! Law: in the bend plane, with `n = (cos ψ, sin ψ)` and `o = n·b − d` the way beyond the wall,
-//! `b′ = b − P n` with `P = k (o − g ln(1 + o/g))` for o > 0: tissue stiffens as it gives, over the way g. The
-//! share k is the wall's stiffness against that of wall and section together: 1 is a rigid wall once it
-//! has given. The corner is rounded over 0.01 rad. Along the wall the tip sticks: it follows only
+//! Law: in the bend plane, with `n = (cos ψ, sin ψ)` and `o = n·b − d` the distance beyond the wall,
+//! `b′ = b − P n` with `P = k (o − g ln(1 + o/g))` for o > 0: tissue stiffens as it yields, over the distance g. The
+//! share k is the stiffness of the wall relative to wall and section together: 1 is a wall that is rigid once
+//! it has yielded. The corner is rounded over 0.01 rad. Along the wall the tip sticks: it follows only
 //! once it is μ P behind (Coulomb).
 //!
 //! | parameter | unit | prior | typical |
@@ -17,9 +17,9 @@
 //! | `give` g | rad | 0.02 ± 0.06 | 0-0.2 |
 //! | `friction` μ | – | 0 ± 0.2 | 0-0.5 |
 //!
-//! Signature: an error only beyond a line in the bend plane. Easily confused with a limit of travel,
-//! `missed_steps` (which stays when the wall is left) and `cable_stiffness` (both sides alike). Coming to the
-//! same bend from another side separates it.
+//! Signature: an error only beyond a line in the bend plane. Similar to a limit of travel,
+//! `missed_steps` (which stays when the wall is left) and `cable_stiffness` (both sides alike). Approaching
+//! the same bend from another side separates it.
 
 use crate::model::effects::smooth::overshoot;
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
@@ -39,7 +39,7 @@ const INFO: EffectInfo = EffectInfo {
     stage: Stage::Shape,
     signature: "an error only beyond a line in the bend plane",
     confused_with: &["missed_steps", "cable_stiffness", "stiffening"],
-    separated_by: "coming to the same bend from another side",
+    separated_by: "approaching the same bend from another side",
     is_event: false,
     params: &[
         Param::new("direction", "rad", 0.0, 2.0, (-TAU, TAU)),
@@ -54,7 +54,7 @@ impl Effect for Contact {
     fn info(&self) -> &'static EffectInfo {
         &INFO
     }
-    /// Eight directions: a wall that nothing touches has no slope towards where it should be.
+    /// Eight directions: a wall that the tip does not touch has no gradient towards its true direction.
     fn starts(&self) -> Starts {
         (-3..=4).map(|k| vec![f64::from(k) * FRAC_PI_4, 0.45, 0.4, 0.04, 0.05]).collect()
     }
@@ -80,17 +80,17 @@ impl Effect for Contact {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
     use nalgebra::Vector3;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Contact);
+    fn is_consistent() {
+        proof::is_consistent(&Contact);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Contact, &[2.1, 0.8, 0.75, 0.03, 0.1]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Contact, &[2.1, 0.8, 0.75, 0.03, 0.1]);
     }
 
     fn moved(beta: f64, delta: f64) -> Vector2<f64> {

@@ -1,10 +1,10 @@
 //! Viscoelastic relaxation of the rubber during holds.
 //!
-//! Cause: polymer chains go on sliding under a constant load. Law: two Kelvin-Voigt elements in
+//! Cause: polymer chains continue to slide under a constant load. Law: two Kelvin-Voigt elements in
 //! series with the elastic one (Findley, Lai and Onaran, *Creep and Relaxation of Nonlinear
 //! Viscoelastic Materials*, 1976, ch. 5),
-//! `q′ = q + c_f z_f + c_s z_s`, `τ ż_f = q − z_f`, `12 τ ż_s = q − z_s`. Two elements a decade apart stand in
-//! for the log t or power law of a real rubber over the two decades a log shows.
+//! `q′ = q + c_f z_f + c_s z_s`, `τ ż_f = q − z_f`, `12 τ ż_s = q − z_s`. Two elements a decade apart
+//! approximate the log t or power law of real rubber over the two decades that a log covers.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
@@ -63,16 +63,16 @@ impl Effect for Creep {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Creep);
+    fn is_consistent() {
+        proof::is_consistent(&Creep);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Creep, &[0.06, 0.15, 3.5]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Creep, &[0.06, 0.15, 3.5]);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Cause: the lumens of one extrusion share their walls. Pressure bulges a wall into the neighbours
 //! and displaces their air (thick-walled tube: Timoshenko and Goodier, *Theory of Elasticity*, 3rd
-//! ed. 1970, §28); under vacuum the profile of the lumen carries the load and its neighbours feel nothing.
+//! ed. 1970, §28); under vacuum the profile of the lumen carries the load and its neighbours are not displaced.
 //!
 //! Law: `w_j += Σ_i c_ij w⁺_i`, i ≠ j: six couplings, since no extrusion is symmetric, with `w⁺` the
 //! pressurised part max(w, 0), rounded over 0.2 mm.
@@ -12,14 +12,14 @@
 //! | `c12`…`c32` c_ij, from line i into line j | – | 0 ± 0.1 | 0.01-0.3 |
 //!
 //! Signature: other channels move when one is pressurised. Where both neighbours move alike, it differs from a slope change of the one bellow (`asymmetry`) by common-mode length only: the
-//! orientation cannot tell the two apart. Also confused with `clocking`, `cable_stiffness` (both
+//! orientation cannot tell the two apart. Also similar to `clocking`, `cable_stiffness` (both
 //! signs of pressure alike). Single-channel moves and the common-mode length separate it.
 
 use crate::model::effects::smooth::positive;
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
-/// Slack over which the wall begins to bulge, mm.
+/// Play output over which the wall begins to bulge, mm.
 const EDGE_MM: f64 = 0.2;
 
 /// Couplings in the order of the parameters: from which line into which, counted from 0.
@@ -58,16 +58,16 @@ impl Effect for Crosstalk {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Crosstalk);
+    fn is_consistent() {
+        proof::is_consistent(&Crosstalk);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::explained(&Crosstalk, &[0.1, 0.15, 0.05, 0.2, 0.08, 0.12]);
+    fn a_fit_recovers_it() {
+        proof::fitted(&Crosstalk, &[0.1, 0.15, 0.05, 0.2, 0.08, 0.12]);
     }
 
     fn moved(set: &[(&str, f64)], w: Vector3<f64>) -> Vector3<f64> {
@@ -81,6 +81,6 @@ mod tests {
         let pressed = moved(&both, Vector3::x() * 10.0);
         assert!(pressed.x.abs() < 1e-12 && (pressed.y - 2.0).abs() < 0.05 && (pressed.z - 1.0).abs() < 0.05);
         assert!(moved(&both, -Vector3::x() * 10.0).norm() < 0.05);
-        assert!(moved(&both, Vector3::y() * 10.0).norm() < 0.05, "the second line squeezes nobody");
+        assert!(moved(&both, Vector3::y() * 10.0).norm() < 0.05, "the second line has no coupling");
     }
 }

@@ -1,19 +1,19 @@
 //! The tip bends by more or less than constant curvature says, alike in all directions.
 //!
 //! Cause: end pieces, shear and a stiffness that varies along the section leave an arc that is not a
-//! circle (Webster and Jones, *Int. J. Robotics Research* 2010, §2). What a varying curvature does to the tip's
-//! *position* leaves its orientation alone; only a change of the total bend is seen here.
+//! circle (Webster and Jones, *Int. J. Robotics Research* 2010, §2). A varying curvature changes the tip's
+//! *position* but not its orientation; only a change of the total bend is modelled here.
 //!
 //! Law: `b′ = b (1 + c₁ P₁(x) + c₂ P₂(x))`, `x = β/75°`, with `P₁ = x − 3/4` and
 //! `P₂ = x² − 4x/3 + 2/5`. Both are orthogonal to a constant under the weight x², so the gains, which
-//! absorb every constant factor, stay where they are.
+//! absorb every constant factor, do not change.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
 //! | `bow` c₁ | – | 0 ± 0.1 | 0.02-0.3 (1-10° at 75°) |
 //! | `curl` c₂ | – | 0 ± 0.2 | 0-0.4 |
 //!
-//! Signature: an isotropic function of β. Easily confused with `stiffening` (depends on the length of
+//! Signature: an isotropic function of β. Similar to `stiffening` (depends on the length of
 //! each bellow, too) and `gravity`. Length changes or a shape sensor separate it.
 
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
@@ -52,17 +52,17 @@ impl Effect for Curvature {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
     use nalgebra::Vector3;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Curvature);
+    fn is_consistent() {
+        proof::is_consistent(&Curvature);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Curvature, &[-0.2, 0.15]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Curvature, &[-0.2, 0.15]);
     }
 
     fn gain(p: &[f64], beta: f64, delta: f64) -> f64 {
@@ -81,9 +81,9 @@ mod tests {
         assert!(gain(&[0.2, 0.0], 75.0, 10.0) - gain(&[0.2, 0.0], 15.0, 10.0) > 0.15);
     }
 
-    /// A best constant gain over a ladder of bends has next to nothing to take from it.
+    /// The best constant gain over a ladder of bends is 1.
     #[test]
-    fn the_gains_stay_where_they_are() {
+    fn the_gains_do_not_change() {
         for p in [[0.2, 0.0], [0.0, 0.2]] {
             let (mut top, mut bottom) = (0.0, 0.0);
             for k in 1..=750 {

@@ -6,7 +6,7 @@
 //!
 //! Law: `w = q + k_ε q/(1 + c q)` with `c = k/(A p₀)`, one over the length change that one more
 //! atmosphere makes. Its root is the one that tends to `w/(1 + k_ε)`:
-//! `q = 2w/(B + √(B² + 4cw))`, `B = 1 + k_ε − c w`; the slack is scaled so that the nominal extension
+//! `q = 2w/(B + √(B² + 4cw))`, `B = 1 + k_ε − c w`; the play output is scaled so that the nominal extension
 //! after it gives this q.
 //!
 //! | parameter | unit | prior | typical |
@@ -14,8 +14,8 @@
 //! | `boyle` c | 1/mm | 0 ± 0.04 | 0.01-0.08 (5-30 % of gain at 5 mm) |
 //!
 //! Signature: the gain grows with pressure and falls under vacuum: an even-order curve, alike in the
-//! three channels, without a corner. Easily confused with `asymmetry` (a corner at zero, each bellow its
-//! own) and `stiffening` (odd). A pressure signal or common-mode length changes separate it.
+//! three channels, without a corner. Similar to `asymmetry` (a corner at zero, different for each
+//! bellow) and `stiffening` (odd). A pressure signal or common-mode length changes separate it.
 
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
@@ -43,7 +43,7 @@ impl Effect for GasCompression {
         for i in 0..3 {
             let full = 1.0 + at.k_epsilon[i];
             let b = full - p[0] * w_mm[i];
-            // 4 k_ε + (cw + 1 − k_ε)² for any gain above zero; the floor is for gains below
+            // 4 k_ε + (cw + 1 − k_ε)² for any gain above zero; the lower bound is for gains below
             let root = (b * b + 4.0 * p[0] * w_mm[i]).max(0.0).sqrt();
             w_mm[i] *= 2.0 * full / (b + root).max(0.1 * full);
         }
@@ -53,16 +53,16 @@ impl Effect for GasCompression {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&GasCompression);
+    fn is_consistent() {
+        proof::is_consistent(&GasCompression);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&GasCompression, &[0.06]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&GasCompression, &[0.06]);
     }
 
     #[test]

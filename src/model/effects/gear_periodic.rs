@@ -5,14 +5,14 @@
 //! 2003, ch. 2).
 //!
 //! Law: `u_i = ũ_i + A_i sin(2πũ_i/p) + B_i (cos(2πũ_i/p) − 1)`: amplitude and phase as two numbers in
-//! which the law is linear; the −1 keeps the pistons' rest where it is.
+//! which the law is linear; the −1 makes the error zero at the start.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
 //! | `sin` A, `cos` B, one per channel | mm | 0 ± 0.15 | 0.02-0.3 |
 //! | `pitch` p | mm | π ± 0.1 (module 1) | π |
 //!
-//! Signature: an error that repeats with piston position, whatever the speed. Easily confused with a
+//! Signature: an error that repeats with piston position, whatever the speed. Similar to a
 //! disturbance periodic in time, `hysteresis` of small loops and `motor_field` (which follows the
 //! motors too, but in the magnetometer alone). Two speeds separate it.
 
@@ -44,7 +44,7 @@ impl Effect for GearPeriodic {
     fn info(&self) -> &'static EffectInfo {
         &INFO
     }
-    /// Modules 1 and 0.5: from one pitch the fit does not find another.
+    /// Modules 1 and 0.5: a fit does not move from one pitch to the other.
     fn starts(&self) -> Starts {
         [PI, PI / 2.0].map(|pitch| vec![0.03, 0.03, 0.03, 0.03, 0.03, 0.03, pitch]).to_vec()
     }
@@ -59,16 +59,16 @@ impl Effect for GearPeriodic {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&GearPeriodic);
+    fn is_consistent() {
+        proof::is_consistent(&GearPeriodic);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&GearPeriodic, &[0.2, -0.1, 0.15, -0.1, 0.2, 0.05, 3.16]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&GearPeriodic, &[0.2, -0.1, 0.15, -0.1, 0.2, 0.05, 3.16]);
     }
 
     #[test]
@@ -81,7 +81,7 @@ mod tests {
         };
         for u in [0.6, 1.2, 2.4] {
             assert!((error(1.0, u) - error(4.0, u)).norm() < 1e-9, "speed must not matter");
-            assert!((error(1.0, u) - error(1.0, u + 0.5 * PI)).norm() > 0.1, "half a tooth on it is another");
+            assert!((error(1.0, u) - error(1.0, u + 0.5 * PI)).norm() > 0.1, "half a tooth further it differs");
         }
         let at = |u: f64| {
             let mut v = Vector3::repeat(u);

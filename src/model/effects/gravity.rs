@@ -3,9 +3,9 @@
 //! Cause: the tip's mass sags the section by `K⁻¹` times the moment of its weight (constant-curvature
 //! rod with end load: Webster and Jones, *Int. J. Robotics Research* 2010; virtual work).
 //!
-//! Law: the weight does work along the way `ρ(b)` of the mass, so with `up` the world's vertical in the
-//! base frame `Δb_j = −G up·∂ρ/∂b_j`. The sag at rest is in it: whoever runs the
-//! chain sees everything from the rest.
+//! Law: the weight does work along the path `ρ(b)` of the mass, so with `up` the world's vertical in the
+//! base frame `Δb_j = −G up·∂ρ/∂b_j`. The result contains the sag of the straight tip; the caller refers
+//! orientations to the start.
 //! `ρ = λ t + (1 − λ) 2x/l`: t the tip direction (mass on a rigid tip), x the end of the section of
 //! length l (mass at its end); both have the slope 1 at straight, so `G = m g h/K` is the sag of a straight
 //! section held level.
@@ -15,7 +15,7 @@
 //! | `sag` G | rad | 0 ± 0.06 | 0.02-0.17 (1-10°) |
 //! | `lever` λ | – | 0.5 ± 0.3 | 0-1 |
 //!
-//! Signature: an error that follows the world's vertical. Easily confused with `accel_bias`
+//! Signature: an error that follows the world's vertical. Similar to `accel_bias`
 //! (accelerometer only), a tilted base, `curvature` (upright base: both grow with β) and `base_motion`.
 //! Another attitude of the base separates it.
 
@@ -49,7 +49,7 @@ impl Effect for Gravity {
     }
 }
 
-/// How much the mass rises per bend: `up·∂ρ/∂b`.
+/// Rise of the mass per bend: `up·∂ρ/∂b`.
 fn lift(bend: &Vector2<f64>, up: &Vector3<f64>, lever: f64) -> Vector2<f64> {
     // for a section of unit length: columns ∂x/∂b_x, ∂x/∂b_y, and x itself, which ends in sin β/β
     let j = Geometry::default().position_jacobian(&Shape { bend: Bend(*bend), length: Mm(1.0) });
@@ -63,19 +63,19 @@ fn lift(bend: &Vector2<f64>, up: &Vector3<f64>, lever: f64) -> Vector2<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Gravity);
+    fn is_consistent() {
+        proof::is_consistent(&Gravity);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Gravity, &[0.12, 0.2]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Gravity, &[0.12, 0.2]);
     }
 
-    /// Height of the mass above the base, per length: what `lift` is the slope of.
+    /// Height of the mass above the base, per length: the function whose slope is `lift`.
     fn height(b: Vector2<f64>, up: &Vector3<f64>, lever: f64) -> f64 {
         let tip = Bend(b).rotation().apply(&Vector3::z());
         let end = Geometry::default().position(&Shape { bend: Bend(b), length: Mm(1.0) });
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn an_upright_tip_falls_over_and_a_hanging_one_falls_back() {
+    fn an_upright_tip_bends_further_and_a_hanging_one_less() {
         let p = proof::with(&Gravity, &[("sag", 0.1)]);
         let b = proof::bend_deg(40.0, 70.0);
         let upright = proof::shaped(&Gravity, &p, b, Vector3::z()).bend;
@@ -114,6 +114,6 @@ mod tests {
             proof::shaped(&Gravity, &p, b, level).bend - b
         };
         let further = at(75.0) - at(0.0);
-        assert!(further.x > 0.03, "bent to where down is, the lever is gone and so is the sag: {further}");
+        assert!(further.x > 0.03, "a tip that points down has no lever and no sag: {further}");
     }
 }

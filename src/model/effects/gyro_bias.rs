@@ -1,18 +1,18 @@
 //! The gyroscope's bias drifts.
 //!
-//! Cause: the proof mass's springs and the electronics warm after power-on, and flicker noise wanders on
-//! top (IEEE Std 952-1997, annex C; warm-up as an exponential). A constant bias is part of the nominal model
+//! Cause: the proof mass's springs and the electronics warm up after power-on, and flicker noise adds
+//! a wander (IEEE Std 952-1997, annex C; warm-up as an exponential). A constant bias is part of the nominal model
 //! and refitted with it.
 //!
-//! Law: `ω′ = ω + b(t)` with b piecewise linear per axis through knots at 0 (where it is nothing), 12,
-//! 30, 50 s and from there every 25 s up to 300 s: close together while the part warms, wider while it wanders.
+//! Law: `ω′ = ω + b(t)` with b piecewise linear per axis between knots at 0 (where it is zero), 12,
+//! 30, 50 s and every 25 s up to 300 s: dense during the warm-up, sparse during the wander.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
-//! | `x1`…`z8` b at the knots | rad/s | 0 ± 0.02 | 0.002-0.09 (0.1-5 °/s) |
+//! | `x1`…`z13` b at the knots | rad/s | 0 ± 0.02 | 0.002-0.09 (0.1-5 °/s) |
 //!
-//! Signature: in the gyroscope only; the other sensors see no motion. Easily confused with
-//! `thermal_drift` and `base_motion`, which the accelerometer sees. Still holds separate it.
+//! Signature: in the gyroscope only; the other sensors measure no motion. Similar to
+//! `thermal_drift` and `base_motion`, which the accelerometer measures. Still holds separate it.
 
 use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
@@ -33,7 +33,7 @@ pub struct GyroBias;
 const INFO: EffectInfo = EffectInfo {
     name: "gyro_bias",
     stage: Stage::Sensor,
-    signature: "a slow drift of the gyroscope alone; the other sensors see no motion",
+    signature: "a slow drift of the gyroscope alone; the other sensors measure no motion",
     confused_with: &["thermal_drift", "base_motion"],
     separated_by: "still holds, early and late",
     is_event: false,
@@ -54,7 +54,7 @@ impl Effect for GyroBias {
             Some(0) => (0, 1, at.t_s / KNOTS_S[0]),
             Some(k) => (k, k + 1, (at.t_s - KNOTS_S[k - 1]) / (KNOTS_S[k] - KNOTS_S[k - 1])),
         };
-        // knot 0 is where the bias is nothing by definition
+        // the bias is zero at knot 0 by definition
         let value = |axis: usize, knot: usize| if knot == 0 { 0.0 } else { p[axis * KNOTS_S.len() + knot - 1] };
         reading.gyro_rad_s += Vector3::from_fn(|axis, _| value(axis, from) + (value(axis, to) - value(axis, from)) * share);
     }
@@ -63,11 +63,11 @@ impl Effect for GyroBias {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&GyroBias);
+    fn is_consistent() {
+        proof::is_consistent(&GyroBias);
     }
 
     #[test]

@@ -9,7 +9,7 @@
 //! |---|---|---|---|
 //! | `x`, `y`, `z` b | µT | 0 ± 10 | 1-50 |
 //!
-//! Signature: in the magnetometer only, fixed to the body. Easily confused with `motor_field` (fixed
+//! Signature: in the magnetometer only, fixed to the body. Similar to `motor_field` (fixed
 //! in the world, follows the motors) and `torsion`. A tumble with the motors off separates it.
 
 use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
@@ -45,16 +45,16 @@ impl Effect for HardIron {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&HardIron);
+    fn is_consistent() {
+        proof::is_consistent(&HardIron);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&HardIron, &[12.0, -25.0, 3.0]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&HardIron, &[12.0, -25.0, 3.0]);
     }
 
     #[test]

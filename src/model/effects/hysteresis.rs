@@ -4,10 +4,10 @@
 //! play operators (Krasnosel'skii and Pokrovskii, *Systems with Hysteresis*, 1989; Kuhnen, *Eur. J.
 //! Control* 2003),
 //! `q′ = (q + Σ_k ω_k F_rk[q]) / (1 + Σ_k ω_k)`, with F_r the play of half-width r and six radii
-//! 0.15-4 mm of bellow length. The division keeps the gain of large moves, so what is left is the loops:
+//! 0.15-4 mm of bellow length. The division preserves the gain of large moves, which leaves the loops:
 //! `q′ = q − c_i (1 + s x + v (x² − ½)) Σ ω_k (q − F_rk[q]) / (1 + Σ ω_k)`, `x = q/√(q² + L²)`, L = 3 mm: loops
 //! may be wider where the bellow is long (s > 0) or in the middle of its range (v < 0), as those of a
-//! Preisach plane are, and no two bellows are quite alike (c₁ = 1).
+//! Preisach plane are, and the bellows differ (c₁ = 1).
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
@@ -18,8 +18,8 @@
 //! | `waist` v | – | 0 ± 0.2 | 0-0.3 |
 //! | `excess` c_i − 1 of channels 2, 3 | – | 0 ± 0.2 | 0-0.3 |
 //!
-//! Signature: loops that do not depend on speed, minor loops inside them, the return point wiped out.
-//! Easily confused with a wrong k_λ (one radius only), `creep` and `line_lag` (both depend on
+//! Signature: loops that do not depend on speed, minor loops inside them, and wiping-out of return points.
+//! Similar to a wrong k_λ (one radius only), `creep` and `line_lag` (both depend on
 //! speed). Nested loops, slow and fast, separate it.
 
 use crate::model::effects::param::join;
@@ -29,10 +29,10 @@ use nalgebra::Vector3;
 /// Half-widths of the plays, mm of bellow length; two share a weight.
 const RADII_MM: [f64; 6] = [0.15, 0.4, 0.8, 1.4, 2.4, 4.0];
 
-/// Length over which the two sides of a loop come to differ, mm.
+/// Length change over which the two sides of a loop differ, mm.
 const SIDE_MM: f64 = 3.0;
 
-/// Loops of the wall, much the same for each bellow.
+/// Loops of the wall, similar for each bellow.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Hysteresis;
 
@@ -78,16 +78,16 @@ impl Effect for Hysteresis {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Hysteresis);
+    fn is_consistent() {
+        proof::is_consistent(&Hysteresis);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Hysteresis, &[0.1, 0.3, 0.2, 0.1, -0.1, -0.1, 0.15]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Hysteresis, &[0.1, 0.3, 0.2, 0.1, -0.1, -0.1, 0.15]);
     }
 
     /// Bellow length at the end of straight moves between piston positions, at a speed in mm/s.
@@ -117,6 +117,6 @@ mod tests {
         assert!(down - up > 0.4, "{down} {up}");
         assert!((down + up).abs() < 1e-9, "the loop is odd");
         let through = after(&[-5.0, 2.0, 0.5, 2.0, 4.0], 5.0);
-        assert!((through - after(&[-5.0, 4.0], 5.0)).abs() < 1e-9, "an inner loop leaves no trace");
+        assert!((through - after(&[-5.0, 4.0], 5.0)).abs() < 1e-9, "an inner loop is wiped out");
     }
 }

@@ -2,19 +2,19 @@
 //!
 //! Cause: a seam or fitting passes a laminar flow in proportion to the pressure across it,
 //! `ṁ = −C p` (Beater, *Pneumatic Drives*, 2007, ch. 4). The pressure is that of the stretched
-//! bellow, so it is in proportion to the bellow's length change and hence to the slack position.
+//! bellow, hence in proportion to the play output.
 //!
-//! Law: `ȯ_i = −C_i s_i`, `s_i = w_i + o_i`: `w` slack position from the play, `o` air lost so far
-//! (as piston travel), `s` what is left. Under vacuum the rate is `ρ C_i`, because a lip that
-//! pressure opens may be sucked shut.
+//! Law: `ȯ_i = −C_i s_i`, `s_i = w_i + o_i`: `w` play output, `o` air lost so far
+//! (as piston travel), `s` air left. Under vacuum the rate is `ρ C_i`, because vacuum may close a lip that
+//! pressure opens.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
 //! | `rate` C, one per channel | 1/s | 0 ± 0.01 | 10⁻⁵-10⁻¹ |
 //! | `vacuum_ratio` ρ | – | 1 ± 0.5 | 0.2-2 |
 //!
-//! Signature: decay towards rest in holds, then an offset the other way after the return. Easily
-//! confused with `creep` (opposite sign, recovers) and `thermal_drift` (follows the clock). Long holds
+//! Signature: decay towards rest in holds, then an offset the other way after the return. Similar to
+//! `creep` (opposite sign, recovers) and `thermal_drift` (follows the clock). Long holds
 //! at two pressures and a return to zero separate it.
 
 use crate::model::effects::param::join;
@@ -22,7 +22,7 @@ use crate::model::effects::smooth::{share, sign};
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
 
-/// Slack over which pressure turns into vacuum, mm.
+/// Play output over which pressure turns into vacuum, mm.
 const EDGE_MM: f64 = 0.5;
 
 /// Loss of air in proportion to pressure.
@@ -64,16 +64,16 @@ impl Effect for Leak {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Leak);
+    fn is_consistent() {
+        proof::is_consistent(&Leak);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Leak, &[0.012, 0.0004, 0.03, 0.6]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Leak, &[0.012, 0.0004, 0.03, 0.6]);
     }
 
     /// Held at `w_mm` for 100 s, then back at zero: what is left just before and just after.
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lip_sucked_shut_leaks_less_under_vacuum() {
+    fn a_lip_that_vacuum_closes_leaks_less() {
         let (pressed, _) = hold(10.0, 0.2);
         let (sucked, _) = hold(-10.0, 0.2);
         assert!((pressed - 6.06).abs() < 0.02 && (-sucked - 9.05).abs() < 0.05, "{pressed} {sucked}");

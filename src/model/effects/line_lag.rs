@@ -4,7 +4,7 @@
 //! and Binder, *The response of pneumatic transmission lines to step inputs*, J. Basic Eng. 1959).
 //! Filling drives denser air through the line than draining, so the two may differ.
 //!
-//! Law: `τ_i(1 + a s) ż_i = w_i − z_i`, s the sign of `w_i − z_i`: `z` slack position at the bellow's
+//! Law: `τ_i(1 + a s) ż_i = w_i − z_i`, s the sign of `w_i − z_i`: `z` play output at the bellow's
 //! end, `a` the difference of filling (+) and draining (−).
 //!
 //! | parameter | unit | prior | typical |
@@ -12,7 +12,7 @@
 //! | `tau` τ, one per channel | s | 0 ± 0.2 | 0.05-1 |
 //! | `fill_drain` a | – | 0 ± 0.3 | −0.4-0.4 |
 //!
-//! Signature: error in proportion to speed, gone in holds within seconds. Easily confused with
+//! Signature: error in proportion to speed, gone in holds within seconds. Similar to
 //! `transport_delay` (no rounding), play and `creep` (slower). Steps and a chirp separate it.
 
 use crate::model::effects::param::join;
@@ -59,16 +59,16 @@ impl Effect for LineLag {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&LineLag);
+    fn is_consistent() {
+        proof::is_consistent(&LineLag);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&LineLag, &[0.3, 0.1, 0.6, -0.3]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&LineLag, &[0.3, 0.1, 0.6, -0.3]);
     }
 
     #[test]

@@ -1,7 +1,7 @@
-//! A motor loses steps: the counter goes on, the rotor does not.
+//! A motor loses steps: the counter advances, the rotor does not.
 //!
-//! Cause: the load angle of a stepping motor passes half an electrical cycle when the asked torque
-//! exceeds the pull-out torque, and the rotor falls into another stable position, a multiple of four
+//! Cause: the load angle of a stepping motor passes half an electrical cycle when the required torque
+//! exceeds the pull-out torque, and the rotor settles in another stable position, a multiple of four
 //! full steps away (Acarnley, *Stepping Motors*, 4th ed. 2002, ch. 5).
 //!
 //! Law: `u_i = ũ_i + Σ_k d_ki H(t − t_k)` with ũ the counted piston, `d_ki` the offset of channel i
@@ -12,13 +12,13 @@
 //! | `t1_s`, `t2_s` times of two events | s | 60, 150 ± 100 | – |
 //! | `d1_1` … `d2_3` offsets | mm | 0 ± 2 | 0.5-23 (1-50 full steps) |
 //!
-//! Signature: a persistent jump of one channel, at high acceleration. Easily confused with
+//! Signature: a persistent jump of one channel, at high acceleration. Similar to
 //! `base_motion` (all sensors turn, no bellow explains it) and a slip of the mount. Returning to a
-//! pose shows that the offset stays; a sweep of acceleration shows when it comes.
+//! pose shows that the offset persists; a sweep of acceleration shows when it occurs.
 //!
-//! The error surface is flat in an event's time but for the event itself: a fit has to search `t1_s`
-//! and `t2_s`. Orientation does not see the part that lengthens all bellows alike; the physical
-//! answer among those that look the same is the one with the fewest channels, and that one is reported.
+//! Away from the event the error surface is flat in its time, so a fit has to search `t1_s` and `t2_s`.
+//! Orientation does not depend on the part that lengthens all bellows alike; of all parameters with the same
+//! orientations, those with the fewest channels are reported.
 
 use crate::model::effects::smooth::onset;
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
@@ -93,15 +93,15 @@ fn fewest_channels(offset_mm: &Vector3<f64>, k_epsilon: &Vector3<f64>) -> Vector
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&MissedSteps);
+    fn is_consistent() {
+        proof::is_consistent(&MissedSteps);
     }
 
     #[test]
-    fn an_offset_comes_at_once_stays_and_touches_one_channel() {
+    fn an_offset_is_sudden_persistent_and_of_one_channel() {
         let p = proof::with(&MissedSteps, &[("t1_s", 10.0), ("d1_2", -3.0), ("t2_s", 20.0), ("d2_3", 1.0)]);
         let run = proof::drive(&MissedSteps, &p, 30.0, proof::exercise);
         for l in &run {
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_is_laid_to_the_one_motor_that_explains_it() {
+    fn a_jump_is_attributed_to_the_one_motor_that_explains_it() {
         let k = proof::moment(0.0, Vector3::zeros()).k_epsilon;
         for one in [Vector3::x() * -3.8, Vector3::y() * 1.9, Vector3::z() * 9.4] {
             for stretch in [-1.0, -0.3, 0.0, 0.7] {

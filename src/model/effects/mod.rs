@@ -1,10 +1,11 @@
-//! The catalogue: physical effects that the nominal model leaves out, one cause a file.
+//! The catalogue: physical effects beyond the nominal model, one cause a file.
 //!
-//! An effect is a pure law with memory: parameters and a [`Memory`] go in, a signal is changed on its
-//! way through the chain `pistons → play → slack → extension → bellows → lag → shape → sensor`. The
-//! same functions serve the simulator, the fit of the diagnosis and the controller's feedforward; none
-//! of them knows which of the three is calling. A stage that an effect does not touch keeps the
-//! default method, which does nothing.
+//! An effect is a law with memory: from its parameters and a [`Memory`] it changes a signal on its way
+//! through the chain `pistons → play → extension → bellows → lag → shape → sensor`. A stage that an effect
+//! does not act in keeps the default method, which does nothing.
+//!
+//! A new effect is a file with its [`EffectInfo`] and its [`Effect`], a `mod` line and an entry in
+//! [`catalogue`].
 
 pub mod accel_bias;
 pub mod asymmetry;
@@ -27,8 +28,6 @@ pub mod missed_steps;
 pub mod motor_field;
 pub mod mount_misalignment;
 pub mod param;
-#[cfg(test)]
-mod proof;
 pub mod sensor_latency;
 pub mod smooth;
 pub mod softening;
@@ -40,7 +39,7 @@ pub mod transport_delay;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use std::fmt::Write as _;
 
-/// Where in the machine an effect lives.
+/// Part of the machine that an effect acts in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stage {
     /// Motor, rack and pinion.
@@ -55,7 +54,7 @@ pub enum Stage {
     Sensor,
     /// Dead times.
     Timing,
-    /// What the base stands on.
+    /// Attitude of the base.
     Base,
 }
 
@@ -63,7 +62,7 @@ impl Stage {
     /// All stages, in the order of the signal.
     pub const ALL: [Self; 7] = [Self::Drive, Self::Transmission, Self::Bellows, Self::Shape, Self::Sensor, Self::Timing, Self::Base];
 
-    /// Name as files and reports write it.
+    /// Name in files and reports.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -87,9 +86,9 @@ pub struct Param {
     pub unit: &'static str,
     /// Channel 1 to 3 it belongs to; 0 if to none.
     pub channel: u8,
-    /// Value at which the effect does nothing (or, for a parameter that only shapes it, a usual one).
+    /// Value at which the effect vanishes; a typical value for a parameter that only shapes it.
     pub start: f64,
-    /// Typical size: the fit's unit step and the standard deviation of its prior around `start`.
+    /// Typical size: unit of the fit's steps and standard deviation of the prior around `start`.
     pub scale: f64,
     /// Least physical value.
     pub low: f64,
@@ -97,7 +96,7 @@ pub struct Param {
     pub high: f64,
 }
 
-/// What an effect is: constant data, written once in the effect's own file.
+/// Constant data of an effect, stated once in its own file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EffectInfo {
     /// Name in files and reports.
@@ -120,7 +119,7 @@ pub struct EffectInfo {
 /// Starting points for a fit: several, where the error surface has several valleys.
 pub type Starts = Vec<Vec<f64>>;
 
-/// Room for an effect's state; all zero at the pistons' rest.
+/// State of an effect; all zero at the start, with the pistons at zero.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Memory(pub [f64; 64]);
 
@@ -130,7 +129,7 @@ impl Default for Memory {
     }
 }
 
-/// What is known at one instant besides the signal itself.
+/// One instant of a log, besides the signal itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moment {
     /// Time since the log or the service began, s.
@@ -141,7 +140,7 @@ pub struct Moment {
     pub counted_mm: Vector3<f64>,
     /// Direction of up in the base frame, unit vector.
     pub up_base: Vector3<f64>,
-    /// Extension gains k_ε in use, for laws that need the pressure behind a bellow.
+    /// Extension gains k_ε of the nominal model.
     pub k_epsilon: Vector3<f64>,
     /// Distance of the bellows from the backbone, mm.
     pub r_mm: f64,
@@ -154,13 +153,13 @@ pub struct Moment {
 pub struct Pose {
     /// Bend vector, rad.
     pub bend: Vector2<f64>,
-    /// Turn of the tip about its own axis, rad.
+    /// Rotation of the tip about its own axis, rad.
     pub twist: f64,
     /// Bellow length changes it came from, mm.
     pub bellow_mm: Vector3<f64>,
 }
 
-/// What the tip IMU should read, sensor frame.
+/// Predicted reading of the tip IMU, sensor frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImuPrediction {
     /// Specific force, m/s².
@@ -169,11 +168,11 @@ pub struct ImuPrediction {
     pub gyro_rad_s: Vector3<f64>,
     /// Field, µT.
     pub mag_ut: Vector3<f64>,
-    /// Sensor in the base, for fields that stand still in the world.
+    /// Sensor to base, for fields that are fixed in the world.
     pub r_base_sensor: UnitQuaternion<f64>,
 }
 
-/// One physical cause.
+/// One physical cause. Parameters `p` are in the order of [`EffectInfo::params`].
 pub trait Effect: Send + Sync {
     /// The catalogue entry.
     fn info(&self) -> &'static EffectInfo;
@@ -189,31 +188,30 @@ pub trait Effect: Send + Sync {
     fn params(&self) -> &'static [Param] {
         self.info().params
     }
-    /// Points a fit should start from; by default one, half a scale from nothing in each parameter.
+    /// Starting points of a fit; by default one, half a scale from `start` in each parameter.
     fn starts(&self) -> Starts {
         vec![self.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect()]
     }
-    /// Piston positions as they really are, mm.
+    /// True piston positions, mm.
     fn pistons(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _u_mm: &mut Vector3<f64>) {}
-    /// Slack positions after the play and before the extension, mm: `w = (1 + k_ε) q` in the nominal
-    /// model.
+    /// Outputs of the play operators, before the extension, mm: `w = (1 + k_ε) q` in the nominal model.
     fn play_output(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _w_mm: &mut Vector3<f64>) {}
     /// Bellow length changes after the extension, mm.
     fn bellows(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _q_mm: &mut Vector3<f64>) {}
     /// Shape after constant curvature.
     fn shape(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _pose: &mut Pose) {}
-    /// Turn of the base away from how it stood at rest: base now → base at rest.
+    /// Rotation of the base since the start: base now → base at the start.
     fn base(&self, _p: &[f64], _at: &Moment) -> Option<UnitQuaternion<f64>> {
         None
     }
-    /// Constant turn from sensor to tip.
+    /// Constant rotation from sensor to tip.
     fn mount(&self, _p: &[f64]) -> Option<UnitQuaternion<f64>> {
         None
     }
-    /// Of all parameters that leave the same orientations, the one a report should name, in place;
+    /// Replaces the parameters by those that a report names, among all that give the same orientations;
     /// `k_epsilon` are the nominal gains.
     fn canonical(&self, _p: &mut [f64], _k_epsilon: &Vector3<f64>) {}
-    /// What the sensor makes of the truth.
+    /// Reading of the sensor.
     fn sensor(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _reading: &mut ImuPrediction) {}
     /// Dead time from command to motion, s.
     fn transport_s(&self, _p: &[f64]) -> f64 {
@@ -223,11 +221,11 @@ pub trait Effect: Send + Sync {
     fn latency_s(&self, _p: &[f64]) -> f64 {
         0.0
     }
-    /// True when what it adds to a reading changes with every single step of the motors.
+    /// True if its contribution to a reading changes with every single step of the motors.
     fn follows_motors(&self) -> bool {
         false
     }
-    /// True when the effect leaves the tip's motion as it is (a fit then need not simulate it again).
+    /// True if the effect does not change the motion of the tip, so that a fit need not simulate it again.
     fn sensing_only(&self) -> bool {
         matches!(self.stage(), Stage::Sensor | Stage::Base)
     }
@@ -293,77 +291,4 @@ pub fn describe() -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Names and stages of the published table, in its order.
-    const TABLE: [(&str, &str); 26] = [
-        ("missed_steps", "drive"),
-        ("gear_periodic", "drive"),
-        ("leak", "transmission"),
-        ("gas_compression", "transmission"),
-        ("line_lag", "transmission"),
-        ("thermal_drift", "transmission"),
-        ("crosstalk", "transmission"),
-        ("stiffening", "bellows"),
-        ("asymmetry", "bellows"),
-        ("hysteresis", "bellows"),
-        ("creep", "bellows"),
-        ("softening", "bellows"),
-        ("gravity", "shape"),
-        ("curvature", "shape"),
-        ("clocking", "shape"),
-        ("cable_stiffness", "shape"),
-        ("torsion", "shape"),
-        ("contact", "shape"),
-        ("gyro_bias", "sensor"),
-        ("accel_bias", "sensor"),
-        ("hard_iron", "sensor"),
-        ("motor_field", "sensor"),
-        ("mount_misalignment", "sensor"),
-        ("transport_delay", "timing"),
-        ("sensor_latency", "timing"),
-        ("base_motion", "base"),
-    ];
-
-    #[test]
-    fn the_catalogue_is_the_published_table() {
-        let got: Vec<_> = catalogue().iter().map(|e| (e.name(), e.stage().name())).collect();
-        assert_eq!(got, TABLE);
-        for (name, _) in TABLE {
-            assert_eq!(by_name(name).map(|e| e.name()), Some(name));
-        }
-        assert!(by_name("ghost").is_none());
-    }
-
-    #[test]
-    fn an_effect_is_only_taken_for_others_of_the_catalogue() {
-        for e in catalogue() {
-            assert!(!e.info().confused_with.is_empty(), "{}", e.name());
-            for other in e.info().confused_with {
-                assert!(by_name(other).is_some() && *other != e.name(), "{} / {other}", e.name());
-            }
-            assert!(e.info().signature.len() > 20 && e.info().separated_by.len() > 10, "{}", e.name());
-        }
-    }
-
-    #[test]
-    fn the_description_has_a_row_for_each() {
-        let text = describe();
-        assert_eq!(text.lines().count(), 2 + TABLE.len());
-        for (line, (name, stage)) in text.lines().skip(2).zip(TABLE) {
-            assert!(line.starts_with(&format!("| `{name}` | {stage} | ")), "{line}");
-            assert_eq!(line.matches(" | ").count(), 5, "{line}");
-        }
-    }
-
-    /// A fit runs a log of 26 000 samples hundreds of times: half a microsecond a sample is its budget.
-    #[test]
-    fn every_effect_is_cheap_enough_for_a_fit() {
-        for e in catalogue() {
-            let ns = proof::cost_ns(e.as_ref());
-            println!("{:20} {ns:6.1} ns", e.name());
-            assert!(ns < 500.0, "{} costs {ns:.0} ns a sample", e.name());
-        }
-    }
-}
+mod tests;

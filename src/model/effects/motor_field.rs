@@ -5,9 +5,9 @@
 //! Savart each makes a field in proportion, in a direction fixed where the motor stands. Drivers lower the
 //! current of an idle motor.
 //!
-//! Law: in the base frame, where the motors stand still, `B = g Σ_m (B_cm cos φ_m + B_sm sin φ_m)`,
+//! Law: in the base frame, in which the motors are fixed, `B = g Σ_m (B_cm cos φ_m + B_sm sin φ_m)`,
 //! `φ_m = 2π u_m / (64 · step)`: 64 microsteps make a cycle. `g` is 1 in motion and falls to the idle
-//! factor h once the motors have rested for about T. The sensor reads it in its own frame.
+//! factor h once the motors have stood still for about T. The sensor measures it in its own frame.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
@@ -15,8 +15,8 @@
 //! | `idle` h | – | 0.5 ± 0.3 | 0.2-1 |
 //! | `idle_after` T | s | 0.5 ± 0.5 | 0.1-2 |
 //!
-//! Signature: in the magnetometer only, following the motors. Easily confused with `hard_iron` (fixed
-//! to the body, blind to the motors) and `gear_periodic` (moves the tip). Motors on and off while still separate it.
+//! Signature: in the magnetometer only, following the motors. Similar to `hard_iron` (fixed
+//! to the body, independent of the motors) and `gear_periodic` (moves the tip). Motors on and off while still separate it.
 
 use crate::model::drive::Drive;
 use crate::model::effects::param::join;
@@ -65,7 +65,7 @@ impl Effect for MotorField {
     fn info(&self) -> &'static EffectInfo {
         &INFO
     }
-    /// A current that falls early, later, and as good as never: from too early a fall there is no way back.
+    /// A current that falls early, later and practically never: a fit does not recover from too early a fall.
     fn starts(&self) -> Starts {
         let after = |s: f64| [vec![0.1; 18], vec![0.5, s]].concat();
         vec![after(0.4), after(1.2), after(3.0)]
@@ -86,26 +86,26 @@ impl Effect for MotorField {
 /// Share of the current that is left after some idle time: 1, then `idle`, half-way at `after_s`.
 fn current(idle: f64, after_s: f64, idle_s: f64) -> f64 {
     let late = (idle_s / after_s).powi(4);
-    // late may overflow to infinity in an hour's rest; 1/(1 + ∞) is 0 and right
+    // late may overflow to infinity after an hour at standstill; 1/(1 + ∞) = 0 is correct
     idle + (1.0 - idle) / (1.0 + late * late)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
     use nalgebra::UnitQuaternion;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&MotorField::default());
+    fn is_consistent() {
+        proof::is_consistent(&MotorField::default());
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
+    fn a_fit_recovers_it() {
         let mut truth: Vec<f64> = (0..18).map(|k| 6.0 * (1.7 * f64::from(k)).sin()).collect();
         truth.extend([0.3, 0.8]);
-        proof::found_again(&MotorField::default(), &truth);
+        proof::is_recovered(&MotorField::default(), &truth);
     }
 
     fn field(u_mm: f64, idle_s: f64, r_base_sensor: UnitQuaternion<f64>) -> Vector3<f64> {
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn it_stands_still_in_the_base_and_weakens_when_idle() {
+    fn the_field_is_fixed_in_the_base_and_weakens_when_idle() {
         let turned = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, -0.8, 0.1));
         assert!((turned * field(0.2, 0.0, turned) - field(0.2, 0.0, UnitQuaternion::identity())).norm() < 1e-12);
         let ratio = field(0.2, 3.0, turned).norm() / field(0.2, 0.0, turned).norm();

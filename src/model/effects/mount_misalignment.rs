@@ -9,7 +9,7 @@
 //! |---|---|---|---|
 //! | `x`, `y`, `z` θ | rad | 0 ± 0.1 | 0.02-0.26 (1-15°) |
 //!
-//! Signature: a constant rotation of all sensors, in their own frame. Easily confused with
+//! Signature: a constant rotation of all sensors, in their own frame. Similar to
 //! `clocking` (in the IMU alone a turn of all bellows is the turn about z), a tilted base and `accel_bias`. A known
 //! rotation of the base separates it.
 
@@ -47,11 +47,11 @@ impl Effect for MountMisalignment {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&MountMisalignment);
+    fn is_consistent() {
+        proof::is_consistent(&MountMisalignment);
     }
 
     #[test]

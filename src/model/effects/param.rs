@@ -1,12 +1,12 @@
-//! Words for writing down the parameters of an effect, and for showing them to people.
+//! Construction and display of the parameters of effects.
 //!
-//! Inside the catalogue angles are radians; [`Param::shown`] turns them to degrees at the border.
+//! Angles are radians inside the catalogue; [`Param::shown`] converts them to degrees.
 
 use crate::model::effects::Param;
 
 impl Param {
-    /// A parameter that belongs to no channel: `start` is where the effect does nothing, `scale` the
-    /// standard deviation of its prior, `range` the least and the largest physical value.
+    /// A parameter that belongs to no channel: `start` is the value at which the effect vanishes,
+    /// `scale` the standard deviation of its prior, `range` the least and the largest physical value.
     #[must_use]
     pub const fn new(name: &'static str, unit: &'static str, start: f64, scale: f64, range: (f64, f64)) -> Self {
         Self { name, unit, channel: 0, start, scale, low: range.0, high: range.1 }
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn channels_fold_into_one_word() {
+    fn channels_share_one_entry() {
         let mut params = Param::new("rate", "1/s", 0.0, 1.0, (0.0, 2.0)).each().to_vec();
         params.push(Param::new("turn", "rad", 0.0, 1.0, (0.0, 2.0)));
         params.push(Param::new("ratio", "", 0.0, 1.0, (0.0, 2.0)));

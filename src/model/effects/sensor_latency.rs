@@ -8,8 +8,8 @@
 //! |---|---|---|---|
 //! | `latency` T | s | 0 ± 0.08 | 0.01-0.25 |
 //!
-//! Signature: the sensors come late together; the tip itself is on time. Easily confused with
-//! `transport_delay` (tip and sensors late) and `line_lag` (rounds). An outside reference separates it.
+//! Signature: all sensors are late by the same time; the tip itself is on time. Similar to
+//! `transport_delay` (tip and sensors late) and `line_lag` (rounds off). An outside reference separates it.
 
 use crate::model::effects::{Effect, EffectInfo, Param, Stage, Starts};
 
@@ -21,7 +21,7 @@ pub struct SensorLatency;
 const INFO: EffectInfo = EffectInfo {
     name: "sensor_latency",
     stage: Stage::Timing,
-    signature: "all sensors come late by a constant time while the tip itself is on time",
+    signature: "all sensors are late by a constant time while the tip itself is on time",
     confused_with: &["transport_delay", "line_lag"],
     separated_by: "an outside reference; a chirp",
     is_event: false,
@@ -43,11 +43,11 @@ impl Effect for SensorLatency {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&SensorLatency);
+    fn is_consistent() {
+        proof::is_consistent(&SensorLatency);
     }
 
     #[test]

@@ -1,7 +1,7 @@
-//! Smooth stand-ins for corners, so that a fit has a slope to follow, and the relaxation step.
+//! Smooth approximations of functions with corners, so that a fit has a gradient, and the relaxation step.
 //!
 //! All are algebraic (one square root) because they run once per channel and sample. `width` is
-//! where the corner is rounded off; for `|x| ≫ width` they are the sharp thing.
+//! where the corner is rounded off; for `|x| ≫ width` they equal the function with the corner.
 
 /// |x| with a rounded tip: `√(x² + width²) − width`, exactly 0 at 0.
 #[must_use]
@@ -10,7 +10,7 @@ pub fn magnitude(x: f64, width: f64) -> f64 {
     (x * x + width * width).sqrt() - width
 }
 
-/// max(x, 0) with a rounded corner, exactly 0 at 0; far below, it rests at `−width/2`.
+/// max(x, 0) with a rounded corner, exactly 0 at 0; far below, it is `−width/2`.
 #[must_use]
 #[inline]
 pub fn positive(x: f64, width: f64) -> f64 {
@@ -22,7 +22,7 @@ pub fn positive(x: f64, width: f64) -> f64 {
 #[inline]
 pub fn overshoot(x: f64, width: f64) -> f64 {
     let root = (x * x + width * width).sqrt();
-    // below the corner the two terms cancel: the product form keeps the digits
+    // below the corner the two terms cancel: the product form is accurate
     if x > 0.0 { 0.5 * (x + root) } else { 0.5 * width * width / (root - x) }
 }
 
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn far_from_the_corner_they_are_sharp() {
+    fn far_from_the_corner_they_are_exact() {
         for x in [-50.0, -3.0, 3.0, 50.0f64] {
             assert!((magnitude(x, 1e-3) - x.abs()).abs() < 2e-3);
             assert!((positive(x, 1e-3) - x.max(0.0)).abs() < 1e-3);
@@ -80,12 +80,12 @@ mod tests {
     }
 
     #[test]
-    fn at_rest_they_are_exactly_nothing() {
+    fn at_zero_they_are_exactly_zero() {
         assert_eq!((magnitude(0.0, 0.3), positive(0.0, 0.3), sign(0.0, 0.3), share(0.0)), (0.0, 0.0, 0.0, 0.0));
     }
 
     #[test]
-    fn a_ramp_is_followed_tau_behind() {
+    fn a_ramp_is_followed_with_the_lag_tau() {
         let (tau_s, dt_s, mut z) = (0.3, 0.01, 0.0);
         for k in 1..=2000 {
             z += (f64::from(k) * dt_s - z) * share(dt_s / tau_s);
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn onsets_take_their_time() {
+    fn onsets_take_the_stated_time() {
         assert!((onset(5.0, 5.0, 0.05) - 0.5).abs() < 1e-12);
         assert!((onset(5.025, 5.0, 0.05) - 0.9).abs() < 1e-9);
         assert_eq!((onset(0.0, 5.0, 0.05), onset(9.0, 5.0, 0.05)), (0.0, 1.0));

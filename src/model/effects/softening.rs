@@ -1,15 +1,15 @@
 //! First stretches soften the rubber.
 //!
-//! Cause: chains torn from filler particles stay torn, so the stiffness falls with the largest stretch
+//! Cause: chains that tear from filler particles stay torn, so the stiffness falls with the largest stretch
 //! so far (Mullins, *Rubber Chem. Technol.* 1969); as a damage law (Simo, *Comput. Methods Appl.
 //! Mech. Eng.* 1987) `d = 1 − e^(−M/m₀)` with M the largest |q| so far.
 //!
 //! Law: `q′_i = q_i [1 − s_i (1 − D_i)]`, `D_i = (1 − e^(−X_i/m₀)) (1 − κ (q_i/M_i)²)`. M_i is the largest stretch
-//! so far, of which a contraction counts the share σ, and `X_i = M_i + c ∫|dq_i|` what has worn the rubber: mostly the maximum, a little every stroke.
-//! Little strain pulls few chains: softening acts by the share `|q|/(|q| + t)`, t the toe of the curve.
+//! so far, of which a contraction counts the share σ, and `X_i = M_i + c ∫|dq_i|` the wear: mostly the maximum, plus a little per stroke.
+//! Small strain loads few chains: softening acts by the share `|q|/(|q| + t)`, t the toe of the curve.
 //! Near the past maximum the virgin curve is met again (pseudo-elastic Mullins law of Ogden and Roxburgh,
-//! *Proc. R. Soc. A* 1999), by the share κ. A fresh bellow moves less by the share s, a worn one as the
-//! gains say, so the re-identified gains are those of the worn bellow.
+//! *Proc. R. Soc. A* 1999), by the share κ. A fresh bellow moves less by the share s, a worn one according to the
+//! gains, so the re-identified gains are those of the worn bellow.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
@@ -20,8 +20,8 @@
 //! | `contracted` σ | – | 1 ± 0.4 | 0-1 |
 //! | `toe` t | mm | 0 ± 0.4 | 0-1 |
 //!
-//! Signature: the curve changes only beyond the past maximum, and for good. Easily confused with
-//! `stiffening` (does not depend on the past), `thermal_drift` and `creep` (go on inside the past
+//! Signature: the curve changes only beyond the past maximum, and for good. Similar to
+//! `stiffening` (does not depend on the past), `thermal_drift` and `creep` (continue inside the past
 //! maximum). A rising amplitude that is then repeated separates it.
 
 use crate::model::effects::param::join;
@@ -59,7 +59,7 @@ impl Effect for Softening {
     fn starts(&self) -> Starts {
         [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)].map(|(reach, rejoin)| vec![0.15, 0.15, 0.15, reach, rejoin, 0.005, 0.8, 0.1]).to_vec()
     }
-    /// Memory holds each bellow's largest stretch, from 3 on its path, from 6 on where it was last.
+    /// Memory holds each bellow's largest stretch, from 3 on its path, from 6 on its last length change.
     fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let q = q_mm[i];
@@ -78,16 +78,16 @@ impl Effect for Softening {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Softening);
+    fn is_consistent() {
+        proof::is_consistent(&Softening);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::explained(&Softening, &[0.4, 0.35, 0.4, 2.5, 0.3, 0.01, 0.9, 0.2]);
+    fn a_fit_recovers_it() {
+        proof::fitted(&Softening, &[0.4, 0.35, 0.4, 2.5, 0.3, 0.01, 0.9, 0.2]);
     }
 
     #[test]
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn the_virgin_curve_is_met_again_at_the_past_maximum_and_strokes_wear() {
+    fn the_virgin_curve_is_rejoined_at_the_past_maximum_and_strokes_wear() {
         let p = proof::with(&Softening, &[("fresh", 0.4), ("reach", 2.0), ("rejoin", 1.0), ("tiring", 0.05)]);
         let mut m = Memory::default();
         let mut gain = |q: f64| {

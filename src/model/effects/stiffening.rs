@@ -13,7 +13,7 @@
 //! | `extra` a, one per channel | – | 0 ± 0.15 | 0.05-0.4 |
 //!
 //! Signature: an odd static curve of each channel. With equal `a` and constant length it bends like
-//! `curvature` of third order. Also confused with `gas_compression` (even). An amplitude ladder at two
+//! `curvature` of third order. Also similar to `gas_compression` (even). An amplitude ladder at two
 //! lengths separates it.
 
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
@@ -63,16 +63,16 @@ fn root(q: f64, kappa: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Stiffening);
+    fn is_consistent() {
+        proof::is_consistent(&Stiffening);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Stiffening, &[0.3, 0.1, 0.2]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Stiffening, &[0.3, 0.1, 0.2]);
     }
 
     #[test]

@@ -11,10 +11,10 @@
 //! | `size` a, one per channel | mm of piston | 0 ± 0.8 | 0.1-1.6 (0.5-7°) |
 //! | `tau` τ | s | 60 ± 60 | 20-300 |
 //!
-//! Signature: follows the time since the start, not the command. Easily confused with `creep`
+//! Signature: depends on the time since the start, not on the command. Similar to `creep`
 //! (follows the command), `leak` (follows the pressure), `gyro_bias` (gyroscope only) and
-//! `base_motion`. An idle hold and a repeated pose separate it. Orientation does not see the part that
-//! lengthens all bellows alike, sizes in proportion to 1 + k_ε: there the prior decides.
+//! `base_motion`. An idle hold and a repeated pose separate it. Orientation does not depend on the part that
+//! lengthens all bellows alike, sizes in proportion to 1 + k_ε: the prior determines it.
 
 use crate::model::effects::param::join;
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
@@ -28,7 +28,7 @@ pub struct ThermalDrift;
 const INFO: EffectInfo = EffectInfo {
     name: "thermal_drift",
     stage: Stage::Transmission,
-    signature: "a slow offset that follows the time since the start, not the command",
+    signature: "a slow offset that depends on the time since the start, not on the command",
     confused_with: &["creep", "leak", "gyro_bias", "base_motion"],
     separated_by: "an idle hold; a pose repeated late",
     is_event: false,
@@ -51,17 +51,17 @@ impl Effect for ThermalDrift {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&ThermalDrift);
+    fn is_consistent() {
+        proof::is_consistent(&ThermalDrift);
     }
 
     #[test]
-    fn a_fit_finds_it_again_but_for_the_length() {
+    fn a_fit_recovers_it_except_for_the_length() {
         let truth = [1.5, -0.6, 0.8, 75.0];
-        let found = proof::explained(&ThermalDrift, &truth);
+        let found = proof::fitted(&ThermalDrift, &truth);
         assert!((found[3] - truth[3]).abs() < 1.0, "{found:?}");
         let off = Vector3::from_fn(|i, _| found[i] - truth[i]);
         let length = proof::moment(0.0, Vector3::zeros()).k_epsilon.add_scalar(1.0);
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn it_follows_the_clock_and_not_the_command() {
+    fn the_offset_depends_on_time_and_not_on_the_command() {
         let p = proof::with(&ThermalDrift, &[("size", 1.5), ("tau", 20.0)]);
         let still = proof::drive(&ThermalDrift, &p, 100.0, |_| Vector3::zeros());
         let moved = proof::drive(&ThermalDrift, &p, 100.0, proof::exercise);

@@ -11,7 +11,7 @@
 //! | `twist` c₁ | – (rad/rad) | 0 ± 0.08 | 0-0.25 (0-20° at 75°) |
 //! | `twist_grow` c₂ | 1/rad | 0 ± 0.06 | 0-0.1 |
 //!
-//! Signature: yaw that grows with bend while the tip's axis stays right. Easily confused with errors of
+//! Signature: yaw that grows with bend while the direction of the tip's axis is correct. Similar to errors of
 //! the magnetometer, `hard_iron` and `mount_misalignment` (whose turn does not grow). A reference or a clean field
 //! separates it; in the accelerometer it shows as a turn of the in-plane part.
 
@@ -25,7 +25,7 @@ pub struct Torsion;
 const INFO: EffectInfo = EffectInfo {
     name: "torsion",
     stage: Stage::Shape,
-    signature: "yaw of the tip grows with bend while the tip's axis stays right",
+    signature: "yaw of the tip grows with bend while the direction of its axis is correct",
     confused_with: &["hard_iron", "mount_misalignment", "clocking"],
     separated_by: "a reference or a clean magnetic field",
     is_event: false,
@@ -48,17 +48,17 @@ impl Effect for Torsion {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
     use nalgebra::Vector3;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&Torsion);
+    fn is_consistent() {
+        proof::is_consistent(&Torsion);
     }
 
     #[test]
-    fn a_fit_finds_it_again() {
-        proof::found_again(&Torsion, &[-0.1, 0.08]);
+    fn a_fit_recovers_it() {
+        proof::is_recovered(&Torsion, &[-0.1, 0.08]);
     }
 
     #[test]

@@ -1,15 +1,15 @@
 //! Dead time from command to motion.
 //!
-//! Cause: bus, driver queue, and the sound's way down the line (Smith, *Closer control of loops with dead
+//! Cause: bus, driver queue, and the propagation of sound in the line (Smith, *Closer control of loops with dead
 //! time*, Chem. Eng. Prog. 1957). Law: `u′(t) = u(t − T)`.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
 //! | `delay` T | s | 0 ± 0.08 | 0.01-0.25 |
 //!
-//! Signature: a phase that grows with frequency, and no rounding. Easily confused with
-//! `sensor_latency` (the same but for what the reference or a body-fixed disturbance sees) and
-//! `line_lag` (rounds). A chirp separates it from the lag; an outside reference from the latency.
+//! Signature: a phase that grows with frequency, and no rounding. Similar to
+//! `sensor_latency` (differs only in the reference and in body-fixed disturbances) and
+//! `line_lag` (rounds off). A chirp separates it from the lag; an outside reference from the latency.
 
 use crate::model::effects::{Effect, EffectInfo, Param, Stage, Starts};
 
@@ -21,7 +21,7 @@ pub struct TransportDelay;
 const INFO: EffectInfo = EffectInfo {
     name: "transport_delay",
     stage: Stage::Timing,
-    signature: "motion comes late by a constant time: phase grows with frequency, without rounding",
+    signature: "motion is late by a constant time: phase grows with frequency, without rounding",
     confused_with: &["sensor_latency", "line_lag"],
     separated_by: "a chirp; an outside reference",
     is_event: false,
@@ -43,11 +43,11 @@ impl Effect for TransportDelay {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::proof;
+    use crate::model::effects::tests::proof;
 
     #[test]
-    fn keeps_the_rules() {
-        proof::keeps_the_rules(&TransportDelay);
+    fn is_consistent() {
+        proof::is_consistent(&TransportDelay);
     }
 
     #[test]

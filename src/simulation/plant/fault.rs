@@ -1,12 +1,16 @@
-//! Things that break while the plant runs, for drills.
+//! Faults that are injected while the plant runs.
 //!
-//! A fault acts from the step after it is injected until all are cleared. Clearing repairs the cause,
-//! never the consequence: steps that were lost stay lost, air that escaped is gone, a base that was
-//! turned stays turned.
+//! A fault acts from the step after its injection until all are cleared. Clearing ends the cause, not the
+//! consequence: lost steps stay lost, escaped air is gone, a base that was turned stays turned.
 
-use crate::simulation::plant::Plant;
-use crate::simulation::plant::shape::contact::{Contact, Touching};
-use nalgebra::Vector3;
+use crate::model::bend::Bend;
+use crate::simulation::plant::bellows::BellowFaults;
+use crate::simulation::plant::chain::Plant;
+use crate::simulation::plant::drive::DriveFaults;
+use crate::simulation::plant::effects::contact::{Contact, Touching};
+use crate::simulation::plant::imu::ImuFaults;
+use crate::simulation::plant::imu::stimulus::GRAVITY_M_S2;
+use nalgebra::{Vector2, Vector3};
 
 /// One of the three channels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -20,30 +24,26 @@ pub enum Channel {
 }
 
 impl Channel {
-    /// In order.
+    /// All channels, in order.
     pub const ALL: [Self; 3] = [Self::One, Self::Two, Self::Three];
 
-    /// 0 to 2.
+    /// Index from 0.
     #[must_use]
     pub fn index(self) -> usize {
-        match self {
-            Self::One => 0,
-            Self::Two => 1,
-            Self::Three => 2,
-        }
+        self as usize
     }
 }
 
-/// Something that breaks.
+/// A fault of the plant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum InjectedFault {
-    /// The IMU does not answer (bus error, pulled plug): no sample at all.
+    /// The IMU does not respond (bus error, disconnected): no samples.
     NoSample,
     /// The IMU repeats its last reading under new time stamps.
     FrozenSample,
-    /// The IMU's reading holds what is no number.
+    /// Readings of the IMU contain NaN.
     NanSample,
-    /// One reading is off by so much on every axis, then none.
+    /// One reading is off on every axis.
     Spike {
         /// Added to the gyroscope, °/s.
         gyro_deg_s: f64,
@@ -52,95 +52,95 @@ pub enum InjectedFault {
     },
     /// Gyroscope and accelerometer read full scale.
     Saturation,
-    /// The magnetometer alone says nothing.
+    /// The magnetometer alone gives no readings.
     NoMag,
     /// The gyroscope's bias jumps.
     GyroBias {
-        /// By how much, °/s per axis.
+        /// Change, °/s per axis.
         deg_s: [f64; 3],
     },
     /// The accelerometer's bias jumps.
     AccBias {
-        /// By how much, mg per axis.
+        /// Change, mg per axis.
         mg: [f64; 3],
     },
     /// A rotor slips.
     StepLoss {
-        /// Which.
+        /// Channel at fault.
         channel: Channel,
         /// Microsteps that the rotor falls behind (below 0: runs ahead).
         microsteps: i32,
     },
     /// A motor turns the wrong way.
     Inverted {
-        /// Which.
+        /// Channel at fault.
         channel: Channel,
     },
     /// A driver is switched off: the rack stays where it is.
     Disabled {
-        /// Which.
+        /// Channel at fault.
         channel: Channel,
     },
-    /// A rack meets a stop; what is sent beyond is lost.
+    /// A rack meets a stop; steps beyond it are lost.
     EndStop {
-        /// Which.
+        /// Channel at fault.
         channel: Channel,
-        /// Where, mm of piston from zero; the side is the sign.
+        /// Position, mm of piston from zero; its sign is the side.
         at_mm: f64,
     },
     /// A line begins to leak.
     Leak {
-        /// Which.
+        /// Channel at fault.
         channel: Channel,
         /// Share of the held displacement lost per second, 1/s.
         rate_per_s: f64,
     },
     /// A line comes off or a bellow tears: open to the air.
     Burst {
-        /// Which.
+        /// Channel at fault.
         channel: Channel,
     },
-    /// Air comes into a line: it gives way more.
+    /// A bubble enters a line, which becomes more compliant.
     AirBubble {
-        /// Which.
+        /// Channel at fault.
         channel: Channel,
         /// Factor on its compliance k_ε.
         factor: f64,
     },
-    /// A lumen is kinked shut: what is in the bellow stays in.
+    /// A lumen is kinked shut: the air in the bellow stays.
     Blocked {
-        /// Which.
+        /// Channel at fault.
         channel: Channel,
     },
     /// A bellow moves by more or less than before.
     Gain {
-        /// Which.
+        /// Channel at fault.
         channel: Channel,
         /// Factor on its length change.
         factor: f64,
     },
-    /// Somebody turns the base.
+    /// The base is turned.
     BaseTurn {
         /// Axis in the world, any length but 0.
         axis: [f64; 3],
         /// Angle, degrees.
         angle_deg: f64,
-        /// How long it takes, s; 0 is at once.
+        /// Duration, s; 0 is instantaneous.
         over_s: f64,
     },
-    /// A magnet comes near: a field is added in the world.
+    /// A magnet nearby adds a field in the world.
     Magnet {
         /// The field, µT.
         field_ut: [f64; 3],
     },
-    /// Somebody pushes the tip aside.
+    /// The tip is pushed aside.
     Push {
-        /// By how much bend, degrees.
+        /// Change of the bend, degrees.
         bend_deg: f64,
-        /// In which direction, degrees.
+        /// Direction of the change, degrees.
         dir_deg: f64,
     },
-    /// A soft wall stands in the way from now on.
+    /// A soft wall obstructs the tip.
     Wall {
         /// Bend at which the tip meets it, degrees.
         at_deg: f64,
@@ -149,87 +149,64 @@ pub enum InjectedFault {
     },
 }
 
-/// Rate at which an open line empties, 1/s.
+/// Rate at which an open line empties, 1/s: within a tenth of a second.
 const BURST_PER_S: f64 = 25.0;
-/// Give of a wall that is put in the way, degrees.
+/// Give of an injected wall, degrees of bend: soft tissue.
 const WALL_GIVE_DEG: f64 = 4.0;
 
 impl Plant {
-    /// Breaks something from now on.
+    /// Injects a fault.
     pub fn inject(&mut self, fault: InjectedFault) {
+        use InjectedFault as F;
+        let (imu, drive, bellows) = (&mut self.imu.faults, &mut self.drive, &mut self.bellows.faults);
         match fault {
-            InjectedFault::NoSample
-            | InjectedFault::FrozenSample
-            | InjectedFault::NanSample
-            | InjectedFault::Spike { .. }
-            | InjectedFault::Saturation
-            | InjectedFault::NoMag
-            | InjectedFault::GyroBias { .. }
-            | InjectedFault::AccBias { .. } => self.break_sensor(fault),
-            InjectedFault::StepLoss { .. }
-            | InjectedFault::Inverted { .. }
-            | InjectedFault::Disabled { .. }
-            | InjectedFault::EndStop { .. } => self.break_drive(fault),
-            InjectedFault::Leak { channel, rate_per_s } => self.line.broken.leak(channel.index(), rate_per_s),
-            InjectedFault::Burst { channel } => self.line.broken.leak(channel.index(), BURST_PER_S),
-            InjectedFault::Blocked { channel } => self.line.broken.block(channel.index()),
-            InjectedFault::AirBubble { channel, factor } => self.bellows.broken.compliance[channel.index()] = factor,
-            InjectedFault::Gain { channel, factor } => self.bellows.broken.gain[channel.index()] = factor,
-            InjectedFault::BaseTurn { axis, angle_deg, over_s } => {
+            F::NoSample => imu.silent = true,
+            F::FrozenSample => imu.frozen = true,
+            F::NanSample => imu.nan = true,
+            F::Spike { gyro_deg_s, acc_g } => {
+                imu.spike = Some((Vector3::repeat(gyro_deg_s.to_radians()), Vector3::repeat(acc_g * GRAVITY_M_S2)));
+            }
+            F::Saturation => imu.saturated = true,
+            F::NoMag => imu.mag_silent = true,
+            F::GyroBias { deg_s } => imu.rate = Vector3::from(deg_s).map(f64::to_radians),
+            F::AccBias { mg } => imu.force = Vector3::from(mg) * (1e-3 * GRAVITY_M_S2),
+            F::StepLoss { channel, microsteps } => drive.slip(channel.index(), -f64::from(microsteps)),
+            F::Inverted { channel } => drive.faults.gain[channel.index()] = -1.0,
+            F::Disabled { channel } => drive.faults.gain[channel.index()] = 0.0,
+            F::EndStop { channel, at_mm } => drive.faults.stop_mm[channel.index()] = Some(at_mm),
+            F::Leak { channel, rate_per_s } => self.line.faults.leak(channel.index(), rate_per_s),
+            F::Burst { channel } => self.line.faults.leak(channel.index(), BURST_PER_S),
+            F::Blocked { channel } => self.line.faults.blocked[channel.index()] = true,
+            F::AirBubble { channel, factor } => bellows.compliance[channel.index()] = factor,
+            F::Gain { channel, factor } => bellows.gain[channel.index()] = factor,
+            F::BaseTurn { axis, angle_deg, over_s } => {
                 let axis = Vector3::from(axis).try_normalize(1e-9).unwrap_or_default();
                 self.stand.begin_turn(axis * angle_deg.to_radians(), self.t, over_s);
             }
-            InjectedFault::Magnet { field_ut } => self.magnet_ut = Vector3::from(field_ut),
-            InjectedFault::Push { bend_deg, dir_deg } => self.shape.push = crate::model::bend::Bend::from_deg(bend_deg, dir_deg).0,
-            InjectedFault::Wall { at_deg, dir_deg } => {
+            F::Magnet { field_ut } => self.magnet_ut = Vector3::from(field_ut),
+            F::Push { bend_deg, dir_deg } => self.shape.push = Bend::from_deg(bend_deg, dir_deg).0,
+            F::Wall { at_deg, dir_deg } => {
                 let wall = Contact { block: 1.0, direction_deg: dir_deg, at_deg, give_deg: WALL_GIVE_DEG, ..Contact::default() };
-                self.shape.stand_in_the_way(Some(Touching::new(wall)));
+                self.shape.wall = Some(Touching::new(wall));
             }
         }
     }
 
-    /// A person opens the lines, pistons at rest, and closes them again: what had leaked flows back.
+    /// Opens the lines, pistons at zero, and closes them again: the air that leaked flows back.
     pub fn vent(&mut self) {
-        self.line.vent();
+        self.line.vent(&mut self.laws);
     }
 
-    /// Repairs everything that was injected; consequences stay.
+    /// Ends everything that was injected; consequences stay.
     pub fn clear(&mut self) {
-        self.imu.broken = crate::simulation::plant::imu::Broken::default();
-        self.drive.broken = crate::simulation::plant::drive::Broken::default();
-        self.bellows.broken = crate::simulation::plant::bellows::Broken::default();
-        self.line.broken.mend();
+        self.imu.faults = ImuFaults::default();
+        self.drive.faults = DriveFaults::default();
+        self.bellows.faults = BellowFaults::default();
+        self.line.faults.clear();
         self.stand.settle(self.t);
         self.magnet_ut = Vector3::zeros();
-        self.shape.push = nalgebra::Vector2::zeros();
-        self.shape.stand_in_the_way(None);
-    }
-
-    fn break_sensor(&mut self, fault: InjectedFault) {
-        let g = crate::simulation::plant::imu::GRAVITY_M_S2;
-        let broken = &mut self.imu.broken;
-        match fault {
-            InjectedFault::NoSample => broken.silent = true,
-            InjectedFault::FrozenSample => broken.frozen = true,
-            InjectedFault::NanSample => broken.nan = true,
-            InjectedFault::Spike { gyro_deg_s, acc_g } => {
-                broken.spike = Some((Vector3::repeat(gyro_deg_s.to_radians()), Vector3::repeat(acc_g * g)));
-            }
-            InjectedFault::Saturation => broken.saturated = true,
-            InjectedFault::NoMag => broken.mag_silent = true,
-            InjectedFault::GyroBias { deg_s } => broken.rate = Vector3::from(deg_s).map(f64::to_radians),
-            InjectedFault::AccBias { mg } => broken.force = Vector3::from(mg) * (1e-3 * g),
-            _ => {}
-        }
-    }
-
-    fn break_drive(&mut self, fault: InjectedFault) {
-        match fault {
-            InjectedFault::StepLoss { channel, microsteps } => self.drive.slip(channel.index(), -f64::from(microsteps)),
-            InjectedFault::Inverted { channel } => self.drive.broken.gain[channel.index()] = -1.0,
-            InjectedFault::Disabled { channel } => self.drive.broken.gain[channel.index()] = 0.0,
-            InjectedFault::EndStop { channel, at_mm } => self.drive.broken.stop_mm[channel.index()] = Some(at_mm),
-            _ => {}
-        }
+        self.shape.push = Vector2::zeros();
+        self.shape.wall = None;
+        self.laws.iter_mut().for_each(|law| law.release());
     }
 }

@@ -1,12 +1,11 @@
-//! Small memories that several stages keep: an exact first-order decay, coloured noise, a delay line.
+//! States that several stages share: an exact first-order decay, coloured noise, a delay line, a wandering dead time.
 
 use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
 use std::collections::VecDeque;
 
-/// `1 − e^(−dt/τ)`, kept as long as the caller's step stays the same.
-///
-/// A first-order lag held over `dt` moves by exactly this share of its distance, whatever `dt` is.
+/// `1 − e^(−dt/τ)`, the share of its distance that a first-order lag covers in `dt`, recomputed only when the step
+/// changes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Decay {
     tau_s: f64,
@@ -15,7 +14,7 @@ pub(crate) struct Decay {
 }
 
 impl Decay {
-    /// With time constant `tau_s`; 0 follows at once.
+    /// A lag of time constant `tau_s`; 0 is no lag.
     pub(crate) fn new(tau_s: f64) -> Self {
         Self { tau_s, dt_s: f64::NAN, share: 1.0 }
     }
@@ -38,7 +37,7 @@ pub(crate) struct Wander {
 }
 
 impl Wander {
-    /// Starts at a typical value, not at zero.
+    /// A stationary process: its first value is a random one.
     pub(crate) fn new(sigma: f64, tau_s: f64, rng: &mut PlantRng) -> Self {
         Self { sigma, decay: Decay::new(tau_s), x: rng.normals() * sigma }
     }
@@ -52,7 +51,7 @@ impl Wander {
     }
 }
 
-/// Past values by time, linear in between. Its store is set aside once and never grows.
+/// Past values by time, linear in between. Its memory is allocated once and never grows.
 #[derive(Debug, Clone)]
 pub(crate) struct Delay<T> {
     reach_s: f64,
@@ -72,14 +71,14 @@ impl Mix for Vector3<f64> {
 }
 
 impl<T: Mix> Delay<T> {
-    /// Reaching `reach_s` back at steps of `step_min_s` or more; `rest` held since ever.
+    /// A line that reaches `reach_s` back at steps of `step_min_s` or more, with `rest` in it.
     pub(crate) fn new(reach_s: f64, step_min_s: f64, rest: T) -> Self {
         let mut past = VecDeque::with_capacity((reach_s / step_min_s).ceil() as usize + 4);
         past.push_back((f64::NEG_INFINITY, rest));
         past.push_back((0.0, rest));
         Self { reach_s, past }
     }
-    /// Notes the value at time `t`, later than any before.
+    /// Stores the value at time `t`, later than any before.
     pub(crate) fn push(&mut self, t: f64, value: T) {
         if self.past.len() == self.past.capacity() {
             self.past.pop_front();
@@ -89,7 +88,7 @@ impl<T: Mix> Delay<T> {
             self.past.pop_front();
         }
     }
-    /// The value at time `t`, up to the reach ago.
+    /// The value at time `t`, at most the reach ago.
     pub(crate) fn at(&self, t: f64) -> T {
         // never empty: it starts with two values and keeps at least two
         let next = self.past.partition_point(|&(s, _)| s < t - 1e-12).clamp(1, self.past.len() - 1);
@@ -99,13 +98,72 @@ impl<T: Mix> Delay<T> {
     }
 }
 
+/// A dead time that wanders: `T (1 + j x(t))`, with `x` a unit Gauss-Markov process bounded at ±2.5. Values between
+/// two known times are linear.
+#[derive(Debug)]
+pub(crate) struct DeadTime<T> {
+    delay_s: f64,
+    jitter: f64,
+    line: Delay<T>,
+    wander: Wander,
+    rng: PlantRng,
+}
+
+/// Shortest step of the caller for which memory is allocated, s.
+const STEP_MIN_S: f64 = 2e-4;
+/// Correlation time of the wander, s.
+const WANDER_S: f64 = 1.0;
+/// Bound of the wander, standard deviations.
+const WANDER_MAX: f64 = 2.5;
+
+impl<T: Mix> DeadTime<T> {
+    /// A dead time of `delay_s` with relative wander `jitter`, with `rest` on its way.
+    pub(crate) fn new(delay_s: f64, jitter: f64, rest: T, mut rng: PlantRng) -> Self {
+        let wander = Wander::new(1.0, WANDER_S, &mut rng);
+        Self { delay_s, jitter, line: Self::line(delay_s, jitter, rest), wander, rng }
+    }
+    fn line(delay_s: f64, jitter: f64, rest: T) -> Delay<T> {
+        Delay::new(delay_s * (1.0 + jitter * WANDER_MAX), STEP_MIN_S, rest)
+    }
+    /// Replaces everything on its way by `rest`.
+    pub(crate) fn fill(&mut self, rest: T) {
+        self.line = Self::line(self.delay_s, self.jitter, rest);
+    }
+    /// Takes the value at `t` and returns the value that arrives then.
+    pub(crate) fn pass(&mut self, t: f64, dt_s: f64, value: T) -> T {
+        self.line.push(t, value);
+        let x = self.wander.step(dt_s, &mut self.rng).x.clamp(-WANDER_MAX, WANDER_MAX);
+        self.line.at(t - self.delay_s * (1.0 + self.jitter * x))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::simulation::plant::rng::Stream;
 
+    fn late_by(delay_s: f64, jitter: f64, dt: f64, steps: i32) -> Vec<f64> {
+        let mut d = DeadTime::new(delay_s, jitter, Vector3::zeros(), PlantRng::new(2, Stream::SensorLatency));
+        (1..steps).map(|k| f64::from(k) * dt).map(|t| t - d.pass(t, dt, Vector3::repeat(t)).x).collect()
+    }
+
     #[test]
-    fn a_decay_does_not_care_for_the_step() {
+    fn a_ramp_is_late_by_the_dead_time_at_every_step_length() {
+        for dt in [0.0005, 0.001, 0.005, 0.01] {
+            let late = *late_by(0.083, 0.0, dt, (0.5 / dt) as i32).last().unwrap();
+            assert!((late - 0.083).abs() < 1e-9, "{dt} {late}");
+        }
+    }
+
+    #[test]
+    fn the_wander_is_present_and_bounded() {
+        let late = late_by(0.1, 0.1, 0.002, 20_000);
+        let (low, high) = late[100..].iter().fold((1.0f64, 0.0f64), |(l, h), &x| (l.min(x), h.max(x)));
+        assert!(low > 0.074 && low < 0.09 && high < 0.126 && high > 0.11, "{low} {high}");
+    }
+
+    #[test]
+    fn a_decay_does_not_depend_on_the_step() {
         let (mut fine, mut coarse) = (Decay::new(0.03), Decay::new(0.03));
         let (mut a, mut b) = (0.0, 0.0);
         for k in 0..100 {
@@ -118,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn wander_has_the_spread_it_was_given() {
+    fn wander_has_the_configured_deviation() {
         let mut rng = PlantRng::new(3, Stream::TipImu);
         let mut w = Wander::new(2.0, 0.1, &mut rng);
         let n = 20_000;
@@ -127,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_gives_back_the_past_without_growing() {
+    fn a_delay_returns_past_values_without_growing() {
         let mut d = Delay::new(0.05, 0.001, Vector3::zeros());
         let room = d.past.capacity();
         for k in 1..2000 {

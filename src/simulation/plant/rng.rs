@@ -1,14 +1,14 @@
 //! Random numbers of the plant: one portable generator, one stream per use.
 //!
-//! Every use has a stream of its own, so that switching an effect on never shifts the noise of the
-//! sensors: two plants with the same seed differ by the effect and by nothing else.
+//! Every use has a stream of its own, so that an effect never shifts the noise of the sensors: two plants with
+//! the same seed differ by the effect and by nothing else.
 
 use nalgebra::Vector3;
 use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 
-/// What the numbers are drawn for.
+/// Use of the random numbers.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Stream {
     TipImu = 1,
@@ -37,7 +37,7 @@ impl PlantRng {
     pub(crate) fn normals(&mut self) -> Vector3<f64> {
         Vector3::new(self.normal(), self.normal(), self.normal())
     }
-    /// A direction in space, all alike likely.
+    /// A direction in space, uniformly distributed.
     pub(crate) fn direction(&mut self) -> Vector3<f64> {
         self.normals().try_normalize(1e-9).unwrap_or_else(Vector3::x)
     }
@@ -61,7 +61,7 @@ impl PlantRng {
     pub(crate) fn angle_deg(&mut self) -> f64 {
         self.between(-180.0, 180.0)
     }
-    /// A size between the ends of a typical range, geometric in `severity` 0..=1, give or take 10 %.
+    /// A size between the ends of a typical range, geometric in `severity` 0..=1, within ±10 %.
     pub(crate) fn sized(&mut self, low: f64, high: f64, severity: f64) -> f64 {
         low * (high / low).powf(severity.clamp(0.0, 1.0)) * self.between(0.9, 1.1)
     }
@@ -69,7 +69,7 @@ impl PlantRng {
     pub(crate) fn factor(&mut self, sigma: f64) -> f64 {
         (sigma * self.normal()).exp()
     }
-    /// `size` on one channel (mostly), or on all three give or take a fifth.
+    /// `size` on one channel (mostly), or on all three within ±20 %.
     pub(crate) fn on_channels(&mut self, size: f64) -> [f64; 3] {
         let only = self.channel() - 1;
         let all = self.chance(0.35);
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn streams_are_apart_and_repeat() {
+    fn streams_differ_and_are_reproducible() {
         let draw = |seed, stream| PlantRng::new(seed, stream).normal();
         assert_eq!(draw(7, Stream::TipImu), draw(7, Stream::TipImu));
         assert_ne!(draw(7, Stream::TipImu), draw(7, Stream::BaseImu));

@@ -1,23 +1,21 @@
-//! One unit of a make: what the file says, give or take its spread.
-//!
-//! A unit is drawn once, from its seed alone, and then is what it is.
+//! One unit of a make: the configuration, varied at random by its spread.
 
 use crate::simulation::plant::config::PlantConfig;
 use crate::simulation::plant::rng::{PlantRng, Stream};
 use crate::simulation::plant::spread::Spread;
 
-/// Draws beyond this many standard deviations are taken at it: such units are not sold.
-const SOLD: f64 = 2.5;
+/// Draws are limited to this many standard deviations: units beyond it fail the factory test.
+const LIMIT: f64 = 2.5;
 
 impl PlantConfig {
-    /// The unit of this make that the seed stands for: gains, geometry, sizes of effects, attitude,
-    /// field and IMU biases drawn from `spread`, which is used up by it.
+    /// The unit of this make with serial number `seed`: gains, geometry, sizes of effects, attitude,
+    /// field and IMU biases drawn from `spread`. The spread of the result is zero.
     #[must_use]
     pub fn drawn(&self, seed: u64) -> PlantConfig {
         let (spread, mut rng) = (&self.spread, PlantRng::new(seed, Stream::Unit));
         let mut unit = PlantConfig { spread: Spread::default(), ..self.clone() };
         unit.effects = self.effects.varied(spread.effects, &mut rng);
-        let mut about = |sigma: f64| sigma * rng.normal().clamp(-SOLD, SOLD);
+        let mut about = |sigma: f64| sigma * rng.normal().clamp(-LIMIT, LIMIT);
         for i in 0..3 {
             unit.line.k_epsilon[i] *= 1.0 + about(spread.k_epsilon);
             unit.line.k_lambda_mm[i] *= 1.0 + about(spread.k_lambda);
@@ -65,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn units_differ_and_repeat() {
+    fn units_differ_and_are_reproducible() {
         let make = PlantConfig { spread: spread(), ..PlantConfig::default() };
         assert_eq!(make.drawn(3), make.drawn(3));
         assert_ne!(make.drawn(3), make.drawn(4));
@@ -79,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn no_spread_is_the_unit_itself() {
+    fn without_spread_the_unit_is_the_make() {
         let make = PlantConfig::default();
         assert_eq!(make.drawn(9), make);
     }

@@ -1,94 +1,67 @@
-//! A 9-axis MEMS chip: bias, noise, range and digits.
+//! A 9-axis MEMS chip: bias, noise, range and quantisation.
 //!
-//! White noise of density `d` sampled at `f` has the standard deviation `d √(f/2)`; beside it a slow
-//! Gauss-Markov wander per axis. Defaults are the ICM-20948's (DS-000189 rev 1.3, tables 1-3) at
+//! White noise of density `d` sampled at `f` has the standard deviation `d √(f/2)`; a slow
+//! Gauss-Markov wander per axis is added. Defaults are the ICM-20948's (DS-000189 rev 1.3, tables 1-3) at
 //! ±500 °/s and ±4 g, with its AK09916 at 100 Hz.
 
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
-use crate::simulation::plant::check::{PlantError, range, ranges};
-use crate::simulation::plant::imu::feeling::{Feeling, GRAVITY_M_S2};
+use crate::simulation::plant::imu::stimulus::{GRAVITY_M_S2, Stimulus};
 use crate::simulation::plant::memory::Wander;
+use crate::simulation::plant::parameters::parameters;
 use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
 
-/// `[imu]`
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ImuConfig {
-    /// Time between samples, s. Default 0.002 (500 Hz). Bigger is slower; samples come at the end of
-    /// the plant's own steps, so a plant stepped more coarsely samples more coarsely.
-    pub period_s: f64,
-    /// Time between magnetometer readings, s. Default 0.01. Bigger corrects the heading less often.
-    pub mag_period_s: f64,
-    /// White noise of the gyroscope, °/s/√Hz. Default 0.015. Bigger is noisier.
-    pub gyro_noise_deg_s_rthz: f64,
-    /// White noise of the accelerometer, mg/√Hz. Default 0.23. Bigger is noisier.
-    pub acc_noise_mg_rthz: f64,
-    /// Noise of one magnetometer reading, µT. Default 0.3. Bigger is noisier.
-    pub mag_noise_ut: f64,
-    /// Slow wander of the gyroscope's bias, °/s. Default 0.01. Bigger drifts more within a minute.
-    pub gyro_wander_deg_s: f64,
-    /// Slow wander of the accelerometer's bias, mg. Default 0.15. Bigger drifts more within a minute.
-    pub acc_wander_mg: f64,
-    /// Slow wander of the magnetometer, µT. Default 0.05. Bigger drifts more within a minute.
-    pub mag_wander_ut: f64,
-    /// Correlation time of the wanders, s. Default 60. Bigger is slower.
-    pub wander_s: f64,
-    /// Constant bias of the gyroscope, °/s. Default 0; the chip's is within ±5. A start at rest
-    /// finds it.
-    pub gyro_bias_deg_s: [f64; 3],
-    /// Constant bias of the accelerometer, mg. Default 0; the chip's is within ±50 as delivered.
-    /// 17 mg tilt the vertical by 1°.
-    pub acc_bias_mg: [f64; 3],
-    /// Constant bias of the magnetometer, µT. Default 0. Bigger turns the heading with attitude.
-    pub mag_bias_ut: [f64; 3],
-    /// Last digit of the gyroscope, °/s. Default 0.015267 (±500 °/s in 16 bit). 0 has no digits.
-    pub gyro_digit_deg_s: f64,
-    /// Last digit of the accelerometer, mg. Default 0.12207 (±4 g in 16 bit). 0 has no digits.
-    pub acc_digit_mg: f64,
-    /// Last digit of the magnetometer, µT. Default 0.15. 0 has no digits.
-    pub mag_digit_ut: f64,
-    /// Range of the gyroscope, ±°/s. Default 500. Smaller clips fast motion.
-    pub gyro_range_deg_s: f64,
-    /// Range of the accelerometer, ±g. Default 4. Smaller clips knocks.
-    pub acc_range_g: f64,
-    /// Range of the magnetometer, ±µT. Default 4900. Smaller clips near magnets.
-    pub mag_range_ut: f64,
-    /// How the chip's axes are turned against the tip's by design, a rotation vector in degrees.
-    /// Default 0. The controller is told; what it is not told is `effects.mount_misalignment`.
-    pub mount_deg: [f64; 3],
-}
-
-impl Default for ImuConfig {
-    fn default() -> Self {
-        Self {
-            period_s: 0.002,
-            mag_period_s: 0.01,
-            gyro_noise_deg_s_rthz: 0.015,
-            acc_noise_mg_rthz: 0.23,
-            mag_noise_ut: 0.3,
-            gyro_wander_deg_s: 0.01,
-            acc_wander_mg: 0.15,
-            mag_wander_ut: 0.05,
-            wander_s: 60.0,
-            gyro_bias_deg_s: [0.0; 3],
-            acc_bias_mg: [0.0; 3],
-            mag_bias_ut: [0.0; 3],
-            gyro_digit_deg_s: 1.0 / 65.5,
-            acc_digit_mg: 1000.0 / 8192.0,
-            mag_digit_ut: 0.15,
-            gyro_range_deg_s: 500.0,
-            acc_range_g: 4.0,
-            mag_range_ut: 4900.0,
-            mount_deg: [0.0; 3],
-        }
+parameters! {
+    /// `[imu]`: a 9-axis chip.
+    ImuConfig at "imu" {
+        /// Time between samples, s. Default 0.002 (500 Hz). A larger value is slower; samples come at the end of
+        /// the plant's own steps, so a plant stepped more coarsely samples more coarsely.
+        period_s: f64 = 0.002, 1e-4..=0.2, "0.002 is 500 Hz";
+        /// Time between magnetometer readings, s. Default 0.01. A larger value corrects the heading less often.
+        mag_period_s: f64 = 0.01, 1e-4..=2.0, "0.01 is 100 Hz";
+        /// White noise of the gyroscope, °/s/√Hz. Default 0.015. A larger value is noisier.
+        gyro_noise_deg_s_rthz: f64 = 0.015, 0.0..=10.0, "0.015 is the ICM-20948";
+        /// White noise of the accelerometer, mg/√Hz. Default 0.23. A larger value is noisier.
+        acc_noise_mg_rthz: f64 = 0.23, 0.0..=100.0, "0.23 is the ICM-20948";
+        /// Noise of one magnetometer reading, µT. Default 0.3. A larger value is noisier.
+        mag_noise_ut: f64 = 0.3, 0.0..=50.0, "0.3 is typical";
+        /// Slow wander of the gyroscope's bias, °/s. Default 0.01. A larger value drifts more within a minute.
+        gyro_wander_deg_s: f64 = 0.01, 0.0..=10.0, "0.01 is typical";
+        /// Slow wander of the accelerometer's bias, mg. Default 0.15. A larger value drifts more within a minute.
+        acc_wander_mg: f64 = 0.15, 0.0..=100.0, "0.15 is typical";
+        /// Slow wander of the magnetometer, µT. Default 0.05. A larger value drifts more within a minute.
+        mag_wander_ut: f64 = 0.05, 0.0..=50.0, "0.05 is typical";
+        /// Correlation time of the wanders, s. Default 60. A larger value is slower.
+        wander_s: f64 = 60.0, 0.01..=1e6, "60 is typical";
+        /// Constant bias of the gyroscope, °/s. Default 0; the chip's is within ±5. A start at rest
+        /// finds it.
+        gyro_bias_deg_s: [f64; 3] = [0.0; 3], -50.0..=50.0, "±5 is the data sheet's";
+        /// Constant bias of the accelerometer, mg. Default 0; the chip's is within ±50 as delivered.
+        /// 17 mg tilt the vertical by 1°.
+        acc_bias_mg: [f64; 3] = [0.0; 3], -500.0..=500.0, "±50 is the data sheet's";
+        /// Constant bias of the magnetometer, µT. Default 0. A larger value turns the heading with attitude.
+        mag_bias_ut: [f64; 3] = [0.0; 3], -2000.0..=2000.0, "tens of µT are typical";
+        /// Least significant digit of the gyroscope, °/s. Default 0.015267 (±500 °/s in 16 bit). 0 does not quantise.
+        gyro_digit_deg_s: f64 = 1.0 / 65.5, 0.0..=10.0, "0.015 is ±500 °/s in 16 bit";
+        /// Least significant digit of the accelerometer, mg. Default 0.12207 (±4 g in 16 bit). 0 does not quantise.
+        acc_digit_mg: f64 = 1000.0 / 8192.0, 0.0..=100.0, "0.122 is ±4 g in 16 bit";
+        /// Least significant digit of the magnetometer, µT. Default 0.15. 0 does not quantise.
+        mag_digit_ut: f64 = 0.15, 0.0..=50.0, "0.15 is the AK09916";
+        /// Range of the gyroscope, ±°/s. Default 500. Smaller clips fast motion.
+        gyro_range_deg_s: f64 = 500.0, 10.0..=1e5, "250, 500, 1000 or 2000";
+        /// Range of the accelerometer, ±g. Default 4. Smaller clips knocks.
+        acc_range_g: f64 = 4.0, 1.5..=1000.0, "2, 4, 8 or 16";
+        /// Range of the magnetometer, ±µT. Default 4900. Smaller clips near magnets.
+        mag_range_ut: f64 = 4900.0, 100.0..=1e6, "4900 is the AK09916";
+        /// How the chip's axes are turned against the tip's by design, a rotation vector in degrees.
+        /// Default 0. The controller is configured with it; an unknown tilt is `effects.mount_misalignment`.
+        mount_deg: [f64; 3] = [0.0; 3], -180.0..=180.0, "a rotation vector is at most half a turn long";
     }
 }
 
 impl ImuConfig {
-    /// A chip without any error, for tests of what is behind it.
+    /// A chip without any error.
     #[must_use]
     pub fn perfect() -> Self {
         Self {
@@ -108,27 +81,6 @@ impl ImuConfig {
     pub(crate) fn unbiased(&self) -> Self {
         Self { gyro_bias_deg_s: [0.0; 3], acc_bias_mg: [0.0; 3], mag_bias_ut: [0.0; 3], ..self.clone() }
     }
-    pub(crate) fn validate(&self) -> Result<(), PlantError> {
-        range("imu.period_s", self.period_s, 1e-4..=0.2, "0.002 is 500 Hz")?;
-        range("imu.mag_period_s", self.mag_period_s, 1e-4..=2.0, "0.01 is 100 Hz")?;
-        range("imu.gyro_noise_deg_s_rthz", self.gyro_noise_deg_s_rthz, 0.0..=10.0, "0.015 is the ICM-20948")?;
-        range("imu.acc_noise_mg_rthz", self.acc_noise_mg_rthz, 0.0..=100.0, "0.23 is the ICM-20948")?;
-        range("imu.mag_noise_ut", self.mag_noise_ut, 0.0..=50.0, "0.3 is typical")?;
-        range("imu.gyro_wander_deg_s", self.gyro_wander_deg_s, 0.0..=10.0, "0.01 is typical")?;
-        range("imu.acc_wander_mg", self.acc_wander_mg, 0.0..=100.0, "0.15 is typical")?;
-        range("imu.mag_wander_ut", self.mag_wander_ut, 0.0..=50.0, "0.05 is typical")?;
-        range("imu.wander_s", self.wander_s, 0.01..=1e6, "60 is typical")?;
-        ranges("imu.gyro_bias_deg_s", &self.gyro_bias_deg_s, -50.0..=50.0, "±5 is the data sheet's")?;
-        ranges("imu.acc_bias_mg", &self.acc_bias_mg, -500.0..=500.0, "±50 is the data sheet's")?;
-        ranges("imu.mag_bias_ut", &self.mag_bias_ut, -2000.0..=2000.0, "tens of µT are typical")?;
-        range("imu.gyro_digit_deg_s", self.gyro_digit_deg_s, 0.0..=10.0, "0.015 is ±500 °/s in 16 bit")?;
-        range("imu.acc_digit_mg", self.acc_digit_mg, 0.0..=100.0, "0.122 is ±4 g in 16 bit")?;
-        range("imu.mag_digit_ut", self.mag_digit_ut, 0.0..=50.0, "0.15 is the AK09916")?;
-        range("imu.gyro_range_deg_s", self.gyro_range_deg_s, 10.0..=1e5, "250, 500, 1000 or 2000")?;
-        range("imu.acc_range_g", self.acc_range_g, 1.5..=1000.0, "2, 4, 8 or 16")?;
-        range("imu.mag_range_ut", self.mag_range_ut, 100.0..=1e6, "4900 is the AK09916")?;
-        ranges("imu.mount_deg", &self.mount_deg, -180.0..=180.0, "a rotation vector is at most half a turn long")
-    }
 }
 
 /// One quantity of the chip in SI units.
@@ -142,6 +94,7 @@ struct Axes {
 }
 
 impl Axes {
+    /// Values in `unit` (as a multiple of the SI unit); `wander` is standard deviation and correlation time.
     fn new(bias: &[f64; 3], sigma: f64, wander: (f64, f64), digit: f64, range: f64, unit: f64, rng: &mut PlantRng) -> Self {
         let wander = Wander::new(wander.0 * unit, wander.1, rng);
         Self { bias: Vector3::from(*bias) * unit, sigma: sigma * unit, wander, digit: digit * unit, range: range * unit }
@@ -175,25 +128,11 @@ impl Chip {
         let white = (0.5 / config.period_s).sqrt();
         let (deg, mg) = (1f64.to_radians(), 1e-3 * GRAVITY_M_S2);
         let c = config;
-        let gyro = Axes::new(
-            &c.gyro_bias_deg_s,
-            c.gyro_noise_deg_s_rthz * white,
-            (c.gyro_wander_deg_s, c.wander_s),
-            c.gyro_digit_deg_s,
-            c.gyro_range_deg_s,
-            deg,
-            &mut rng,
-        );
-        let acc = Axes::new(
-            &c.acc_bias_mg,
-            c.acc_noise_mg_rthz * white,
-            (c.acc_wander_mg, c.wander_s),
-            c.acc_digit_mg,
-            c.acc_range_g * 1000.0,
-            mg,
-            &mut rng,
-        );
-        let mag = Axes::new(&c.mag_bias_ut, c.mag_noise_ut, (c.mag_wander_ut, c.wander_s), c.mag_digit_ut, c.mag_range_ut, 1.0, &mut rng);
+        let mut axes = |bias, sigma, wander, digit, range, unit| Axes::new(bias, sigma, (wander, c.wander_s), digit, range, unit, &mut rng);
+        let (gyro_sigma, acc_sigma) = (c.gyro_noise_deg_s_rthz * white, c.acc_noise_mg_rthz * white);
+        let gyro = axes(&c.gyro_bias_deg_s, gyro_sigma, c.gyro_wander_deg_s, c.gyro_digit_deg_s, c.gyro_range_deg_s, deg);
+        let acc = axes(&c.acc_bias_mg, acc_sigma, c.acc_wander_mg, c.acc_digit_mg, c.acc_range_g * 1000.0, mg);
+        let mag = axes(&c.mag_bias_ut, c.mag_noise_ut, c.mag_wander_ut, c.mag_digit_ut, c.mag_range_ut, 1.0);
         Self { period_s: c.period_s, mag_period_s: c.mag_period_s, gyro, acc, mag, rng, mag_dt_s: 0.0 }
     }
     pub(crate) fn period_s(&self) -> f64 {
@@ -202,15 +141,15 @@ impl Chip {
     pub(crate) fn mag_period_s(&self) -> f64 {
         self.mag_period_s
     }
-    /// A sample of what the chip feels; its time is the caller's to set.
-    pub(crate) fn read(&mut self, feeling: &Feeling, dt_s: f64, with_mag: bool) -> ImuSample {
+    /// A sample of the stimulus; the caller sets its time.
+    pub(crate) fn read(&mut self, stimulus: &Stimulus, dt_s: f64, with_mag: bool) -> ImuSample {
         self.mag_dt_s += dt_s;
-        let gyro_rad_s = self.gyro.read(&feeling.rate, dt_s, &mut self.rng);
-        let acc_m_s2 = self.acc.read(&feeling.force, dt_s, &mut self.rng);
-        let mag_ut = with_mag.then(|| self.mag.read(&feeling.field, std::mem::take(&mut self.mag_dt_s), &mut self.rng));
+        let gyro_rad_s = self.gyro.read(&stimulus.rate, dt_s, &mut self.rng);
+        let acc_m_s2 = self.acc.read(&stimulus.force, dt_s, &mut self.rng);
+        let mag_ut = with_mag.then(|| self.mag.read(&stimulus.field, std::mem::take(&mut self.mag_dt_s), &mut self.rng));
         ImuSample { t: Seconds(0.0), gyro_rad_s, acc_m_s2, mag_ut }
     }
-    /// Full scale on every axis of rate and force, on the side it is already on.
+    /// Full scale on every axis of rate and force, on the side of the present reading.
     pub(crate) fn pin_to_range(&self, sample: &mut ImuSample) {
         sample.gyro_rad_s = sample.gyro_rad_s.map(|x| self.gyro.range.copysign(x));
         sample.acc_m_s2 = sample.acc_m_s2.map(|x| self.acc.range.copysign(x));
@@ -222,12 +161,12 @@ mod tests {
     use super::*;
     use crate::simulation::plant::rng::Stream;
 
-    fn still() -> Feeling {
-        Feeling { rate: Vector3::zeros(), force: Vector3::new(0.0, 0.0, GRAVITY_M_S2), field: Vector3::new(20.0, 0.0, -43.0) }
+    fn still() -> Stimulus {
+        Stimulus { rate: Vector3::zeros(), force: Vector3::new(0.0, 0.0, GRAVITY_M_S2), field: Vector3::new(20.0, 0.0, -43.0) }
     }
 
     #[test]
-    fn noise_is_as_dense_as_it_says() {
+    fn white_noise_has_the_stated_density() {
         let config = ImuConfig { gyro_wander_deg_s: 0.0, gyro_digit_deg_s: 0.0, ..ImuConfig::default() };
         let mut chip = Chip::new(&config, PlantRng::new(5, Stream::TipImu));
         let n = 20_000;
@@ -237,13 +176,13 @@ mod tests {
     }
 
     #[test]
-    fn has_digits_range_and_bias() {
+    fn readings_have_bias_range_and_quantisation() {
         let config = ImuConfig { acc_bias_mg: [10.0, 0.0, 0.0], ..ImuConfig::default() };
         let mut chip = Chip::new(&config, PlantRng::new(5, Stream::TipImu));
         let n = 5000;
         let mean: Vector3<f64> = (0..n).map(|_| chip.read(&still(), 0.002, false).acc_m_s2).sum::<Vector3<f64>>() / f64::from(n);
         assert!((mean - Vector3::new(0.0981, 0.0, GRAVITY_M_S2)).norm() < 0.01, "{mean}");
-        let s = chip.read(&Feeling { rate: Vector3::new(99.0, 0.0, -99.0), ..still() }, 0.002, true);
+        let s = chip.read(&Stimulus { rate: Vector3::new(99.0, 0.0, -99.0), ..still() }, 0.002, true);
         assert!((s.gyro_rad_s.x.to_degrees() - 500.0).abs() < 0.02 && (s.gyro_rad_s.z.to_degrees() + 500.0).abs() < 0.02);
         let mag = s.mag_ut.unwrap();
         assert!(mag.iter().all(|x| ((x / 0.15).round() - x / 0.15).abs() < 1e-6));

@@ -1,0 +1,151 @@
+//! The running plant: one step from counts to orientation and samples.
+
+use crate::primitives::frames::{Base, Rotation, Tip, World};
+use crate::primitives::sample::ImuSample;
+use crate::primitives::units::{Seconds, Steps};
+use crate::simulation::plant::bellows::Bellows;
+use crate::simulation::plant::check::PlantError;
+use crate::simulation::plant::config::PlantConfig;
+use crate::simulation::plant::drive::Drive;
+use crate::simulation::plant::imu::{Imu, Surroundings};
+use crate::simulation::plant::law::{Laws, Moment};
+use crate::simulation::plant::line::Line;
+use crate::simulation::plant::shape::arc::Plate;
+use crate::simulation::plant::shape::{Pose, Shape};
+use crate::simulation::plant::stand::Stand;
+use nalgebra::Vector3;
+
+/// A running plant.
+#[derive(Debug)]
+pub struct Plant {
+    config: PlantConfig,
+    pub(crate) t: f64,
+    pub(crate) laws: Laws,
+    pub(crate) drive: Drive,
+    pub(crate) line: Line,
+    pub(crate) bellows: Bellows,
+    pub(crate) shape: Shape,
+    pub(crate) stand: Stand,
+    r_base_plate: Rotation<Base, Plate>,
+    field_ut: Vector3<f64>,
+    sensed_t: f64,
+    /// Injected fault: a field added in the world, µT.
+    pub(crate) magnet_ut: Vector3<f64>,
+    pub(crate) imu: Imu,
+    base_imu: Option<Imu>,
+}
+
+/// Result of one step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Output {
+    /// Time reached, s since the start.
+    pub t: Seconds,
+    /// Sample of the tip's IMU, `None` between samples.
+    pub imu: Option<ImuSample>,
+    /// Sample of the base's IMU, if there is one, in the base frame.
+    pub base_imu: Option<ImuSample>,
+    /// True state, for scoring only.
+    pub truth: Truth,
+}
+
+/// True state of a plant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Truth {
+    /// Tip orientation relative to the start.
+    pub r_base_tip: Rotation<Base, Tip>,
+    /// Length changes of the bellows, mm.
+    pub bellow_mm: Vector3<f64>,
+    /// Outputs of the play operators, mm of piston.
+    pub play_output_mm: Vector3<f64>,
+    /// Gauge pressures, kPa.
+    pub pressure_kpa: Vector3<f64>,
+    /// True while a wall holds the tip.
+    pub wall_touched: bool,
+}
+
+impl Plant {
+    /// A plant at rest: pistons at zero, play centred, tip still.
+    ///
+    /// # Errors
+    /// [`PlantError::Range`] for a parameter that the physics does not support.
+    pub fn new(config: &PlantConfig, seed: u64) -> Result<Self, PlantError> {
+        config.validate()?;
+        let unit = config.unit_data(seed);
+        let mut laws = config.effects.laws(&unit);
+        let stand = Stand::new(config.base.attitude());
+        let r_world_plate = stand.attitude(0.0, &laws);
+        let mut shape = Shape::new(&config.shape);
+        let rest = shape.step(&Vector3::zeros(), r_world_plate, &Moment { t: 0.0, dt_s: 0.0 }, &mut laws);
+        let r_plate_base = Rotation::<Plate, Base>::assert_frames(rest.r_plate_tip.quat());
+        let field_ut = config.field.vector_ut();
+        let mut here = surroundings(r_world_plate, &rest, 0.0, field_ut);
+        laws.iter_mut().for_each(|law| law.field(&mut here.field_ut, &Vector3::zeros(), 0.0));
+        Ok(Self {
+            t: 0.0,
+            drive: Drive::new(&unit),
+            line: Line::new(&config.line),
+            bellows: Bellows::new(&config.line, &laws),
+            shape,
+            stand,
+            r_base_plate: r_plate_base.inverse(),
+            field_ut,
+            sensed_t: 0.0,
+            magnet_ut: Vector3::zeros(),
+            imu: Imu::tip(&config.imu, seed, here, &mut laws),
+            base_imu: config.base.imu.then(|| Imu::base(&config.imu, seed, Surroundings { at_mm: Vector3::zeros(), ..here })),
+            laws,
+            config: config.clone(),
+        })
+    }
+
+    /// The configuration that it was built from.
+    #[must_use]
+    pub fn config(&self) -> &PlantConfig {
+        &self.config
+    }
+
+    /// Holds the counts for `dt_s` (> 0) from now on and advances the plant by `dt_s`.
+    pub fn step(&mut self, steps: &Steps, dt_s: f64) -> Output {
+        self.t += dt_s;
+        let (at, laws) = (Moment { t: self.t, dt_s }, &mut self.laws);
+        let mut counts = Vector3::from(steps.0.map(f64::from));
+        laws.iter_mut().for_each(|law| law.command(&mut counts, &at));
+        let plunger_mm = self.drive.step(&counts, &at, laws);
+        let air_mm = self.line.step(&plunger_mm, &self.bellows.state, &at, laws);
+        let bellow_mm = self.bellows.step(&air_mm, &at, laws);
+        let r_world_plate = self.stand.attitude(at.t, laws);
+        let pose = self.shape.step(&bellow_mm, r_world_plate, &at, laws);
+        let here = surroundings(r_world_plate, &pose, at.t, self.field_ut + self.magnet_ut);
+        let (imu, base_imu) = self.sense(here, &counts);
+        let truth = Truth {
+            r_base_tip: self.r_base_plate * pose.r_plate_tip,
+            bellow_mm,
+            play_output_mm: self.line.play_output_mm(),
+            pressure_kpa: self.bellows.state.pressure_kpa,
+            wall_touched: pose.touched,
+        };
+        Output { t: Seconds(at.t), imu, base_imu, truth }
+    }
+
+    /// Samples that are due, with the drivers at `counts`.
+    fn sense(&mut self, mut here: Surroundings, counts: &Vector3<f64>) -> (Option<ImuSample>, Option<ImuSample>) {
+        if !self.imu.due(self.t) {
+            return (None, None);
+        }
+        let since_s = self.t - self.sensed_t;
+        self.sensed_t = self.t;
+        self.laws.iter_mut().for_each(|law| law.field(&mut here.field_ut, counts, since_s));
+        let base_imu = self.base_imu.as_mut().and_then(|imu| {
+            let r_world_base = self.stand.attitude(self.t, &self.laws) * self.r_base_plate.inverse();
+            // this chip stands in the base frame, which takes the place of its tip frame
+            let r_world_tip = Rotation::assert_frames(r_world_base.quat());
+            imu.sample(&Surroundings { r_world_tip, at_mm: Vector3::zeros(), ..here }, &mut Vec::new())
+        });
+        (self.imu.sample(&here, &mut self.laws), base_imu)
+    }
+}
+
+/// The surroundings of the tip in a pose, in the field `field_ut`.
+fn surroundings(r_world_plate: Rotation<World, Plate>, pose: &Pose, t: f64, field_ut: Vector3<f64>) -> Surroundings {
+    Surroundings { t, r_world_tip: r_world_plate * pose.r_plate_tip, at_mm: r_world_plate.apply(&pose.tip_mm()), field_ut }
+}

@@ -1,0 +1,37 @@
+//! Outside the catalogue: an accelerometer whose scale is wrong, axis by axis.
+
+use crate::simulation::plant::imu::stimulus::Stimulus;
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData, order};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.outside.acc_scale]`
+    AccScale at "effects.outside.acc_scale" sized by share {
+        /// Excess of each axis, as a share. Default 0; the data sheet allows ±0.005, plausible up to
+        /// ±0.15. A larger value tilts the vertical more between attitudes.
+        share: [f64; 3] = [0.0; 3], -0.5..=0.5, "up to ±0.15 is plausible";
+    }
+}
+
+impl PlantEffect for AccScale {
+    const STAGE: &'static str = "sensor";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(0.03, 0.15, severity);
+        Self { share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)) }
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+impl Law for AccScale {
+    fn order(&self) -> u8 {
+        order::FIRST + 3
+    }
+    fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
+        stimulus.force += stimulus.force.component_mul(&Vector3::from(self.share));
+    }
+}

@@ -1,0 +1,49 @@
+//! An accelerometer offset that grows with the load on the axis.
+//!
+//! `f + b (1 + 0.15 (f/g)²)`, axis by axis.
+
+use crate::simulation::plant::imu::stimulus::{GRAVITY_M_S2, Stimulus};
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.accel_bias]`
+    AccelBias at "effects.accel_bias" sized by bias_mg {
+        /// Offset b of each axis, mg. Default 0 (none); typical 10 to 100. 17 mg tilt the vertical by 1°.
+        bias_mg: [f64; 3] = [0.0; 3], -500.0..=500.0, "10 to 100 mg is typical";
+    }
+}
+
+impl PlantEffect for AccelBias {
+    const STAGE: &'static str = "sensor";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(25.0, 120.0, severity);
+        Self { bias_mg: (rng.direction() * size).into() }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { bias_mg: [0; 3].map(|_| tenth(1.0)) })
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+/// How much more of it at 1 g.
+const LOADED: f64 = 0.15;
+
+impl AccelBias {
+    /// What is added to the force, m/s².
+    pub(crate) fn force(&self, force: &Vector3<f64>) -> Vector3<f64> {
+        let loaded = force.map(|f| 1e-3 * GRAVITY_M_S2 * (1.0 + LOADED * (f / GRAVITY_M_S2).powi(2)));
+        Vector3::from(self.bias_mg).component_mul(&loaded)
+    }
+}
+
+impl Law for AccelBias {
+    fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
+        stimulus.force += self.force(&stimulus.force);
+    }
+}

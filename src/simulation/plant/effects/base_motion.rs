@@ -1,0 +1,92 @@
+//! The base turns during the log: one slow turn, and a sway.
+//!
+//! The turn is an angle about a world axis that rises along the smooth step `½ (1 + tanh(5 (t − t_m)/T))` about
+//! the middle of its duration `T`. The sway is the sum of two sines whose periods are in the golden ratio, so
+//! that the sum never repeats.
+
+use crate::simulation::plant::check::{PlantError, range};
+use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use crate::simulation::plant::stand::smooth_step;
+use nalgebra::{UnitQuaternion, Vector3};
+use std::f64::consts::TAU;
+
+parameters! {
+    /// `[effects.base_motion]`
+    BaseMotion at "effects.base_motion" sized by angle_deg, sway_deg {
+        /// Angle that the base turns by, degrees. Default 0 (none); typical 1 to 10. A larger value turns
+        /// further.
+        angle_deg: f64 = 0.0, -180.0..=180.0, "1 to 10 is typical";
+        /// Axis of the turn in the world, any length. Default [0, 1, 0].
+        axis: [f64; 3] = [0.0, 1.0, 0.0], -1e3..=1e3, "a direction";
+        /// When the turn begins, s. Default 15.
+        at_s: f64 = 15.0, 0.0..=1e9, "seconds since the start";
+        /// How long it takes, s. Default 6. A larger value is slower.
+        over_s: f64 = 6.0, 0.05..=1e6, "some seconds are typical";
+        /// Sway beside it about the same axis, degrees. Default 0; typical 0 to 2. A larger value never holds
+        /// still.
+        sway_deg: f64 = 0.0, -30.0..=30.0, "a degree or two is typical";
+        /// Period of the sway, s. Default 7. Nothing sways during the first 3 s, which are rest.
+        sway_period_s: f64 = 7.0, 0.2..=1e6, "some seconds are typical";
+    }
+}
+
+impl PlantEffect for BaseMotion {
+    const STAGE: &'static str = "base";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let angle_deg = rng.sized(3.0, 12.0, severity);
+        Self {
+            angle_deg,
+            axis: rng.direction().into(),
+            at_s: rng.between(8.0, 35.0),
+            over_s: rng.between(2.0, 15.0),
+            sway_deg: if rng.chance(0.5) { angle_deg * rng.between(0.05, 0.2) } else { 0.0 },
+            sway_period_s: rng.between(5.0, 20.0),
+        }
+    }
+    fn consistent(&self) -> Result<(), PlantError> {
+        range("effects.base_motion.axis length", Vector3::from(self.axis).norm(), &(1e-3..=1e4), "a direction has a length")
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+/// Seconds at rest before a sway, and over which it grows.
+const STILL_S: f64 = 3.0;
+const GOLDEN: f64 = 1.618_033_988_749_895;
+
+impl BaseMotion {
+    /// Angle about the axis at time `t`, rad.
+    fn angle(&self, t: f64) -> f64 {
+        let step = if t < self.at_s { 0.0 } else { smooth_step((t - self.at_s) / self.over_s) };
+        let since = (t - STILL_S).max(0.0);
+        let grown = 1.0 - (-since / STILL_S).exp();
+        let phase = TAU * since / self.sway_period_s;
+        let sway = grown * (0.6 * phase.sin() + 0.4 * (GOLDEN * phase).sin());
+        (self.angle_deg * step + self.sway_deg * sway).to_radians()
+    }
+}
+
+impl Law for BaseMotion {
+    fn base(&self, t: f64) -> Option<UnitQuaternion<f64>> {
+        Some(UnitQuaternion::from_scaled_axis(Vector3::from(self.axis).normalize() * self.angle(t)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_base_turns_once_by_the_angle_and_stands_before() {
+        let m = BaseMotion { angle_deg: 5.0, sway_deg: 0.0, ..BaseMotion::default() };
+        assert_eq!(m.angle(14.9), 0.0);
+        assert!((m.angle(18.0).to_degrees() - 2.5).abs() < 1e-9 && (m.angle(30.0).to_degrees() - 5.0).abs() < 1e-9);
+        let sway = BaseMotion { sway_deg: 1.0, ..BaseMotion::default() };
+        assert_eq!(sway.angle(2.9), 0.0);
+        assert!((30..300).any(|k| sway.angle(f64::from(k) * 0.1).to_degrees().abs() > 0.4));
+    }
+}

@@ -1,0 +1,50 @@
+//! Outside the catalogue: a bubble moves and the compliance of a line changes at once.
+//!
+//! From `at_s` until `until_s` the air of one line is compliant by the factor `1 + change`.
+
+use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::{CHANNELS, parameters};
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.outside.bubble_jump]`
+    BubbleJump at "effects.outside.bubble_jump" sized by change {
+        /// Change of the line's compliance, as a share of it. Default 0 (none); plausible ±0.2 to 0.6.
+        /// A larger value jumps further.
+        change: f64 = 0.0, -0.95..=5.0, "a share of k_ε";
+        /// Channel of the line, 1 to 3. Default 1.
+        channel: usize = 1, CHANNELS, "channels are counted from 1 to 3";
+        /// When it happens, s. Default 20.
+        at_s: f64 = 20.0, 0.0..=1e9, "seconds since the start";
+        /// When it goes back, s. Default 1e9 (never).
+        until_s: f64 = 1e9, 0.0..=1e12, "seconds since the start";
+    }
+}
+
+impl PlantEffect for BubbleJump {
+    const STAGE: &'static str = "transmission";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let at_s = rng.between(15.0, 50.0);
+        let until_s = if rng.chance(0.5) { 1e9 } else { at_s + rng.between(10.0, 40.0) };
+        let change = rng.sized(0.25, 0.8, severity);
+        Self { change: if rng.chance(0.3) { -0.7 * change } else { change }, channel: rng.channel(), at_s, until_s }
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+impl BubbleJump {
+    /// Factor on the compliance of the channel at time `t`.
+    pub(crate) fn factor(&self, t: f64) -> f64 {
+        if t >= self.at_s && t < self.until_s { 1.0 + self.change } else { 1.0 }
+    }
+}
+
+impl Law for BubbleJump {
+    fn compliance(&self, compliance: &mut Vector3<f64>, t: f64) {
+        compliance[self.channel - 1] *= self.factor(t);
+    }
+}

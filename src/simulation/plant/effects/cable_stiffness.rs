@@ -1,0 +1,80 @@
+//! A camera cable or an irrigation line beside the axis makes bending anisotropic.
+//!
+//! Bending across the cable is easy and bending along it is not; the cable pulls taut one way and buckles the
+//! other. With `x = b·u` the bend along the cable's side `u`, it takes back `c x (1 + o y/√(1 + y²)) u`,
+//! `y = x / 0.3`.
+
+use crate::simulation::plant::law::{Law, PlantEffect, SectionState, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector2;
+
+parameters! {
+    /// `[effects.cable_stiffness]`
+    CableStiffness at "effects.cable_stiffness" sized by share {
+        /// Share c of the bend that the cable takes back in its own plane, mean of both ways. Default 0
+        /// (none); typical 0.05 to 0.4. A larger value bends less in that plane.
+        share: f64 = 0.0, 0.0..=0.48, "0.05 to 0.4 is typical";
+        /// Bend direction in which the cable is pulled taut, degrees. Default 0.
+        direction_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
+        /// How much stiffer it is pulled taut than buckled, 0 to 1. Default 0.35. A larger value differs more.
+        one_sided: f64 = 0.35, 0.0..=1.0, "0 resists alike both ways";
+    }
+}
+
+impl PlantEffect for CableStiffness {
+    const STAGE: &'static str = "shape";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sized(0.1, 0.4, severity), direction_deg: rng.angle_deg(), one_sided: rng.between(0.1, 0.6) }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: tenth(0.0015), direction_deg: tenth(180.0), ..Self::default() })
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Cable::new(self))
+    }
+}
+
+/// Bend over which it turns from buckled to taut, rad.
+const KNEE: f64 = 0.3;
+
+/// A cable in its place.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Cable {
+    side: Vector2<f64>,
+    share: f64,
+    one_sided: f64,
+}
+
+impl Cable {
+    pub(crate) fn new(config: &CableStiffness) -> Self {
+        let (sin, cos) = config.direction_deg.to_radians().sin_cos();
+        Self { side: Vector2::new(cos, sin), share: config.share, one_sided: config.one_sided }
+    }
+    /// Bend that the cable takes back, rad.
+    pub(crate) fn held_back(&self, bend: &Vector2<f64>) -> Vector2<f64> {
+        let x = bend.dot(&self.side);
+        let y = x / KNEE;
+        self.side * (self.share * x * (1.0 + self.one_sided * y / (1.0 + y * y).sqrt()))
+    }
+}
+
+impl Law for Cable {
+    fn bend(&mut self, bend: &mut Vector2<f64>, _section: &SectionState) {
+        *bend -= self.held_back(bend);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn is_two_fold_and_stiffer_taut() {
+        let c = Cable::new(&CableStiffness { share: 0.2, direction_deg: 30.0, one_sided: 0.3 });
+        let along = |deg: f64| c.held_back(&Vector2::new(deg.to_radians().cos(), deg.to_radians().sin())).norm();
+        assert!(along(120.0) < 1e-12 && along(300.0) < 1e-12);
+        assert!(along(30.0) > along(210.0) && along(210.0) > 0.13);
+    }
+}

@@ -1,0 +1,31 @@
+//! Outside the catalogue: a sensor clock that runs fast or slow.
+
+use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+
+parameters! {
+    /// `[effects.outside.clock_drift]`
+    ClockDrift at "effects.outside.clock_drift" sized by per_mille {
+        /// How much faster the sensor's clock runs, parts per thousand. Default 0; plausible ±3 to 30.
+        /// A larger value makes the time stamps run away, and the angles that are integrated by them.
+        per_mille: f64 = 0.0, -200.0..=200.0, "tens at most are plausible";
+    }
+}
+
+impl PlantEffect for ClockDrift {
+    const STAGE: &'static str = "timing";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { per_mille: rng.sign() * rng.sized(5.0, 40.0, severity) }
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+impl Law for ClockDrift {
+    fn clock(&self, t: f64) -> f64 {
+        t * (1.0 + 1e-3 * self.per_mille)
+    }
+}

@@ -1,0 +1,55 @@
+//! Bellows off their 120° places, by an angle that grows with their length.
+//!
+//! A bellow glued askew runs along a helix: stretched by `q` it sits at `ζ (1 + w q / 5 mm)`.
+
+use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.clocking]`
+    Clocking at "effects.clocking" sized by offset_deg {
+        /// How far each bellow is turned about the axis, ζ, degrees. Default 0; typical 1 to 20 on one or
+        /// on all alike. All alike turn the bend's direction; one alone skews it as well.
+        offset_deg: [f64; 3] = [0.0; 3], -40.0..=40.0, "a bellow cannot pass its neighbour";
+        /// Share w that a stretch by 5 mm adds. Default 0.08. A larger value wanders more.
+        wander: f64 = 0.08, -1.0..=1.0, "a share of the offset";
+    }
+}
+
+impl PlantEffect for Clocking {
+    const STAGE: &'static str = "shape";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sign() * rng.sized(3.0, 18.0, severity);
+        let mut offset_deg = [size; 3];
+        if rng.chance(0.6) {
+            offset_deg = [0.0; 3];
+            offset_deg[rng.channel() - 1] = size;
+        }
+        Self { offset_deg, wander: rng.between(0.03, 0.12) }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { offset_deg: [tenth(0.08), -tenth(0.08), tenth(0.08)], ..Self::default() })
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+/// Stretch at which the wander counts fully, mm.
+const FULL_MM: f64 = 5.0;
+
+impl Clocking {
+    /// Turn of each bellow at its present stretch, rad.
+    pub(crate) fn angles(&self, bellow_mm: &Vector3<f64>) -> [f64; 3] {
+        std::array::from_fn(|i| self.offset_deg[i].to_radians() * (1.0 + self.wander * bellow_mm[i] / FULL_MM))
+    }
+}
+
+impl Law for Clocking {
+    fn offsets(&self, bellow_mm: &Vector3<f64>) -> Option<[f64; 3]> {
+        Some(self.angles(bellow_mm))
+    }
+}

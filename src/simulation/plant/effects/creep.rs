@@ -1,0 +1,99 @@
+//! Rubber that yields under load: a spectrum of retarded springs, driven more by larger strain.
+//!
+//! Five Kelvin-Voigt elements with retardation times spread evenly in log time from 0.4 to 100 s and
+//! weights `∝ τ^α` (the spectrum of a power law over those decades), each relaxing towards its share
+//! of `q (1 + ν |q| / 5 mm)`. The motion grows in holds and recovers afterwards.
+
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.creep]`
+    Creep at "effects.creep" sized by share {
+        /// Growth after all time, as a share of the motion. Default 0 (none); typical 0.02 to 0.4.
+        /// A larger value creeps further.
+        share: f64 = 0.0, 0.0..=2.0, "0.02 to 0.4 is typical";
+        /// Exponent α of the spectrum. Default 0.2. A larger value puts more of it into minutes, smaller into
+        /// seconds.
+        exponent: f64 = 0.2, -1.0..=1.0, "0.2 is typical";
+        /// How much harder large strain drives it, ν. Default 0.3. A larger value departs more from proportional.
+        nonlinear: f64 = 0.3, 0.0..=3.0, "0.3 is typical";
+    }
+}
+
+impl PlantEffect for Creep {
+    const STAGE: &'static str = "bellows";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sized(0.08, 0.4, severity), exponent: rng.between(0.0, 0.3), nonlinear: rng.between(0.0, 0.6) }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: tenth(0.002), ..Self::default() })
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Creeping::new(self.clone()))
+    }
+}
+
+const ELEMENTS: usize = 5;
+const SHORTEST_S: f64 = 0.4;
+const LONGEST_S: f64 = 100.0;
+/// Strain at which the nonlinear drive counts fully, mm.
+const FULL_MM: f64 = 5.0;
+
+/// Retarded strains of the three bellows.
+#[derive(Debug, Clone)]
+pub(crate) struct Creeping {
+    nonlinear: f64,
+    elements: [(Decay, f64, Vector3<f64>); ELEMENTS],
+}
+
+impl Creeping {
+    pub(crate) fn new(config: Creep) -> Self {
+        let tau = |j: usize| SHORTEST_S * (LONGEST_S / SHORTEST_S).powf(j as f64 / (ELEMENTS - 1) as f64);
+        let raw: [f64; ELEMENTS] = std::array::from_fn(|j| tau(j).powf(config.exponent));
+        let sum: f64 = raw.iter().sum();
+        let elements = std::array::from_fn(|j| (Decay::new(tau(j)), config.share * raw[j] / sum, Vector3::zeros()));
+        Self { nonlinear: config.nonlinear, elements }
+    }
+
+    /// Crept strain, mm, after `dt_s` under `q_mm`.
+    pub(crate) fn step(&mut self, q_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+        let drive = q_mm.map(|q| q * (1.0 + self.nonlinear * q.abs() / FULL_MM));
+        let mut crept = Vector3::zeros();
+        for (decay, share, strain) in &mut self.elements {
+            *strain += (drive * *share - *strain) * decay.share(dt_s);
+            crept += *strain;
+        }
+        crept
+    }
+}
+
+impl Law for Creeping {
+    fn bellows(&mut self, q_mm: &mut Vector3<f64>, at: &Moment) {
+        *q_mm += self.step(q_mm, at.dt_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grows_in_holds_over_decades_and_recovers() {
+        let mut c = Creeping::new(Creep { share: 0.2, nonlinear: 0.0, ..Creep::default() });
+        let q = Vector3::repeat(5.0);
+        let at: Vec<f64> = (0..60_000).map(|_| c.step(&q, 0.01).x).collect();
+        assert!(at.windows(2).all(|w| w[1] > w[0]) && (at[59_999] - 1.0).abs() < 0.01);
+        // each decade of time adds something: no single exponential does that
+        let grown = [at[99], at[999] - at[99], at[9_999] - at[999]];
+        assert!(grown.iter().all(|g| *g > 0.12), "{grown:?}");
+        for _ in 0..60_000 {
+            c.step(&Vector3::zeros(), 0.01);
+        }
+        assert!(c.step(&Vector3::zeros(), 0.01).x < 0.01);
+    }
+}

@@ -1,0 +1,64 @@
+//! The tip bends by more or less than constant curvature predicts, the same in all directions.
+//!
+//! End caps stay straight and the middle bends first: `β' = β + A (β/β₀) tanh((β/β₀)²) / tanh 1`,
+//! which is `A` at `β₀ = 60°`, flat when straight and proportional at large bends.
+
+use crate::simulation::plant::law::{Law, PlantEffect, SectionState, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector2;
+
+parameters! {
+    /// `[effects.curvature]`
+    Curvature at "effects.curvature" sized by excess_deg {
+        /// Extra bend A at 60°, degrees. Default 0 (none); typical ±1 to 10. A larger value bends more at large
+        /// angles only.
+        excess_deg: f64 = 0.0, -25.0..=25.0, "±1 to 10 is typical";
+    }
+}
+
+impl PlantEffect for Curvature {
+    const STAGE: &'static str = "shape";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { excess_deg: rng.sign() * rng.sized(3.0, 10.0, severity) }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { excess_deg: tenth(0.1) })
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+/// Angle at which the excess is counted, rad.
+const FULL: f64 = std::f64::consts::FRAC_PI_3;
+
+impl Curvature {
+    /// The bend vector as the tip really bends, rad.
+    pub(crate) fn bent(&self, bend: &Vector2<f64>) -> Vector2<f64> {
+        let x2 = bend.norm_squared() / (FULL * FULL);
+        bend * (1.0 + self.excess_deg.to_radians() / FULL * x2.tanh() / 1f64.tanh())
+    }
+}
+
+impl Law for Curvature {
+    fn bend(&mut self, bend: &mut Vector2<f64>, _section: &SectionState) {
+        *bend = self.bent(bend);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn is_isotropic_and_its_own_size_at_sixty_degrees() {
+        let c = Curvature { excess_deg: 5.0 };
+        for deg in [0.0, 77.0, 200.0f64] {
+            let u = Vector2::new(deg.to_radians().cos(), deg.to_radians().sin());
+            assert!((c.bent(&(u * FULL)).norm().to_degrees() - 65.0).abs() < 1e-9);
+            assert!((c.bent(&(u * 0.1)).norm() / 0.1 - 1.0).abs() < 2e-3);
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! The tip's weight: the bend at which elastic and potential energy together are least.
+//!
+//! `½ |b − b₀|²/C + m g h(b) → min`, so `b = b₀ − C' ∇h(b)` with `h` the height of the weight, which
+//! sits `com` beyond the tip plate along the tip's axis, in the world as the base is held now. It is solved
+//! by fixed-point iteration from the last solution; each round shrinks the error about tenfold.
+
+use crate::primitives::frames::{Rotation, World};
+use crate::simulation::plant::law::{Law, PlantEffect, SectionState, UnitData, order};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use crate::simulation::plant::shape::arc::{Plate, Terms};
+use nalgebra::{Vector2, Vector3};
+
+parameters! {
+    /// `[effects.gravity]`
+    Gravity at "effects.gravity" sized by sag_deg {
+        /// Sag of the straight tip when the base is held level, degrees. Default 0 (none); typical 1 to
+        /// 10 (the paper's tip weighs 2.6 g). A larger value follows the vertical more.
+        sag_deg: f64 = 0.0, 0.0..=25.0, "1 to 10 is typical";
+        /// Where the weight sits beyond the tip plate, mm. Default 5. A larger value makes a bent tip heavier
+        /// compared with a straight one.
+        com_mm: f64 = 5.0, 0.0..=50.0, "half the length of the rigid tip";
+    }
+}
+
+impl PlantEffect for Gravity {
+    const STAGE: &'static str = "shape";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { sag_deg: rng.sized(2.5, 10.0, severity), com_mm: rng.between(3.0, 9.0) }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { sag_deg: tenth(0.1), ..Self::default() })
+    }
+    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Weight::new(self.clone(), unit.rest_length_mm))
+    }
+}
+
+/// Rounds of the fixed point at most.
+const ROUNDS: usize = 12;
+/// The fixed point ends below this step, rad.
+const CLOSE: f64 = 1e-8;
+
+/// The weight with the last solution.
+#[derive(Debug, Clone)]
+pub(crate) struct Weight {
+    com_mm: f64,
+    /// C m g, rad per mm of height gradient.
+    compliance: f64,
+    sag: Vector2<f64>,
+}
+
+impl Weight {
+    pub(crate) fn new(config: Gravity, rest_length_mm: f64) -> Self {
+        let lever_mm = 0.5 * rest_length_mm + config.com_mm;
+        Self { com_mm: config.com_mm, compliance: config.sag_deg.to_radians() / lever_mm, sag: Vector2::zeros() }
+    }
+
+    /// Bend with the weight on, from the bend `free` without it.
+    pub(crate) fn sagged(&mut self, free: &Vector2<f64>, length_mm: f64, r_world_plate: &Rotation<World, Plate>) -> Vector2<f64> {
+        let up = r_world_plate.inverse().apply(&Vector3::z());
+        for _ in 0..ROUNDS {
+            let next = self.climb(&(free + self.sag), length_mm, &up) * -self.compliance;
+            let step = next - self.sag;
+            self.sag = next;
+            if step.norm() < CLOSE {
+                break;
+            }
+        }
+        free + self.sag
+    }
+
+    /// ∇h: how much higher the weight gets per bend, mm/rad.
+    fn climb(&self, bend: &Vector2<f64>, length_mm: f64, up: &Vector3<f64>) -> Vector2<f64> {
+        let t = Terms::of(bend);
+        let (l, c) = (length_mm, self.com_mm);
+        let (across, across_slope) = (l * t.v + c * t.s, l * t.dv + c * t.ds);
+        let along_slope = l * t.ds - c * t.s;
+        let turning = across_slope * (bend.x * up.x - bend.y * up.y) + along_slope * up.z;
+        Vector2::new(across * up.x + bend.x * turning, -across * up.y + bend.y * turning)
+    }
+}
+
+impl Law for Weight {
+    fn order(&self) -> u8 {
+        order::LAST
+    }
+    fn bend(&mut self, bend: &mut Vector2<f64>, section: &SectionState) {
+        *bend = self.sagged(bend, section.length_mm, &section.r_world_plate);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::UnitQuaternion;
+
+    fn attitude(pitch_deg: f64) -> Rotation<World, Plate> {
+        Rotation::assert_frames(UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch_deg.to_radians()))
+    }
+
+    #[test]
+    fn the_gradient_is_that_of_the_height() {
+        let w = Weight::new(Gravity { sag_deg: 5.0, com_mm: 6.0 }, 20.0);
+        let up = Vector3::new(0.4, -0.5, 0.3);
+        let height = |b: Vector2<f64>| {
+            let t = Terms::of(&b);
+            (t.tip_mm(&b, 21.0) + Vector3::new(b.x * t.s, -b.y * t.s, b.norm().cos()) * 6.0).dot(&up)
+        };
+        for b in [Vector2::new(0.9, -0.4), Vector2::new(0.02, 0.01), Vector2::zeros()] {
+            let h = 1e-6;
+            let slope = |d: Vector2<f64>| (height(b + d * h) - height(b - d * h)) / (2.0 * h);
+            let want = Vector2::new(slope(Vector2::x()), slope(Vector2::y()));
+            assert!((w.climb(&b, 21.0, &up) - want).norm() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn sags_down_when_level_and_bends_on_when_upright() {
+        let mut w = Weight::new(Gravity { sag_deg: 5.0, ..Gravity::default() }, 20.0);
+        let level = w.sagged(&Vector2::zeros(), 20.0, &attitude(90.0));
+        // pitched by 90°, the base's x axis points down
+        assert!((level.x.to_degrees() - 5.0).abs() < 0.1 && level.y.abs() < 1e-9, "{level}");
+        let bent = Vector2::new(0.8, 0.0);
+        let upright = w.sagged(&bent, 20.0, &attitude(0.0)) - bent;
+        let hanging = w.sagged(&bent, 20.0, &attitude(180.0)) - bent;
+        assert!(upright.x > 0.02 && hanging.x < -0.02);
+        assert!(w.sagged(&Vector2::zeros(), 20.0, &attitude(0.0)).norm() < 1e-9);
+    }
+}

@@ -1,0 +1,80 @@
+//! A gyroscope whose bias drifts: it warms up, and it wanders.
+//!
+//! Warm-up is a stretched exponential, `b (1 − e^(−(t/τ)^0.7))`, fast at first with a long tail, plus a
+//! Gauss-Markov wander of 40 s correlation time.
+
+use crate::simulation::plant::imu::stimulus::Stimulus;
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::memory::Wander;
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::{PlantRng, Stream};
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.gyro_bias]`
+    GyroBias at "effects.gyro_bias" sized by warm_up_deg_s, wander_deg_s {
+        /// Change b of the bias by the end of the warm-up, °/s per axis. Default 0 (none); typical 0.1
+        /// to 5. A larger value turns the integrated attitude faster.
+        warm_up_deg_s: [f64; 3] = [0.0; 3], -50.0..=50.0, "0.1 to 5 °/s is typical";
+        /// Time constant τ of the warm-up, s. Default 40. A larger value drifts for longer.
+        over_s: f64 = 40.0, 0.1..=1e6, "a minute or so is typical";
+        /// Standard deviation of the wander, °/s. Default 0. A larger value is less predictable.
+        wander_deg_s: f64 = 0.0, 0.0..=20.0, "tenths of °/s are typical";
+    }
+}
+
+impl PlantEffect for GyroBias {
+    const STAGE: &'static str = "sensor";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(0.5, 4.0, severity);
+        Self { warm_up_deg_s: (rng.direction() * size).into(), over_s: rng.between(15.0, 70.0), wander_deg_s: 0.1 * size }
+    }
+    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Drifting::new(self.clone(), unit.seed))
+    }
+}
+
+/// A bias that drifts, with where it has wandered.
+#[derive(Debug, Clone)]
+pub(crate) struct Drifting {
+    config: GyroBias,
+    wander: Wander,
+    rng: PlantRng,
+    start: Vector3<f64>,
+}
+
+impl Drifting {
+    pub(crate) fn new(config: GyroBias, seed: u64) -> Self {
+        let mut rng = PlantRng::new(seed, Stream::GyroBias);
+        let mut wander = Wander::new(config.wander_deg_s.to_radians(), 40.0, &mut rng);
+        // what it starts with is the constant bias, which is nobody's fault
+        let start = wander.step(0.0, &mut rng);
+        Self { config, wander, rng, start }
+    }
+    /// Bias at time `t`, `dt_s` after the last, rad/s.
+    pub(crate) fn rate(&mut self, t: f64, dt_s: f64) -> Vector3<f64> {
+        let warm = -(-(t / self.config.over_s).powf(0.7)).exp_m1();
+        let drift = Vector3::from(self.config.warm_up_deg_s).map(f64::to_radians) * warm;
+        drift + self.wander.step(dt_s, &mut self.rng) - self.start
+    }
+}
+
+impl Law for Drifting {
+    fn sensor(&mut self, stimulus: &mut Stimulus, at: &Moment) {
+        stimulus.rate += self.rate(at.t, at.dt_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn starts_at_nothing_and_ends_at_its_size() {
+        let mut d = Drifting::new(GyroBias { warm_up_deg_s: [1.0, 0.0, -2.0], ..GyroBias::default() }, 1);
+        assert_eq!(d.rate(0.0, 0.0).norm(), 0.0);
+        let end = d.rate(5000.0, 1.0).map(f64::to_degrees);
+        assert!((end - Vector3::new(1.0, 0.0, -2.0)).norm() < 1e-9);
+    }
+}

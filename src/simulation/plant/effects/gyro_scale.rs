@@ -1,0 +1,37 @@
+//! Outside the catalogue: a gyroscope whose scale is wrong, axis by axis.
+
+use crate::simulation::plant::imu::stimulus::Stimulus;
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData, order};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.outside.gyro_scale]`
+    GyroScale at "effects.outside.gyro_scale" sized by share {
+        /// Excess of each axis, as a share. Default 0; the data sheet allows ±0.015, plausible up to
+        /// ±0.15. A larger value integrates to wronger angles.
+        share: [f64; 3] = [0.0; 3], -0.5..=0.5, "up to ±0.15 is plausible";
+    }
+}
+
+impl PlantEffect for GyroScale {
+    const STAGE: &'static str = "sensor";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(0.03, 0.15, severity);
+        Self { share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)) }
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+impl Law for GyroScale {
+    fn order(&self) -> u8 {
+        order::FIRST + 1
+    }
+    fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
+        stimulus.rate += stimulus.rate.component_mul(&Vector3::from(self.share));
+    }
+}

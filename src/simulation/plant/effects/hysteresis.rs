@@ -1,0 +1,154 @@
+//! Rate-independent memory of rubber: many plies that yield one after another.
+//!
+//! `q − h (1 + η x/√(1 + x²)) Σ μⱼ eⱼ` with `x = q / 3 mm`. Ply `j` holds a strain `eⱼ` that follows `q` between
+//! `−κ ρⱼ` and `ρⱼ` and yields there: it gives way earlier when the bellow contracts. The yields `ρⱼ` form a
+//! geometric ladder with lognormal weights `μⱼ` around the typical one; `η` makes loops wider when the bellow
+//! is long, so that loops of one width at two places are not congruent, which no sum of play operators
+//! reproduces.
+
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.hysteresis]`
+    Hysteresis at "effects.hysteresis" sized by share {
+        /// Share h of the motion that the plies take up until they yield. Default 0 (none); typical 0.1
+        /// to 0.6, which makes loops 5 to 30 % of the range wide. A larger value gives wider loops.
+        share: f64 = 0.0, 0.0..=0.75, "beyond 0.75 the bellow would move backwards";
+        /// Typical yield strain, mm of bellow. Default 1. A larger value needs longer reversals to cross the
+        /// loop.
+        yield_mm: f64 = 1.0, 0.01..=10.0, "around 1 mm is typical";
+        /// Spread of the yields, standard deviation of their logarithm. Default 0.7. A larger value rounds the
+        /// loop.
+        spread: f64 = 0.7, 0.05..=2.0, "0.7 is typical";
+        /// Yield on the way back as a share of that on the way out, κ. Default 0.8. Further from 1
+        /// shifts the loop aside.
+        back: f64 = 0.8, 0.1..=2.0, "1 yields alike both ways";
+        /// How much wider loops are on the long side, η. Default 0.25. A larger value differs more.
+        long_side: f64 = 0.25, -0.3..=0.3, "0.25 is typical";
+    }
+}
+
+impl PlantEffect for Hysteresis {
+    const STAGE: &'static str = "bellows";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self {
+            share: rng.sized(0.15, 0.55, severity),
+            yield_mm: rng.between(0.6, 1.6),
+            spread: rng.between(0.5, 0.9),
+            back: rng.between(0.7, 1.1),
+            long_side: rng.between(0.0, 0.3),
+        }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: tenth(0.006), ..Self::default() })
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Plies::new(self.clone()))
+    }
+}
+
+/// Number of plies.
+const PLIES: usize = 11;
+/// Yields reach from the typical one over this factor to the typical one times it.
+const REACH: f64 = 8.0;
+/// Length change over which the long side's extra width comes, mm.
+const LONG_MM: f64 = 3.0;
+
+/// Plies of the three bellows with their strains.
+#[derive(Debug, Clone)]
+pub(crate) struct Plies {
+    config: Hysteresis,
+    yield_mm: [f64; PLIES],
+    weight: [f64; PLIES],
+    strain_mm: [[f64; PLIES]; 3],
+    last_mm: Vector3<f64>,
+}
+
+impl Plies {
+    pub(crate) fn new(config: Hysteresis) -> Self {
+        let ladder: [f64; PLIES] = std::array::from_fn(|j| REACH.ln() * (2.0 * j as f64 / (PLIES - 1) as f64 - 1.0));
+        let raw = ladder.map(|x| (-0.5 * (x / config.spread).powi(2)).exp());
+        let sum: f64 = raw.iter().sum();
+        Self {
+            yield_mm: ladder.map(|x| config.yield_mm * x.exp()),
+            weight: raw.map(|w| w / sum),
+            strain_mm: [[0.0; PLIES]; 3],
+            last_mm: Vector3::zeros(),
+            config,
+        }
+    }
+
+    /// What is left of the elongations `q_mm` after the plies took theirs.
+    pub(crate) fn step(&mut self, q_mm: &Vector3<f64>) -> Vector3<f64> {
+        let moved = q_mm - self.last_mm;
+        self.last_mm = *q_mm;
+        Vector3::from_fn(|i, _| {
+            let mut taken = 0.0;
+            for j in 0..PLIES {
+                let e = (self.strain_mm[i][j] + moved[i]).clamp(-self.config.back * self.yield_mm[j], self.yield_mm[j]);
+                self.strain_mm[i][j] = e;
+                taken += self.weight[j] * e;
+            }
+            let x = q_mm[i] / LONG_MM;
+            q_mm[i] - self.config.share * (1.0 + self.config.long_side * x / (1.0 + x * x).sqrt()) * taken
+        })
+    }
+}
+
+impl Law for Plies {
+    fn bellows(&mut self, q_mm: &mut Vector3<f64>, _at: &Moment) {
+        *q_mm = self.step(q_mm);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(plies: &mut Plies, path: &[f64]) -> Vec<f64> {
+        let mut at = plies.last_mm.x;
+        path.iter()
+            .map(|&to| {
+                let n = 400;
+                let from = at;
+                at = to;
+                (1..=n).map(|k| plies.step(&Vector3::repeat(from + (to - from) * f64::from(k) / f64::from(n))).x).last().unwrap()
+            })
+            .collect()
+    }
+
+    fn plies() -> Plies {
+        Plies::new(Hysteresis { share: 0.4, ..Hysteresis::default() })
+    }
+
+    #[test]
+    fn loops_close_and_are_wide() {
+        let mut p = plies();
+        let cycle = [5.0, 0.0, -5.0, 0.0];
+        let (first, second, third) = (run(&mut p, &cycle), run(&mut p, &cycle), run(&mut p, &cycle));
+        assert!((first[0] - second[0]).abs() < 0.2 && second.iter().zip(&third).all(|(a, b)| (a - b).abs() < 1e-9));
+        let width = third[1] - third[3];
+        assert!((0.4..1.5).contains(&width), "{width}");
+    }
+
+    #[test]
+    fn a_bigger_loop_wipes_a_minor_one_out() {
+        let plain = run(&mut plies(), &[5.0, -5.0, 3.0]);
+        let nested = run(&mut plies(), &[5.0, -5.0, 1.0, -1.0, 3.0]);
+        assert!((plain[2] - nested[4]).abs() < 1e-9);
+    }
+
+    #[test]
+    fn equal_loops_at_two_places_are_not_congruent() {
+        let mut p = plies();
+        let width = |p: &mut Plies, at: f64| {
+            let y = run(p, &[at - 1.0, at + 1.0, at, at - 1.0, at]);
+            y[2] - y[4]
+        };
+        assert!(width(&mut p, 4.0) > 1.2 * width(&mut p, -4.0));
+    }
+}

@@ -1,0 +1,40 @@
+//! Outside the catalogue: a longer tip bends more easily than a short one.
+//!
+//! The bend is `1 + g (l − l₀)/5 mm` times the bend that the bellow lengths give.
+
+use crate::simulation::plant::law::{Law, PlantEffect, SectionState, UnitData, order};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector2;
+
+parameters! {
+    /// `[effects.outside.length_gain]`
+    LengthGain at "effects.outside.length_gain" sized by share {
+        /// Change g of the bend for 5 mm of centre length. Default 0 (none); plausible ±0.1 to 0.5.
+        /// A larger value couples more. At the resting length nothing is to be seen.
+        share: f64 = 0.0, -1.0..=1.0, "tenths are plausible";
+    }
+}
+
+impl PlantEffect for LengthGain {
+    const STAGE: &'static str = "shape";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sign() * rng.sized(0.2, 0.7, severity) }
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+/// Length change at which the share counts, mm.
+const FULL_MM: f64 = 5.0;
+
+impl Law for LengthGain {
+    fn order(&self) -> u8 {
+        order::FIRST
+    }
+    fn bend(&mut self, bend: &mut Vector2<f64>, section: &SectionState) {
+        *bend *= (1.0 + self.share * section.longer_mm / FULL_MM).max(0.1);
+    }
+}

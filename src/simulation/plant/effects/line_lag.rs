@@ -1,0 +1,99 @@
+//! Flow through the long thin lumen: laminar in the bore, turbulent at the ports.
+//!
+//! The strain across the line (mm of piston) drives the flow: `Δ = τ f + (τ o / 10) f |f|`, `f` in
+//! mm/s and `o` the share of port loss at 10 mm/s. The flow for a strain is the root of that
+//! quadratic; the step relaxes over the time constant `Δ/f` that the flow has at its start, which is
+//! exact when `o = 0` and stable for every step.
+
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.line_lag]`
+    LineLag at "effects.line_lag" sized by lag_s {
+        /// Time constant τ of each line for slow flow, s. Default 0 (none); typical 0.05 to 1. A larger value is
+        /// slower.
+        lag_s: [f64; 3] = [0.0; 3], 0.0..=20.0, "0.05 to 1 s is typical";
+        /// Port loss at 10 mm/s as a share of the bore's. Default 0.5. A larger value makes fast motion lag more
+        /// than slow motion.
+        port: f64 = 0.5, 0.0..=20.0, "a share of the loss in the bore";
+    }
+}
+
+impl PlantEffect for LineLag {
+    const STAGE: &'static str = "transmission";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let tau = rng.sized(0.12, 0.9, severity);
+        Self { lag_s: std::array::from_fn(|_| tau * rng.between(0.85, 1.15)), port: rng.between(0.2, 1.0) }
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Lumen::new(self.clone()))
+    }
+}
+
+/// Three lumens with what has passed them.
+#[derive(Debug, Clone)]
+pub(crate) struct Lumen {
+    config: LineLag,
+    passed_mm: Vector3<f64>,
+}
+
+impl Lumen {
+    pub(crate) fn new(config: LineLag) -> Self {
+        Self { config, passed_mm: Vector3::zeros() }
+    }
+    pub(crate) fn step(&mut self, pushed_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+        for i in 0..3 {
+            let strain = pushed_mm[i] - self.passed_mm[i];
+            let tau = self.tau_at(i, strain.abs());
+            self.passed_mm[i] += if tau > 0.0 { -strain * (-dt_s / tau).exp_m1() } else { strain };
+        }
+        self.passed_mm
+    }
+    /// Δ / f for a strain Δ ≥ 0.
+    fn tau_at(&self, i: usize, strain_mm: f64) -> f64 {
+        let tau = self.config.lag_s[i];
+        if tau <= 0.0 {
+            return 0.0;
+        }
+        // f = 2 Δ / (τ + √(τ² + 4 b Δ)) with b = τ o / 10: the root without cancellation
+        let b = tau * self.config.port / 10.0;
+        0.5 * (tau + (tau * tau + 4.0 * b * strain_mm).sqrt())
+    }
+}
+
+impl Law for Lumen {
+    fn flow(&mut self, air_mm: &mut Vector3<f64>, at: &Moment) {
+        *air_mm = self.step(air_mm, at.dt_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Time to cover 63 % of a step of `size_mm`, s.
+    fn rise(size_mm: f64) -> f64 {
+        let mut l = Lumen::new(LineLag { lag_s: [0.2; 3], port: 1.0 });
+        let n = (1..5000).find(|_| l.step(&Vector3::repeat(size_mm), 0.001).x > 0.632 * size_mm).unwrap();
+        f64::from(n) * 0.001
+    }
+
+    #[test]
+    fn small_steps_take_tau_and_big_ones_longer() {
+        assert!((rise(0.01) - 0.2).abs() < 0.01);
+        assert!(rise(10.0) > 0.3);
+    }
+
+    #[test]
+    fn never_overshoots_whatever_the_step() {
+        let mut l = Lumen::new(LineLag { lag_s: [0.05, 0.5, 0.0], port: 0.5 });
+        for _ in 0..100 {
+            let z = l.step(&Vector3::repeat(3.0), 0.01);
+            assert!(z.iter().all(|z| (0.0..=3.0).contains(z)));
+        }
+    }
+}

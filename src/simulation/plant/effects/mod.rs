@@ -1,0 +1,227 @@
+//! The list of all effects that the plant can have, and the tables `[effects]` and `[effects.outside]`.
+//!
+//! `[effects.NAME]` are effects of the diagnosis catalogue, simulated here by laws of another form;
+//! `[effects.outside.NAME]` are effects that the catalogue does not contain. A table that is absent, or whose
+//! size is 0, leaves the plant unchanged to the last bit.
+//!
+//! The entry in [`table`] is all that an effect needs besides its own file.
+
+pub mod acc_scale;
+pub mod accel_bias;
+pub mod asymmetry;
+pub mod base_motion;
+pub mod bubble_jump;
+pub mod cable_stiffness;
+pub mod clock_drift;
+pub mod clocking;
+pub mod contact;
+pub mod creep;
+pub mod crosstalk;
+pub mod curvature;
+pub mod g_sensitivity;
+pub mod gas_compression;
+pub mod gear_periodic;
+pub mod gravity;
+pub mod gyro_bias;
+pub mod gyro_scale;
+pub mod hard_iron;
+pub mod hysteresis;
+pub mod leak;
+pub mod length_gain;
+pub mod line_lag;
+pub mod missed_steps;
+pub mod motor_field;
+pub mod mount_misalignment;
+pub mod play_wear;
+pub mod rate_coupling;
+pub mod ringing;
+pub mod sensor_freeze;
+pub mod sensor_latency;
+pub mod snap_through;
+pub mod soft_iron;
+pub mod softening;
+pub mod stick_slip;
+pub mod stiffening;
+pub mod thermal_drift;
+pub mod torsion;
+pub mod transport_delay;
+pub mod twist_creep;
+
+use crate::simulation::plant::check::PlantError;
+use crate::simulation::plant::law::{Laws, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::Table;
+use crate::simulation::plant::rng::PlantRng;
+use serde::{Deserialize, Serialize};
+
+/// Name of an effect that the plant can have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EffectName {
+    /// As in `[effects.NAME]` or `[effects.outside.NAME]`; unique over both.
+    pub name: &'static str,
+    /// Stage of the chain that the effect acts in.
+    pub stage: &'static str,
+    /// Whether the diagnosis catalogue contains it.
+    pub in_catalogue: bool,
+}
+
+/// Defines a table of optional effects from their names, and what is done with all of them in turn.
+macro_rules! table {
+    ($(#[$doc:meta])* $table:ident, $names:ident, $in_catalogue:literal, { $($name:ident: $kind:ident,)* } $($nested:ident: $nested_kind:ident)?) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields, default)]
+        pub struct $table {
+            $(
+                #[doc = concat!("See [`", stringify!($name), "`].")]
+                #[serde(skip_serializing_if = "Option::is_none")]
+                pub $name: Option<$name::$kind>,
+            )*
+            $( #[doc = "Effects that the diagnosis catalogue does not contain."] pub $nested: $nested_kind, )?
+        }
+
+        const $names: &[EffectName] = &[
+            $( EffectName { name: stringify!($name), stage: <$name::$kind as PlantEffect>::STAGE, in_catalogue: $in_catalogue }, )*
+        ];
+
+        impl $table {
+            /// Refuses parameters outside their ranges.
+            fn check(&self) -> Result<(), PlantError> {
+                $( if let Some(effect) = &self.$name { effect.check().and_then(|()| effect.consistent())?; } )*
+                Ok(())
+            }
+            /// Draws the named effect; false if this table has no such effect.
+            fn draw(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
+                match name {
+                    $( stringify!($name) => self.$name = Some(PlantEffect::draw(severity, rng)), )*
+                    _ => return false,
+                }
+                true
+            }
+            /// Scales every effect that is present by a random factor of its own.
+            fn vary(&mut self, sigma: f64, rng: &mut PlantRng) {
+                $( if let Some(effect) = &mut self.$name { effect.scale(rng.factor(sigma)); } )*
+            }
+            /// The imperfections of a real unit, all of them.
+            #[allow(clippy::needless_update)] // the table of the catalogue has one more field than its effects
+            fn imperfections(up_to: &mut dyn FnMut(f64) -> f64) -> Self {
+                Self { $( $name: PlantEffect::background(up_to), )* ..Self::default() }
+            }
+            /// Takes each effect of `other` with even odds, unless it is set already.
+            fn fill(&mut self, other: Self, rng: &mut PlantRng) {
+                $( if other.$name.is_some() && rng.chance(0.5) && self.$name.is_none() { self.$name = other.$name; } )*
+            }
+            /// Adds the laws of all effects of a size other than 0.
+            fn add_laws(&self, laws: &mut Laws, unit: &UnitData) {
+                laws.extend([$( self.$name.as_ref().filter(|e| e.is_active()).map(|e| e.law(unit)), )*].into_iter().flatten());
+            }
+        }
+    };
+}
+
+table! {
+    /// `[effects]`: effects of the diagnosis catalogue, in its order.
+    Effects, CATALOGUE, true,
+    {
+        missed_steps: MissedSteps,
+        gear_periodic: GearPeriodic,
+        leak: Leak,
+        gas_compression: GasCompression,
+        line_lag: LineLag,
+        thermal_drift: ThermalDrift,
+        crosstalk: Crosstalk,
+        stiffening: Stiffening,
+        asymmetry: Asymmetry,
+        hysteresis: Hysteresis,
+        creep: Creep,
+        softening: Softening,
+        gravity: Gravity,
+        curvature: Curvature,
+        clocking: Clocking,
+        cable_stiffness: CableStiffness,
+        torsion: Torsion,
+        contact: Contact,
+        gyro_bias: GyroBias,
+        accel_bias: AccelBias,
+        hard_iron: HardIron,
+        motor_field: MotorField,
+        mount_misalignment: MountMisalignment,
+        transport_delay: TransportDelay,
+        sensor_latency: SensorLatency,
+        base_motion: BaseMotion,
+    }
+    outside: Outside
+}
+
+table! {
+    /// `[effects.outside]`: effects that the diagnosis catalogue does not contain.
+    Outside, OUTSIDE, false,
+    {
+        stick_slip: StickSlip,
+        play_wear: PlayWear,
+        rate_coupling: RateCoupling,
+        bubble_jump: BubbleJump,
+        snap_through: SnapThrough,
+        ringing: Ringing,
+        length_gain: LengthGain,
+        twist_creep: TwistCreep,
+        gyro_scale: GyroScale,
+        g_sensitivity: GSensitivity,
+        acc_scale: AccScale,
+        soft_iron: SoftIron,
+        clock_drift: ClockDrift,
+        sensor_freeze: SensorFreeze,
+    }
+}
+
+impl Effects {
+    pub(crate) fn validate(&self) -> Result<(), PlantError> {
+        self.check()?;
+        self.outside.check()
+    }
+    /// Sets the named effect to a random one of its typical range; false if there is no such name.
+    pub(crate) fn choose(&mut self, name: &str, severity: f64, rng: &mut PlantRng) -> bool {
+        self.draw(name, severity, rng) || self.outside.draw(name, severity, rng)
+    }
+    /// Adds the imperfections that no real unit is without, each with even odds. What is set is left alone.
+    pub(crate) fn add_background(&mut self, rng: &mut PlantRng) {
+        let imperfections = Self::imperfections(&mut |size| size * rng.between(0.3, 1.0));
+        self.fill(imperfections, rng);
+        let outside = Outside::imperfections(&mut |size| size * rng.between(0.3, 1.0));
+        self.outside.fill(outside, rng);
+    }
+    /// The effects of another unit of the same make.
+    pub(crate) fn varied(&self, sigma: f64, rng: &mut PlantRng) -> Self {
+        let mut unit = self.clone();
+        unit.vary(sigma, rng);
+        unit.outside.vary(sigma, rng);
+        unit
+    }
+    /// The laws of all effects of a size other than 0, in the order in which they act.
+    pub(crate) fn laws(&self, unit: &UnitData) -> Laws {
+        let mut laws = Laws::new();
+        self.add_laws(&mut laws, unit);
+        self.outside.add_laws(&mut laws, unit);
+        laws.sort_by_key(|law| law.order());
+        laws
+    }
+}
+
+/// Every effect that the plant can have: those of the catalogue first, in its order, then those outside.
+pub fn effect_names() -> impl Iterator<Item = &'static EffectName> {
+    CATALOGUE.iter().chain(OUTSIDE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::effects::catalogue;
+
+    #[test]
+    fn the_list_begins_with_the_catalogue() {
+        let catalogue: Vec<_> = catalogue().iter().map(|e| (e.name(), e.stage().name())).collect();
+        let names: Vec<_> = CATALOGUE.iter().map(|e| (e.name, e.stage)).collect();
+        assert_eq!(names, catalogue);
+        let all: std::collections::BTreeSet<_> = effect_names().map(|e| e.name).collect();
+        assert_eq!(all.len(), CATALOGUE.len() + OUTSIDE.len());
+    }
+}

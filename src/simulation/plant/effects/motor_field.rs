@@ -1,0 +1,114 @@
+//! The motors' own field: fixed in the world, turning with the coil currents, weaker when idle.
+//!
+//! A two-phase stepper goes through one cycle of currents in four full steps: `φ = 2π n / (4 m)` with
+//! `m` microsteps a full step. Its iron saturates, which adds a third harmonic:
+//! `A I (u (cos φ + h cos 3φ) + w (sin φ − h sin 3φ))`, `u` and `w` across the motor's axis. The
+//! driver reduces the current `I` to its idle share once a channel stands still.
+
+use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
+use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+use std::f64::consts::TAU;
+
+parameters! {
+    /// `[effects.motor_field]`
+    MotorField at "effects.motor_field" sized by amplitude_ut {
+        /// Amplitude A of each motor's field where the tip is, µT. Default 0 (none); typical 0.1 to 20.
+        /// A larger value disturbs the heading more.
+        amplitude_ut: [f64; 3] = [0.0; 3], -500.0..=500.0, "0.1 to 20 µT is typical";
+        /// Direction in which each motor's first coil points, degrees about the world's vertical.
+        /// Default [0, 60, 120].
+        azimuth_deg: [f64; 3] = [0.0, 60.0, 120.0], -360.0..=360.0, "one turn is enough";
+        /// Share h of the third harmonic. Default 0.12. A larger value is further from a circle.
+        saturation: f64 = 0.12, 0.0..=1.0, "0.12 is typical";
+        /// Current at rest as a share of the moving one. Default 0.5. Smaller differs more between
+        /// motion and rest.
+        idle: f64 = 0.5, 0.0..=1.0, "0.5 is a common driver setting";
+    }
+}
+
+impl PlantEffect for MotorField {
+    const STAGE: &'static str = "sensor";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(1.5, 20.0, severity);
+        Self {
+            amplitude_ut: std::array::from_fn(|_| size * rng.between(0.6, 1.2)),
+            azimuth_deg: [rng.angle_deg(), rng.angle_deg(), rng.angle_deg()],
+            saturation: rng.between(0.05, 0.2),
+            idle: rng.between(0.3, 0.7),
+        }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { amplitude_ut: [0; 3].map(|_| tenth(0.02)), ..Self::default() })
+    }
+    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Motors::new(self.clone(), unit.microsteps))
+    }
+}
+
+/// How fast the driver lets the current down and up again, s.
+const CURRENT_S: f64 = 0.12;
+
+/// Motors with their currents.
+#[derive(Debug, Clone)]
+pub(crate) struct Motors {
+    config: MotorField,
+    cycle: f64,
+    counts: Vector3<f64>,
+    current: Vector3<f64>,
+    decay: Decay,
+}
+
+impl Motors {
+    pub(crate) fn new(config: MotorField, microsteps: f64) -> Self {
+        let current = Vector3::repeat(config.idle);
+        Self { config, cycle: 4.0 * microsteps, counts: Vector3::zeros(), current, decay: Decay::new(CURRENT_S) }
+    }
+    /// Field in the world, µT, with the drivers at `counts`, `dt_s` after the last.
+    pub(crate) fn field_ut(&mut self, counts: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+        let share = self.decay.share(dt_s);
+        let mut field = Vector3::zeros();
+        for i in 0..3 {
+            let target = if counts[i] == self.counts[i] { self.config.idle } else { 1.0 };
+            // up at once, down slowly: a driver boosts on the first pulse
+            self.current[i] = if target > self.current[i] { target } else { self.current[i] + (target - self.current[i]) * share };
+            field += self.coils(i, counts[i]) * (self.config.amplitude_ut[i] * self.current[i]);
+        }
+        self.counts = *counts;
+        field
+    }
+    /// Field of one motor at unit current.
+    fn coils(&self, i: usize, counts: f64) -> Vector3<f64> {
+        let phase = TAU * counts / self.cycle;
+        let h = self.config.saturation;
+        let (first, second) = (phase.cos() + h * (3.0 * phase).cos(), phase.sin() - h * (3.0 * phase).sin());
+        let (sin, cos) = self.config.azimuth_deg[i].to_radians().sin_cos();
+        Vector3::new(cos * first, sin * first, second)
+    }
+}
+
+impl Law for Motors {
+    fn field(&mut self, field_ut: &mut Vector3<f64>, counts: &Vector3<f64>, dt_s: f64) {
+        *field_ut += self.field_ut(counts, dt_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn repeats_every_64_microsteps_and_weakens_at_rest() {
+        let mut m = Motors::new(MotorField { amplitude_ut: [5.0, 0.0, 0.0], ..MotorField::default() }, 16.0);
+        let moving = m.field_ut(&Vector3::new(7.0, 0.0, 0.0), 0.002);
+        assert!((m.coils(0, 7.0) - m.coils(0, 71.0)).norm() < 1e-9 && (m.coils(0, 7.0) - m.coils(0, 39.0)).norm() > 1.0);
+        for _ in 0..1000 {
+            m.field_ut(&Vector3::new(7.0, 0.0, 0.0), 0.002);
+        }
+        let idle = m.field_ut(&Vector3::new(7.0, 0.0, 0.0), 0.002);
+        assert!((idle.norm() / moving.norm() - 0.5).abs() < 1e-3);
+    }
+}

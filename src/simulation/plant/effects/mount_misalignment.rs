@@ -1,0 +1,54 @@
+//! A chip that sits askew in the tip, on a board that gives under its own weight.
+//!
+//! Rotation vector `m + w (f/g) × ẑ`: a constant tilt, and `w` of bending per g across.
+
+use crate::simulation::plant::imu::stimulus::{GRAVITY_M_S2, Stimulus};
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData, order};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::{UnitQuaternion, Vector3};
+
+parameters! {
+    /// `[effects.mount_misalignment]`
+    MountMisalignment at "effects.mount_misalignment" sized by tilt_deg {
+        /// Tilt m of the chip in the tip, a rotation vector in degrees. Default 0 (none); typical 1 to
+        /// 15. A larger value mixes the axes more.
+        tilt_deg: [f64; 3] = [0.0; 3], -180.0..=180.0, "1 to 15 is typical";
+        /// Give w of the board, as a share of the tilt's angle per g. Default 0.03. A larger value depends more
+        /// on attitude.
+        give: f64 = 0.03, 0.0..=0.5, "0.03 is typical";
+    }
+}
+
+impl PlantEffect for MountMisalignment {
+    const STAGE: &'static str = "sensor";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(3.0, 15.0, severity);
+        Self { tilt_deg: (rng.direction() * size).into(), give: rng.between(0.0, 0.05) }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { tilt_deg: [0; 3].map(|_| tenth(0.06)), ..Self::default() })
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+impl MountMisalignment {
+    /// Chip to tip, under the specific force `force` (m/s²).
+    pub(crate) fn turn(&self, force: &Vector3<f64>) -> UnitQuaternion<f64> {
+        let tilt = Vector3::from(self.tilt_deg).map(f64::to_radians);
+        let give = force.cross(&Vector3::z()) * (self.give * tilt.norm() / GRAVITY_M_S2);
+        UnitQuaternion::from_scaled_axis(tilt + give)
+    }
+}
+
+impl Law for MountMisalignment {
+    fn order(&self) -> u8 {
+        order::FIRST
+    }
+    fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
+        *stimulus = stimulus.turned_by(&self.turn(&stimulus.force));
+    }
+}

@@ -1,0 +1,92 @@
+//! Outside the catalogue: a tip that rings after every move.
+//!
+//! A share of the motion passes through a lightly damped second-order system of unit gain,
+//! `ẍ + 2 ζ ω ẋ + ω² x = ω² u`, stepped by its exact solution for an input held over the step.
+
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::{Matrix2, Vector3};
+
+parameters! {
+    /// `[effects.outside.ringing]`
+    Ringing at "effects.outside.ringing" sized by share {
+        /// Share of the motion that rings. Default 0 (none); plausible 0.3 to 1. A larger value overshoots more.
+        share: f64 = 0.0, 0.0..=1.0, "a share of the motion";
+        /// Frequency, Hz. Default 4. A larger value rings faster.
+        frequency_hz: f64 = 4.0, 0.2..=50.0, "a few Hz are plausible";
+        /// Damping ratio ζ. Default 0.08. A larger value dies out sooner.
+        damping: f64 = 0.08, 0.005..=0.95, "above 1 it is a lag";
+    }
+}
+
+impl PlantEffect for Ringing {
+    const STAGE: &'static str = "bellows";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sized(0.4, 0.9, severity), frequency_hz: rng.between(1.0, 4.0), damping: rng.between(0.03, 0.12) }
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Rings::new(self.clone()))
+    }
+}
+
+/// The ringing part's state: distance from the input and speed over ω.
+#[derive(Debug, Clone)]
+pub(crate) struct Rings {
+    config: Ringing,
+    dt_s: f64,
+    turn: Matrix2<f64>,
+    at_mm: Vector3<f64>,
+    speed: Vector3<f64>,
+}
+
+impl Rings {
+    pub(crate) fn new(config: Ringing) -> Self {
+        Self { config, dt_s: f64::NAN, turn: Matrix2::identity(), at_mm: Vector3::zeros(), speed: Vector3::zeros() }
+    }
+
+    pub(crate) fn step(&mut self, input_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+        if dt_s != self.dt_s {
+            self.dt_s = dt_s;
+            self.turn = self.transition(dt_s);
+        }
+        let away = self.at_mm - input_mm;
+        self.at_mm = input_mm + away * self.turn.m11 + self.speed * self.turn.m12;
+        self.speed = away * self.turn.m21 + self.speed * self.turn.m22;
+        input_mm + (self.at_mm - input_mm) * self.config.share
+    }
+
+    /// Matrix of (distance, speed/ω) over `dt_s`.
+    fn transition(&self, dt_s: f64) -> Matrix2<f64> {
+        let (omega, zeta) = (std::f64::consts::TAU * self.config.frequency_hz, self.config.damping);
+        let root = (1.0 - zeta * zeta).sqrt();
+        let (sin, cos) = (omega * root * dt_s).sin_cos();
+        let (fade, side) = ((-zeta * omega * dt_s).exp(), zeta / root);
+        Matrix2::new(cos + side * sin, sin / root, -sin / root, cos - side * sin) * fade
+    }
+}
+
+impl Law for Rings {
+    fn lagged(&mut self, q_mm: &mut Vector3<f64>, at: &Moment) {
+        *q_mm = self.step(q_mm, at.dt_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn overshoots_at_its_frequency_and_settles() {
+        let mut r = Rings::new(Ringing { share: 1.0, ..Ringing::default() });
+        let path: Vec<f64> = (0..4000).map(|_| r.step(&Vector3::repeat(1.0), 0.001).x).collect();
+        let peak = (0..4000).max_by(|&a, &b| path[a].total_cmp(&path[b])).unwrap();
+        assert!((peak as f64 * 0.001 - 0.125).abs() < 0.003 && path[peak] > 1.7);
+        assert!((path[3999] - 1.0).abs() < 0.01);
+        // a coarse step meets the fine one
+        let mut coarse = Rings::new(Ringing { share: 1.0, ..Ringing::default() });
+        let far = (0..25).map(|_| coarse.step(&Vector3::repeat(1.0), 0.01).x).last().unwrap();
+        assert!((far - path[249]).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,44 @@
+//! Dead time from motion to sample.
+//!
+//! What the sensor measures is late by a dead time that wanders; see [`DeadTime`].
+
+use crate::simulation::plant::imu::stimulus::Stimulus;
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::memory::DeadTime;
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::{PlantRng, Stream};
+
+parameters! {
+    /// `[effects.sensor_latency]`
+    SensorLatency at "effects.sensor_latency" sized by latency_s {
+        /// Age of a sample when it is handed over, s. Default 0 (none); typical 0.01 to 0.25. A larger value
+        /// shows the past.
+        latency_s: f64 = 0.0, 0.0..=1.0, "0.01 to 0.25 s is typical";
+        /// Wander j of the dead time, standard deviation as a share. Default 0.06. A larger value is less regular.
+        jitter: f64 = 0.06, 0.0..=0.4, "a share of the latency";
+    }
+}
+
+impl PlantEffect for SensorLatency {
+    const STAGE: &'static str = "timing";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { latency_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
+    }
+    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Late(DeadTime::new(self.latency_s, self.jitter, Stimulus::default(), PlantRng::new(unit.seed, Stream::SensorLatency))))
+    }
+}
+
+/// Measured quantities on their way.
+#[derive(Debug)]
+struct Late(DeadTime<Stimulus>);
+
+impl Law for Late {
+    fn at_start(&mut self, stimulus: &Stimulus) {
+        self.0.fill(*stimulus);
+    }
+    fn late(&mut self, stimulus: &mut Stimulus, at: &Moment) {
+        *stimulus = self.0.pass(at.t, at.dt_s, *stimulus);
+    }
+}

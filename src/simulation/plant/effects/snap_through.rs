@@ -1,0 +1,80 @@
+//! Outside the catalogue: one convolution of a bellow pops open and shut.
+//!
+//! A fold is bistable: past `at_mm` it pops and adds `jump_mm` within some 50 ms; it pops back only
+//! once the bellow has come back by `1.5 jump` (but at least 0.5 mm) below that.
+
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::parameters::{CHANNELS, parameters};
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.outside.snap_through]`
+    SnapThrough at "effects.outside.snap_through" sized by jump_mm {
+        /// Length that the popped fold adds, mm. Default 0 (none); plausible 0.2 to 1. A larger value jumps
+        /// further.
+        jump_mm: f64 = 0.0, 0.0..=5.0, "under 1 mm is plausible";
+        /// Elongation at which it pops, mm. Default 2. A larger value pops at larger bends only.
+        at_mm: f64 = 2.0, 0.1..=10.0, "a bellow elongates by 5 mm or so";
+        /// Channel of the bellow, 1 to 3. Default 1.
+        channel: usize = 1, CHANNELS, "channels are counted from 1 to 3";
+    }
+}
+
+impl PlantEffect for SnapThrough {
+    const STAGE: &'static str = "bellows";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { jump_mm: rng.sized(0.4, 1.5, severity), at_mm: rng.between(1.0, 2.5), channel: rng.channel() }
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Snapping::new(self.clone()))
+    }
+}
+
+/// A fold with its state.
+#[derive(Debug, Clone)]
+pub(crate) struct Snapping {
+    config: SnapThrough,
+    popped: bool,
+    decay: Decay,
+    added_mm: f64,
+}
+
+impl Snapping {
+    pub(crate) fn new(config: SnapThrough) -> Self {
+        Self { config, popped: false, decay: Decay::new(0.05), added_mm: 0.0 }
+    }
+    pub(crate) fn step(&mut self, q_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
+        let i = self.config.channel - 1;
+        let back_mm = self.config.at_mm - (1.5 * self.config.jump_mm).max(0.5);
+        self.popped = q_mm[i] > self.config.at_mm || (self.popped && q_mm[i] > back_mm);
+        let target = if self.popped { self.config.jump_mm } else { 0.0 };
+        self.added_mm += (target - self.added_mm) * self.decay.share(dt_s);
+        let mut added = Vector3::zeros();
+        added[i] = self.added_mm;
+        added
+    }
+}
+
+impl Law for Snapping {
+    fn bellows(&mut self, q_mm: &mut Vector3<f64>, at: &Moment) {
+        *q_mm += self.step(q_mm, at.dt_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pops_late_and_back_later() {
+        let mut s = Snapping::new(SnapThrough { jump_mm: 0.5, at_mm: 2.0, channel: 2 });
+        let mut settle = |q: f64| (0..500).map(|_| s.step(&Vector3::new(9.0, q, 9.0), 0.001)).last().unwrap();
+        assert!(settle(1.9).norm() < 1e-9);
+        assert!((settle(2.1) - Vector3::new(0.0, 0.5, 0.0)).norm() < 1e-3);
+        assert!(settle(1.5).y > 0.49);
+        assert!(settle(1.2).y < 0.01);
+    }
+}

@@ -1,0 +1,55 @@
+//! Outside the catalogue: soft iron stretches the field along one body-fixed direction.
+
+use crate::simulation::plant::check::{PlantError, range};
+use crate::simulation::plant::imu::stimulus::Stimulus;
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData, order};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.outside.soft_iron]`
+    SoftIron at "effects.outside.soft_iron" sized by stretch {
+        /// Stretch of the field along the direction, as a share. Default 0 (none); plausible ±0.05 to
+        /// 0.3. A larger value turns the heading more, twice per turn.
+        stretch: f64 = 0.0, -0.9..=5.0, "±0.05 to 0.3 is plausible";
+        /// Direction in the body, any length. Default [1, 0, 0].
+        direction: [f64; 3] = [1.0, 0.0, 0.0], -1e3..=1e3, "a direction";
+    }
+}
+
+impl PlantEffect for SoftIron {
+    const STAGE: &'static str = "sensor";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { stretch: rng.sized(0.06, 0.35, severity), direction: rng.direction().into() }
+    }
+    fn consistent(&self) -> Result<(), PlantError> {
+        range("effects.outside.soft_iron.direction length", Vector3::from(self.direction).norm(), &(1e-3..=1e4), "a direction has a length")
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+impl Law for SoftIron {
+    fn order(&self) -> u8 {
+        order::FIRST
+    }
+    fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
+        let along = Vector3::from(self.direction).normalize();
+        stimulus.field += along * (self.stretch * along.dot(&stimulus.field));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_field_is_stretched_along_one_direction() {
+        let mut stimulus = Stimulus { field: Vector3::new(10.0, 20.0, 0.0), ..Stimulus::default() };
+        SoftIron { stretch: 0.5, direction: [0.0, 2.0, 0.0] }.sensor(&mut stimulus, &Moment { t: 0.0, dt_s: 0.0 });
+        assert!((stimulus.field - Vector3::new(10.0, 30.0, 0.0)).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,79 @@
+//! Rubber that hardens with stretch exponentially: Fung's law for soft tissue and filled rubber.
+//!
+//! In addition to the linear wall, `h q (e^(|q|/s) − 1)`, with `h` such that the extra is `share` of the
+//! linear force at 5 mm. The law is odd.
+
+use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+
+parameters! {
+    /// `[effects.stiffening]`
+    Stiffening at "effects.stiffening" sized by share {
+        /// Extra wall force at 5 mm of length change, as a share of the linear force. Default 0 (none);
+        /// typical 0.05 to 0.5 (5 to 30 % of motion). A larger value bends less at large angles.
+        share: f64 = 0.0, 0.0..=3.0, "0.05 to 0.5 is typical";
+        /// Stretch s over which the extra grows by e, mm. Default 2.5. A larger value sets in earlier and more
+        /// evenly.
+        onset_mm: f64 = 2.5, 0.8..=50.0, "2.5 is typical; shorter is a wall, not rubber";
+    }
+}
+
+impl PlantEffect for Stiffening {
+    const STAGE: &'static str = "bellows";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { share: rng.sized(0.12, 0.7, severity), onset_mm: rng.between(1.8, 4.0) }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: tenth(0.003), ..Self::default() })
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Hardening::new(self))
+    }
+}
+
+/// Stretch at which the share is counted, mm: a bellow's at 75° of bend, nearly.
+const FULL_MM: f64 = 5.0;
+
+/// A wall that hardens.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Hardening {
+    h: f64,
+    onset_mm: f64,
+}
+
+impl Hardening {
+    pub(crate) fn new(config: &Stiffening) -> Self {
+        Self { h: config.share / (FULL_MM / config.onset_mm).exp_m1(), onset_mm: config.onset_mm }
+    }
+    /// Extra force over the linear stiffness, mm, and its slope.
+    pub(crate) fn extra(&self, q_mm: f64) -> (f64, f64) {
+        let x = q_mm.abs() / self.onset_mm;
+        let grown = x.exp() - 1.0;
+        (self.h * q_mm * grown, self.h * (grown + x * (grown + 1.0)))
+    }
+}
+
+impl Law for Hardening {
+    fn wall(&self, q_mm: f64) -> Option<(f64, f64)> {
+        Some(self.extra(q_mm))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn is_odd_hardens_and_has_its_share_at_full_stretch() {
+        let s = Hardening::new(&Stiffening { share: 0.3, ..Stiffening::default() });
+        assert!((s.extra(5.0).0 - 1.5).abs() < 1e-12 && s.extra(-5.0).0 == -s.extra(5.0).0);
+        let gain = |q: f64| s.extra(q).0 / q;
+        assert!(gain(1.0) < gain(2.0) && gain(2.0) < gain(4.0) && gain(1.0) < 0.03);
+        for q in [-4.0, -0.3, 0.7, 5.5] {
+            let numeric = (s.extra(q + 1e-6).0 - s.extra(q - 1e-6).0) / 2e-6;
+            assert!((numeric - s.extra(q).1).abs() < 1e-6);
+        }
+    }
+}

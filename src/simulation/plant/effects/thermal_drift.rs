@@ -1,0 +1,91 @@
+//! Air that warms: a slow offset that depends on the time since the start and not on the command.
+//!
+//! Motors warm the case and the case warms the air, two thermal masses in series:
+//! `a (1 − (τ₂ e^(−t/τ₂) − τ₁ e^(−t/τ₁)) / (τ₂ − τ₁))`, which starts without a slope.
+
+use crate::simulation::plant::law::{BellowState, Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.thermal_drift]`
+    ThermalDrift at "effects.thermal_drift" sized by offset_mm {
+        /// Final offset a of each line, mm of piston. Default 0 (none); typical 0.2 to 2.5 on one line
+        /// (0.5 to 7° of bend). Equal offsets lengthen the tip and do not bend it. A larger value drifts further.
+        offset_mm: [f64; 3] = [0.0; 3], -20.0..=20.0, "a few mm at most are typical";
+        /// Time constant τ₁ of the air, s. Default 20. A larger value starts more softly.
+        air_s: f64 = 20.0, 0.1..=1e5, "tens of seconds are typical";
+        /// Time constant τ₂ of the case, s. Default 90. A larger value drifts for longer.
+        case_s: f64 = 90.0, 0.1..=1e5, "minutes are typical";
+    }
+}
+
+impl PlantEffect for ThermalDrift {
+    const STAGE: &'static str = "transmission";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        let size = rng.sized(0.4, 3.0, severity);
+        let main = rng.channel() - 1;
+        let sign = rng.sign();
+        let share = rng.between(-0.4, 0.4);
+        let mut offset_mm = [size * sign * share; 3];
+        offset_mm[main] = size * sign;
+        Self { offset_mm, air_s: rng.between(6.0, 25.0), case_s: rng.between(30.0, 120.0) }
+    }
+    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { offset_mm: [tenth(0.02), -tenth(0.02), 0.0], ..Self::default() })
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Warming::new(self.clone()))
+    }
+}
+
+/// Air that is warming up.
+#[derive(Debug, Clone)]
+pub(crate) struct Warming {
+    offset_mm: Vector3<f64>,
+    air: (f64, Decay, f64),
+    case: (f64, Decay, f64),
+}
+
+impl Warming {
+    pub(crate) fn new(config: ThermalDrift) -> Self {
+        // equal masses are the limit of unequal ones; a hair apart they are told apart stably
+        let alike = (config.case_s / config.air_s - 1.0).abs() < 1e-3;
+        let case_s = if alike { config.case_s * 1.002 } else { config.case_s };
+        let mass = |tau_s: f64| (tau_s, Decay::new(tau_s), 1.0);
+        Self { offset_mm: Vector3::from(config.offset_mm), air: mass(config.air_s), case: mass(case_s) }
+    }
+    /// Offset of the three lines `dt_s` later, mm of piston.
+    pub(crate) fn step(&mut self, dt_s: f64) -> Vector3<f64> {
+        for (_, decay, left) in [&mut self.air, &mut self.case] {
+            *left -= *left * decay.share(dt_s);
+        }
+        let cooling = self.case.0 * self.case.2 - self.air.0 * self.air.2;
+        self.offset_mm * (1.0 - cooling / (self.case.0 - self.air.0))
+    }
+}
+
+impl Law for Warming {
+    fn air(&mut self, air_mm: &mut Vector3<f64>, _bellows: &BellowState, at: &Moment) {
+        *air_mm += self.step(at.dt_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn starts_softly_and_ends_at_its_size() {
+        for case_s in [90.0, 20.0] {
+            let mut w = Warming::new(ThermalDrift { offset_mm: [1.0, 0.0, -0.5], case_s, ..ThermalDrift::default() });
+            let path: Vec<_> = (0..20_000).map(|_| w.step(0.1)).collect();
+            assert!(path[0].norm() < 1e-4 && path[9].norm() < 2e-3);
+            assert!((path[19_999] - Vector3::new(1.0, 0.0, -0.5)).norm() < 1e-4);
+            assert!(path[..3000].windows(2).all(|p| p[1].x > p[0].x));
+        }
+    }
+}

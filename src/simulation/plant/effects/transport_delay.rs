@@ -1,0 +1,41 @@
+//! Dead time from command to motion.
+//!
+//! The microstep counts reach the motors late by a dead time that wanders; see [`DeadTime`].
+
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::memory::DeadTime;
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::{PlantRng, Stream};
+use nalgebra::Vector3;
+
+parameters! {
+    /// `[effects.transport_delay]`
+    TransportDelay at "effects.transport_delay" sized by delay_s {
+        /// Dead time from command to motion, s. Default 0 (none); typical 0.01 to 0.25. A larger value answers
+        /// later.
+        delay_s: f64 = 0.0, 0.0..=1.0, "0.01 to 0.25 s is typical";
+        /// Wander j of the dead time, standard deviation as a share. Default 0.06. A larger value is less regular.
+        jitter: f64 = 0.06, 0.0..=0.4, "a share of the delay";
+    }
+}
+
+impl PlantEffect for TransportDelay {
+    const STAGE: &'static str = "timing";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { delay_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
+    }
+    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Late(DeadTime::new(self.delay_s, self.jitter, Vector3::zeros(), PlantRng::new(unit.seed, Stream::TransportDelay))))
+    }
+}
+
+/// Commands on their way.
+#[derive(Debug)]
+struct Late(DeadTime<Vector3<f64>>);
+
+impl Law for Late {
+    fn command(&mut self, counts: &mut Vector3<f64>, at: &Moment) {
+        *counts = self.0.pass(at.t, at.dt_s, *counts);
+    }
+}

@@ -1,0 +1,58 @@
+//! Outside the catalogue: a held bend slowly twists the tip.
+//!
+//! The twist about the tip's axis creeps towards `T β / 60°` with one time constant and back.
+
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
+use crate::simulation::plant::memory::Decay;
+use crate::simulation::plant::parameters::parameters;
+use crate::simulation::plant::rng::PlantRng;
+use nalgebra::Vector2;
+
+parameters! {
+    /// `[effects.outside.twist_creep]`
+    TwistCreep at "effects.outside.twist_creep" sized by twist_deg {
+        /// Twist T in the end at 60° of bend, degrees. Default 0 (none); plausible ±3 to 20. A larger value
+        /// turns further.
+        twist_deg: f64 = 0.0, -60.0..=60.0, "up to 20 is plausible";
+        /// Time constant, s. Default 8. A larger value is slower.
+        over_s: f64 = 8.0, 0.01..=1e5, "some seconds are plausible";
+    }
+}
+
+impl PlantEffect for TwistCreep {
+    const STAGE: &'static str = "shape";
+
+    fn draw(severity: f64, rng: &mut PlantRng) -> Self {
+        Self { twist_deg: rng.sign() * rng.sized(5.0, 20.0, severity), over_s: rng.between(3.0, 15.0) }
+    }
+    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
+        Box::new(Twisting::new(self.clone()))
+    }
+}
+
+/// A tip with the twist it has crept to.
+#[derive(Debug, Clone)]
+pub(crate) struct Twisting {
+    config: TwistCreep,
+    decay: Decay,
+    twist: f64,
+}
+
+impl Twisting {
+    pub(crate) fn new(config: TwistCreep) -> Self {
+        let decay = Decay::new(config.over_s);
+        Self { config, decay, twist: 0.0 }
+    }
+    /// Twist, rad, after `dt_s` at a bend.
+    pub(crate) fn step(&mut self, bend: &Vector2<f64>, dt_s: f64) -> f64 {
+        let target = self.config.twist_deg.to_radians() * bend.norm() / std::f64::consts::FRAC_PI_3;
+        self.twist += (target - self.twist) * self.decay.share(dt_s);
+        self.twist
+    }
+}
+
+impl Law for Twisting {
+    fn twist(&mut self, bend: &Vector2<f64>, at: &Moment) -> f64 {
+        self.step(bend, at.dt_s)
+    }
+}

@@ -1,0 +1,96 @@
+//! From plungers to the air that reaches the bellows.
+//!
+//! `plunger → play → air in the line → flow → air delivered`, everything in mm of piston. Nominally the air
+//! delivered is the play output.
+
+use crate::simulation::plant::config::LineConfig;
+use crate::simulation::plant::effects::leak::{Leak, Leaking};
+use crate::simulation::plant::law::{BellowState, Law, Laws, Moment};
+use nalgebra::Vector3;
+
+/// The three lines with their state.
+#[derive(Debug)]
+pub(crate) struct Line {
+    half_width_mm: Vector3<f64>,
+    play_output_mm: Vector3<f64>,
+    delivered_mm: Vector3<f64>,
+    /// Injected faults.
+    pub(crate) faults: LineFaults,
+}
+
+/// Faults of the lines.
+#[derive(Debug, Default)]
+pub(crate) struct LineFaults {
+    leaking: Option<Leaking>,
+    /// Lumens that are shut: the air in the bellow stays.
+    pub(crate) blocked: [bool; 3],
+}
+
+impl LineFaults {
+    /// Opens a leak on a channel (from 0) in addition to others.
+    pub(crate) fn leak(&mut self, channel: usize, rate_per_s: f64) {
+        self.leaking.get_or_insert_with(|| Leaking::new(Leak::plain([0.0; 3]))).set_rate(channel, rate_per_s);
+    }
+    /// Ends all faults; air that has escaped does not return.
+    pub(crate) fn clear(&mut self) {
+        self.blocked = [false; 3];
+        if let Some(leaking) = &mut self.leaking {
+            (0..3).for_each(|channel| leaking.set_rate(channel, 0.0));
+        }
+    }
+}
+
+impl Line {
+    pub(crate) fn new(config: &LineConfig) -> Self {
+        let zero = Vector3::zeros();
+        let half_width_mm = Vector3::from(config.k_lambda_mm);
+        Self { half_width_mm, play_output_mm: zero, delivered_mm: zero, faults: LineFaults::default() }
+    }
+
+    /// Outputs of the play operators, mm of piston.
+    pub(crate) fn play_output_mm(&self) -> Vector3<f64> {
+        self.play_output_mm
+    }
+
+    /// Opens all lines for a moment, pistons at zero: the air that leaked flows back.
+    pub(crate) fn vent(&mut self, laws: &mut Laws) {
+        laws.iter_mut().for_each(|law| law.vent());
+        self.faults.leaking.iter_mut().for_each(Law::vent);
+    }
+
+    /// Air delivered to the bellows, mm of piston, after one step.
+    pub(crate) fn step(&mut self, plunger_mm: &Vector3<f64>, bellows: &BellowState, at: &Moment, laws: &mut Laws) -> Vector3<f64> {
+        let mut width = self.half_width_mm;
+        laws.iter_mut().for_each(|law| law.play(&mut width, plunger_mm));
+        for i in 0..3 {
+            self.play_output_mm[i] = self.play_output_mm[i].max(plunger_mm[i] - width[i]).min(plunger_mm[i] + width[i]);
+        }
+        let mut air_mm = self.play_output_mm;
+        laws.iter_mut().for_each(|law| law.air(&mut air_mm, bellows, at));
+        if let Some(leaking) = &mut self.faults.leaking {
+            leaking.air(&mut air_mm, bellows, at);
+        }
+        laws.iter_mut().for_each(|law| law.flow(&mut air_mm, at));
+        for i in 0..3 {
+            if !self.faults.blocked[i] {
+                self.delivered_mm[i] = air_mm[i];
+            }
+        }
+        self.delivered_mm
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loop_of_the_play_is_two_half_widths_wide() {
+        let mut line = Line::new(&LineConfig { k_lambda_mm: [0.5; 3], ..LineConfig::default() });
+        let mut at_zero = |from: f64| {
+            let at = Moment { t: 0.0, dt_s: 0.001 };
+            [from, 0.0].map(|to| line.step(&Vector3::repeat(to), &BellowState::default(), &at, &mut Vec::new()).x)[1]
+        };
+        assert!((at_zero(2.0) - at_zero(-2.0) - 1.0).abs() < 1e-12);
+    }
+}
