@@ -1,4 +1,4 @@
-//! What a step of the plant costs, at 1 kHz with motion in it.
+//! Time per step of the plant at 1 kHz, in motion.
 
 #![allow(clippy::expect_used)]
 
@@ -15,7 +15,7 @@ fn main() {
 /// Steps per iteration: one second.
 const STEPS: usize = 1000;
 
-/// One second of a plant whose pistons swing.
+/// One second of a plant whose pistons oscillate.
 fn one_second(bencher: divan::Bencher<'_, '_>, config: &PlantConfig) {
     let mut plant = Plant::new(config, 1).expect("the configurations of this bench are valid");
     let mut k = 0i32;

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""A plant of one's own behind the plant link, in Python's standard library alone.
+"""A minimal plant for the plant link, using only Python's standard library.
 
     retroflex evaluate --plant 'exec:python3 examples/foreign_plant.py --seed 7'
 
-Everything a simulator must do to be driven by the loop: greet with one line, then answer every line of
-microstep counts with one line of IMU reading and true orientation, until end of file. The physics are
-the least that is not trivial: play, extension, lag, constant curvature, and an IMU with bias and noise.
+A simulator greets with one line, then answers every line of microstep counts with one line of IMU reading and
+true orientation, until end of file. The physics is minimal: play, extension, lag, constant curvature, and an
+IMU with bias and noise.
 Units are mm, s, rad, m/s^2, uT; quaternions are [w, x, y, z] and take tip coordinates to the base's.
 """
 import argparse
@@ -45,8 +45,8 @@ def logarithm(q):
     return [x * scale for x in q[1:]]
 
 
-def turned(q, v):
-    """The vector v turned by q."""
+def rotated(q, v):
+    """The vector v rotated by q."""
     return multiply(multiply(q, (0.0, *v)), inverse(q))[1:]
 
 
@@ -63,46 +63,46 @@ class Tip:
         self.gyro_bias = [math.radians(draw.gauss(0, 0.4)) for _ in range(3)]
         self.acc_bias = [draw.gauss(0, 0.04) for _ in range(3)]
         tilt = [draw.gauss(0, 0.5) for _ in range(3)]
-        self.up = turned(exponential(tilt), (0.0, 0.0, 9.81))
-        self.field = turned(exponential(tilt), (20.0, 0.0, -43.0))
-        self.slack_mm, self.bend, self.attitude = [0.0] * 3, [0.0, 0.0], (1.0, 0.0, 0.0, 0.0)
+        self.up = rotated(exponential(tilt), (0.0, 0.0, 9.81))
+        self.field = rotated(exponential(tilt), (20.0, 0.0, -43.0))
+        self.play_output_mm, self.bend, self.attitude = [0.0] * 3, [0.0, 0.0], (1.0, 0.0, 0.0, 0.0)
 
     def step(self, counts):
-        """Holds the counts for one period; the IMU reading then."""
+        """Holds the counts for one period and returns the IMU reading."""
         for i, n in enumerate(counts):
             low, high = n * STEP_MM - self.half_gap_mm[i], n * STEP_MM + self.half_gap_mm[i]
-            self.slack_mm[i] = min(max(self.slack_mm[i], low), high)
-        bellow_mm = [w / (1 + k) for w, k in zip(self.slack_mm, self.gain)]
+            self.play_output_mm[i] = min(max(self.play_output_mm[i], low), high)
+        bellow_mm = [w / (1 + k) for w, k in zip(self.play_output_mm, self.gain)]
         angles = [2 * math.pi * i / 3 for i in range(3)]
-        toward = [sum(q * math.cos(a) for q, a in zip(bellow_mm, angles)), -sum(q * math.sin(a) for q, a in zip(bellow_mm, angles))]
+        moment = [sum(q * math.cos(a) for q, a in zip(bellow_mm, angles)), -sum(q * math.sin(a) for q, a in zip(bellow_mm, angles))]
         keep = math.exp(-PERIOD_S / self.lag_s)
         for axis in range(2):
-            aim = -2 / (3 * self.r_mm) * toward[axis]
-            self.bend[axis] = aim + (self.bend[axis] - aim) * keep
+            target = -2 / (3 * self.r_mm) * moment[axis]
+            self.bend[axis] = target + (self.bend[axis] - target) * keep
         before, self.attitude = self.attitude, exponential((self.bend[1], self.bend[0], 0.0))
         turn = logarithm(multiply(inverse(before), self.attitude))
-        there = inverse(self.attitude)
+        to_tip = inverse(self.attitude)
         noisy = lambda v, sigma: [x + self.noise.gauss(0, sigma) for x in v]
         return {
-            "acc": noisy([a + b for a, b in zip(turned(there, self.up), self.acc_bias)], 0.02),
+            "acc": noisy([a + b for a, b in zip(rotated(to_tip, self.up), self.acc_bias)], 0.02),
             "gyr": noisy([t / PERIOD_S + b for t, b in zip(turn, self.gyro_bias)], 0.002),
-            "mag": noisy(turned(there, self.field), 0.4),
+            "mag": noisy(rotated(to_tip, self.field), 0.4),
         }
 
 
 def main():
-    parser = argparse.ArgumentParser(description="a small plant behind the plant link")
-    parser.add_argument("--seed", type=int, default=1, help="which unit, and its noise")
+    parser = argparse.ArgumentParser(description="a minimal plant for the plant link")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the unit and of its noise")
     tip = Tip(parser.parse_args().seed)
 
-    def say(message):
+    def send(message):
         print(json.dumps(message), flush=True)
 
-    say({"plant": "python", "protocol": 1, "imu_period_s": PERIOD_S, "step_mm": STEP_MM, "rest_length_mm": REST_LENGTH_MM})
+    send({"plant": "python", "protocol": 1, "imu_period_s": PERIOD_S, "step_mm": STEP_MM, "rest_length_mm": REST_LENGTH_MM})
     for line in sys.stdin:
-        asked = json.loads(line)
-        imu = tip.step(asked["steps"])
-        say({"t": asked["t"], "imu": imu, "ref": {"quat": tip.attitude}})
+        request = json.loads(line)
+        imu = tip.step(request["steps"])
+        send({"t": request["t"], "imu": imu, "ref": {"quat": tip.attitude}})
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-//! The built-in plant from outside: laws, signatures, sensors, faults, and the paper twin.
+//! The built-in plant: general properties, signatures of the effects, sensors, faults, and the paper twin.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,

@@ -1,4 +1,4 @@
-//! Faults act when injected, end when cleared, and leave their consequences.
+//! Injected faults act, end when cleared, and leave their consequences.
 
 use crate::rig::{BEND, Rig, bend};
 use retroflex::primitives::sample::ImuSample;
@@ -13,7 +13,7 @@ fn samples(rig: &mut Rig, seconds: f64) -> Vec<ImuSample> {
 }
 
 #[test]
-fn the_bus_goes_silent_and_comes_back() {
+fn samples_stop_and_resume() {
     let mut rig = Rig::of("");
     assert_eq!(samples(&mut rig, 1.0).len(), 500);
     rig.plant.inject(InjectedFault::NoSample);
@@ -23,7 +23,7 @@ fn the_bus_goes_silent_and_comes_back() {
 }
 
 #[test]
-fn samples_freeze_turn_nan_saturate_and_spike() {
+fn samples_freeze_become_nan_saturate_and_spike() {
     let mut rig = Rig::of("");
     samples(&mut rig, 0.5);
     rig.plant.inject(InjectedFault::FrozenSample);
@@ -45,7 +45,7 @@ fn samples_freeze_turn_nan_saturate_and_spike() {
 }
 
 #[test]
-fn biases_jump() {
+fn bias_faults_shift_the_readings() {
     let mut rig = Rig::clean("");
     rig.plant.inject(InjectedFault::GyroBias { deg_s: [3.0, 0.0, 0.0] });
     rig.plant.inject(InjectedFault::AccBias { mg: [0.0, 100.0, 0.0] });
@@ -56,7 +56,7 @@ fn biases_jump() {
 }
 
 #[test]
-fn drives_lose_invert_stop_and_switch_off() {
+fn drives_lose_steps_invert_stop_and_switch_off() {
     let mut rig = Rig::clean("");
     rig.plant.inject(InjectedFault::StepLoss { channel: Channel::Two, microsteps: 100 });
     let lost = rig.at([0.0; 3]);
@@ -75,15 +75,15 @@ fn drives_lose_invert_stop_and_switch_off() {
     rig.plant.inject(InjectedFault::Disabled { channel: Channel::One });
     assert_eq!(play_output(&mut rig, 5.0), 0.0);
     rig.plant.clear();
-    assert!((play_output(&mut rig, 6.0) - 1.0).abs() < 0.03, "what was sent meanwhile is lost");
+    assert!((play_output(&mut rig, 6.0) - 1.0).abs() < 0.03, "steps sent meanwhile are lost");
     let mut rig = Rig::clean("");
     rig.plant.inject(InjectedFault::EndStop { channel: Channel::One, at_mm: -4.0 });
     assert!((play_output(&mut rig, 7.0) - 7.0).abs() < 0.02 && (play_output(&mut rig, -9.0) + 4.0).abs() < 0.02);
-    assert!((play_output(&mut rig, -8.0) + 3.0).abs() < 0.03, "it comes off the stop at once, 5 mm short");
+    assert!((play_output(&mut rig, -8.0) + 3.0).abs() < 0.03, "the rack leaves the stop at once, 5 mm short");
 }
 
 #[test]
-fn lines_leak_burst_block_and_take_air() {
+fn lines_leak_burst_block_and_admit_air() {
     let pressure = |rig: &mut Rig, seconds: f64| last(&rig.hold(seconds)).truth.pressure_kpa.x;
     let mut rig = Rig::clean("");
     rig.at(BEND);
@@ -94,7 +94,7 @@ fn lines_leak_burst_block_and_take_air() {
     rig.plant.inject(InjectedFault::Burst { channel: Channel::One });
     assert!(pressure(&mut rig, 1.0).abs() < 1e-3);
     rig.plant.clear();
-    assert!(pressure(&mut rig, 1.0).abs() < 1e-3, "what escaped is gone");
+    assert!(pressure(&mut rig, 1.0).abs() < 1e-3, "escaped air is gone");
     assert!(rig.at([0.0; 3]).norm() > 10.0);
 
     let mut rig = Rig::clean("");
@@ -116,7 +116,7 @@ fn lines_leak_burst_block_and_take_air() {
 }
 
 #[test]
-fn the_world_turns_attracts_pushes_and_stands_in_the_way() {
+fn the_base_turns_and_magnets_pushes_and_walls_act() {
     let mut rig = Rig::clean("");
     let rest = samples(&mut rig, 1.0)[0];
     rig.plant.inject(InjectedFault::BaseTurn { axis: [0.0, 2.0, 0.0], angle_deg: 10.0, over_s: 2.0 });
@@ -126,7 +126,7 @@ fn the_world_turns_attracts_pushes_and_stands_in_the_way() {
     let turned: f64 = s.iter().map(|s| s.gyro_rad_s.y * 0.002).sum();
     assert!((turned.to_degrees() - 10.0).abs() < 0.01);
     rig.plant.clear();
-    assert!((samples(&mut rig, 0.1)[0].acc_m_s2 - end.acc_m_s2).norm() < 1e-6, "it stays turned");
+    assert!((samples(&mut rig, 0.1)[0].acc_m_s2 - end.acc_m_s2).norm() < 1e-6, "the base stays turned");
 
     let mag = |rig: &mut Rig| samples(rig, 0.1).iter().rev().find_map(|s| s.mag_ut).unwrap();
     let mut rig = Rig::clean("");

@@ -1,4 +1,4 @@
-//! What holds for every plant: determinism, size 0, steps of any length, no NaN.
+//! Properties of every plant: determinism, size 0, independence of the step, no NaN.
 
 use crate::rig::{Rig, bend, config, wander};
 use rand::rngs::Xoshiro256PlusPlus;
@@ -21,19 +21,19 @@ fn size_zero_is_bit_identical_to_none() {
     let none = wander(&mut Rig::of("[base]\nimu = true"));
     for e in effect_names() {
         let zero = empty_table(e);
-        assert_ne!(zero.effects, PlantConfig::default().effects, "{} is not in the file", e.name);
-        assert!(wander(&mut Rig::new(&zero)) == none, "{} of size 0 leaves a trace", e.name);
+        assert_ne!(zero.effects, PlantConfig::default().effects, "{} is not in the table", e.name);
+        assert!(wander(&mut Rig::new(&zero)) == none, "{} of size 0 changes the output", e.name);
     }
 }
 
-/// Each effect shows, and where it should: sensors never move the tip, mechanics always do.
+/// Sensor effects never move the tip; mechanical effects always do.
 #[test]
-fn every_effect_leaves_its_trace_in_its_own_place() {
+fn every_effect_acts_on_its_own_stage() {
     let none = wander(&mut Rig::of(""));
     for e in effect_names() {
         let one = PlantConfig::default().with_effect(e.name, 0.7, &mut rng(3)).unwrap();
         let mut c = one.clone();
-        // moments and attitudes at which they show within a short log
+        // times and attitudes at which the effects act within a short log
         c.base.pitch_deg = 0.0;
         if let Some(m) = &mut c.effects.missed_steps {
             m.after_s = 3.0;
@@ -55,9 +55,9 @@ fn every_effect_leaves_its_trace_in_its_own_place() {
         }
         let out = wander(&mut Rig::new(&c));
         let moved = out.iter().zip(&none).any(|(a, b)| a.truth.r_base_tip.angle_to(&b.truth.r_base_tip) > 0.1f64.to_radians());
-        let estimate = out.iter().zip(&none).any(|(a, b)| a.imu != b.imu);
+        let sensed = out.iter().zip(&none).any(|(a, b)| a.imu != b.imu);
         let unmoved = e.stage == "sensor" || e.stage == "base" || ["sensor_latency", "clock_drift", "sensor_freeze"].contains(&e.name);
-        assert!(estimate, "{} is felt nowhere", e.name);
+        assert!(sensed, "{} changes no sample", e.name);
         assert_eq!(moved, !unmoved, "{}", e.name);
     }
 }
@@ -95,13 +95,13 @@ fn furthest_deg(a: &[Rotation<Base, Tip>], b: &[Rotation<Base, Tip>]) -> f64 {
 }
 
 #[test]
-fn the_step_does_not_matter() {
+fn the_output_does_not_depend_on_the_step() {
     let nominal = every_10_ms(&PlantConfig::default(), 0.001);
     for dt in [0.0005, 0.005, 0.01] {
         let d = furthest_deg(&nominal, &every_10_ms(&PlantConfig::default(), dt));
         assert!(d < 1e-6, "{dt}: {d}");
     }
-    // with memory of every kind what is left is the lag's path through curved stages
+    // with effects, the remaining difference is the path of the lag through nonlinear stages
     let twin = crate::twin::paper_twin();
     let fine = every_10_ms(&twin, 0.0005);
     for (dt, limit) in [(0.001, 0.02), (0.005, 0.1), (0.01, 0.2)] {
@@ -111,10 +111,10 @@ fn the_step_does_not_matter() {
 }
 
 #[test]
-fn each_effect_alone_hardly_minds_the_step() {
+fn each_effect_alone_hardly_depends_on_the_step() {
     for e in effect_names() {
         let mut c = PlantConfig::default().with_effect(e.name, 0.5, &mut rng(8)).unwrap();
-        // random in time by nature, or decided by a threshold that a step can just miss
+        // random in time, or triggered by a threshold that a coarse step can miss
         if let Some(d) = &mut c.effects.transport_delay {
             d.jitter = 0.0;
         }
@@ -127,7 +127,7 @@ fn each_effect_alone_hardly_minds_the_step() {
 }
 
 #[test]
-fn nothing_makes_a_nan() {
+fn no_effect_produces_a_nan() {
     for seed in 0..6 {
         let mut r = rng(seed);
         let mut c = PlantConfig::default();
@@ -153,7 +153,7 @@ fn nothing_makes_a_nan() {
 }
 
 #[test]
-fn a_background_is_small_piece_by_piece() {
+fn each_imperfection_is_small() {
     let lab = |c: &PlantConfig| {
         let mut rig = Rig::new(c);
         wander(&mut rig)
@@ -180,6 +180,6 @@ fn a_background_is_small_piece_by_piece() {
         }
     }
     assert_eq!(seen.len(), 19, "{seen:?}");
-    // and together it is still a plant
+    // together they are small as well
     assert!(bend(none.last().unwrap()).norm() < 10.0);
 }

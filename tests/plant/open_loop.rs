@@ -1,7 +1,6 @@
-//! The paper's open-loop experiment, small and on its own: schedule, feedforward, Algorithm 1.
+//! A small independent implementation of the paper's open-loop experiment: schedule, feedforward, Algorithm 1.
 //!
-//! It measures the true bend where the paper used a tracker; nothing here is the product's code but
-//! the kinematic and transmission laws.
+//! It uses the true bend in place of the paper's tracker, and of the product only the kinematic and transmission laws.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 use retroflex::model::arc::{Geometry, Shape};

@@ -1,4 +1,4 @@
-//! Moves pistons of a plant and keeps what it said.
+//! Moves the pistons of a plant and records its output.
 
 use nalgebra::{Vector2, Vector3};
 use retroflex::model::bend::Bend;
@@ -6,10 +6,10 @@ use retroflex::model::drive::Drive;
 use retroflex::primitives::units::Steps;
 use retroflex::simulation::plant::{Output, Plant, PlantConfig};
 
-/// Step of the rig unless told otherwise, s.
+/// Default step of the rig, s.
 pub const DT_S: f64 = 0.001;
 
-/// A plant and where its pistons were sent.
+/// A plant and the commanded piston positions.
 pub struct Rig {
     pub plant: Plant,
     pub dt_s: f64,
@@ -33,7 +33,7 @@ impl Rig {
     pub fn of(toml: &str) -> Self {
         Self::new(&config(toml))
     }
-    /// Without play and with an IMU that knows no noise: for exact comparisons.
+    /// Without play and with a noise-free IMU, for exact comparisons.
     pub fn clean(toml: &str) -> Self {
         let mut c = config(toml);
         c.line.k_lambda_mm = [0.0; 3];
@@ -57,16 +57,16 @@ impl Rig {
             })
             .collect()
     }
-    /// Stays where it is.
+    /// Holds the position.
     pub fn hold(&mut self, seconds: f64) -> Vec<Output> {
         (0..(seconds / self.dt_s).round() as usize).map(|_| self.plant.step(&self.counts(), self.dt_s)).collect()
     }
-    /// Goes there, waits a second, and says what the bend vector is, degrees.
+    /// Moves, waits a second, and returns the bend vector, degrees.
     pub fn at(&mut self, to_mm: [f64; 3]) -> Vector2<f64> {
         self.go(to_mm, 20.0);
         bend(self.hold(1.0).last().unwrap())
     }
-    /// Where the pistons were sent, mm.
+    /// Commanded piston positions, mm.
     pub fn sent_mm(&self) -> Vector3<f64> {
         self.at_mm
     }

@@ -1,4 +1,4 @@
-//! The IMU says what is true, and each of its flaws only what it should.
+//! The IMU measures the true motion, and each sensor effect changes only its own readings.
 
 use crate::rig::{BEND, Rig, bend, config, wander};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -19,7 +19,7 @@ fn plate(yaw: f64, pitch: f64, roll: f64) -> UnitQuaternion<f64> {
 }
 
 #[test]
-fn rest_reads_gravity_up_and_the_field() {
+fn a_still_sensor_reads_gravity_and_the_field() {
     let mut rig = Rig::clean("[base]\nyaw_deg = 40.0\npitch_deg = 65.0\nroll_deg = -20.0");
     let s = samples(&rig.hold(1.0));
     let r = plate(40.0, 65.0, -20.0);
@@ -71,10 +71,10 @@ fn gravity_and_field_agree_with_the_true_orientation_once_still() {
 }
 
 #[test]
-fn the_accelerometer_feels_the_tip_being_moved() {
+fn the_accelerometer_measures_the_motion_of_the_tip() {
     let mut rig = Rig::clean("");
     let out = [rig.hold(0.5), rig.go(BEND, 20.0), rig.hold(1.0)].concat();
-    // twice integrated, specific force less gravity is the way that the tip of the arc went
+    // specific force minus gravity, integrated twice, is the displacement of the tip
     let (mut v, mut x, mut last_t) = (Vector3::zeros(), Vector3::zeros(), 0.0);
     for o in &out {
         let Some(s) = o.imu else { continue };
@@ -92,20 +92,20 @@ fn the_accelerometer_feels_the_tip_being_moved() {
     assert!((x * 1e3 - want).norm() < 0.02, "{} {want}", x * 1e3);
 }
 
-/// Runs with and without a flaw and compares sensor by sensor: (gyro, acc, mag) differ?
-fn differs(flaw: &str) -> (bool, bool, bool) {
+/// Whether an effect changes the readings of (gyroscope, accelerometer, magnetometer).
+fn differs(effect: &str) -> (bool, bool, bool) {
     let run = |text: &str| {
         let mut rig = Rig::of(text);
         samples(&wander(&mut rig))
     };
-    let (with, without) = (run(flaw), run(""));
+    let (with, without) = (run(effect), run(""));
     assert_eq!(with.len(), without.len());
     let any = |f: fn(&ImuSample, &ImuSample) -> bool| with.iter().zip(&without).any(|(a, b)| f(a, b));
     (any(|a, b| a.gyro_rad_s != b.gyro_rad_s), any(|a, b| a.acc_m_s2 != b.acc_m_s2), any(|a, b| a.mag_ut != b.mag_ut))
 }
 
 #[test]
-fn each_flaw_is_its_own_sensors() {
+fn each_sensor_effect_changes_its_own_sensor_only() {
     assert_eq!(differs("[effects.gyro_bias]\nwarm_up_deg_s = [1.0, 0.5, -0.5]"), (true, false, false));
     assert_eq!(differs("[effects.accel_bias]\nbias_mg = [50.0, -30.0, 20.0]"), (false, true, false));
     assert_eq!(differs("[effects.hard_iron]\noffset_ut = [10.0, 0.0, 5.0]"), (false, false, true));
@@ -118,7 +118,7 @@ fn each_flaw_is_its_own_sensors() {
 }
 
 #[test]
-fn gyro_bias_drifts_from_nothing() {
+fn gyro_bias_drifts_from_zero() {
     let mut rig = Rig::clean("[effects.gyro_bias]\nwarm_up_deg_s = [2.0, 0.0, 0.0]\nover_s = 20.0");
     let s = samples(&rig.hold(100.0));
     let deg = |k: usize| s[k].gyro_rad_s.x.to_degrees();
@@ -126,7 +126,7 @@ fn gyro_bias_drifts_from_nothing() {
 }
 
 #[test]
-fn accel_bias_shows_in_the_norm_by_attitude() {
+fn accel_bias_changes_the_norm_with_attitude() {
     let norm = |pitch: f64| {
         samples(&Rig::clean(&format!("[base]\npitch_deg = {pitch}\n[effects.accel_bias]\nbias_mg = [0.0, 0.0, 60.0]")).hold(0.1))[0]
             .acc_m_s2
@@ -136,7 +136,7 @@ fn accel_bias_shows_in_the_norm_by_attitude() {
 }
 
 #[test]
-fn hard_iron_turns_with_the_body_and_motors_do_not() {
+fn hard_iron_is_fixed_to_the_body_and_the_motors_to_the_world() {
     let mag = |text: &str, pitch: f64| {
         let all = Rig::clean(&format!("[base]\npitch_deg = {pitch}\n{text}")).hold(0.5);
         all.iter().rev().find_map(|o| o.imu?.mag_ut).unwrap()
@@ -150,7 +150,7 @@ fn hard_iron_turns_with_the_body_and_motors_do_not() {
 }
 
 #[test]
-fn the_motors_field_follows_the_coils_and_idles() {
+fn the_motor_field_follows_the_coils_and_falls_at_idle() {
     let field = |steps: i32| {
         let mut c = config(
             "[effects.motor_field]\namplitude_ut = [5.0, 0.0, 0.0]\n[shape]\nr_mm = [20.0, 20.0, 20.0]\n[line]\nk_epsilon = [20.0, 20.0, 20.0]",
@@ -160,7 +160,7 @@ fn the_motors_field_follows_the_coils_and_idles() {
         let mut last = Vector3::zeros();
         let mut first = Vector3::zeros();
         for k in 0..1500 {
-            // all three alike: the tip lengthens and stays straight
+            // equal counts: the tip lengthens and stays straight
             if let Some(m) = plant.step(&Steps([steps; 3]), 0.001).imu.and_then(|s| s.mag_ut) {
                 last = m;
                 if k < 3 {
@@ -188,7 +188,7 @@ fn a_tilted_chip_is_a_constant_rotation() {
 }
 
 #[test]
-fn latency_delays_the_samples_and_nothing_else() {
+fn latency_delays_the_samples_only() {
     let path = |text: &str| {
         let mut rig = Rig::clean(text);
         [rig.hold(1.0), rig.go(BEND, 20.0), rig.hold(1.0)].concat()
@@ -202,10 +202,10 @@ fn latency_delays_the_samples_and_nothing_else() {
 }
 
 #[test]
-fn clocks_run_off_and_sensors_hang() {
+fn clocks_drift_and_sensors_freeze() {
     let s = samples(&Rig::of("[effects.outside.clock_drift]\nper_mille = 10.0").hold(10.0));
     assert!((s.last().unwrap().t.0 - 10.1).abs() < 1e-6);
     let s = samples(&Rig::of("[effects.outside.sensor_freeze]\nfor_s = 1.0\nat_s = 2.0").hold(4.0));
-    let hung = s.windows(2).filter(|w| w[0].gyro_rad_s == w[1].gyro_rad_s && w[0].acc_m_s2 == w[1].acc_m_s2 && w[0].t != w[1].t).count();
-    assert!((498..=502).contains(&hung), "{hung}");
+    let frozen = s.windows(2).filter(|w| w[0].gyro_rad_s == w[1].gyro_rad_s && w[0].acc_m_s2 == w[1].acc_m_s2 && w[0].t != w[1].t).count();
+    assert!((498..=502).contains(&frozen), "{frozen}");
 }

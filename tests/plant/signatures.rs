@@ -1,10 +1,10 @@
-//! Every effect leaves the signature that it is known by.
+//! Every effect has its characteristic signature.
 
 use crate::rig::{BEND, Rig, bend, config};
 use nalgebra::Vector2;
 use retroflex::simulation::plant::Output;
 
-/// Bend along the way, degrees.
+/// Bend angles of the outputs, degrees.
 fn bends(out: &[Output]) -> Vec<f64> {
     out.iter().map(|o| bend(o).norm()).collect()
 }
@@ -19,10 +19,10 @@ fn towards(deg: f64) -> [f64; 3] {
 }
 
 #[test]
-fn nominal_is_the_textbook() {
+fn the_nominal_plant_has_constant_curvature() {
     let mut rig = Rig::clean("");
     let b = rig.at(BEND);
-    // two different gains pull the direction aside; with equal ones it is exact
+    // unequal gains change the direction; with equal ones it is exact
     let equal = Rig::clean("[line]\nk_epsilon = [2.0, 2.0, 2.0]").at(BEND);
     assert!(b.norm() > 40.0 && equal.y.abs() < 0.1);
     assert!((equal.x - (10.0 / 3.0 / (7.0 / 3f64.sqrt())).to_degrees()).abs() < 0.3, "{equal}");
@@ -30,7 +30,7 @@ fn nominal_is_the_textbook() {
 }
 
 #[test]
-fn play_is_lost_at_reversals() {
+fn play_loses_motion_at_reversals() {
     let mut rig = Rig::of("[line]\nk_lambda_mm = [1.0, 1.0, 1.0]");
     let there = rig.at(BEND);
     let lost = rig.at(BEND.map(|x| x - 1.9 * x.signum()));
@@ -39,16 +39,16 @@ fn play_is_lost_at_reversals() {
 }
 
 #[test]
-fn missed_steps_stay() {
+fn missed_steps_leave_a_persistent_offset() {
     let mut rig = Rig::clean("[effects.missed_steps]\nfull_steps = 4\nchannel = 2\nafter_s = 5.0\nstalls_max = 1");
     rig.hold(3.0);
     rig.at(BEND);
-    assert!(rig.at([0.0; 3]).norm() < 1e-9, "not before its time");
+    assert!(rig.at([0.0; 3]).norm() < 1e-9, "no stall before `after_s`");
     rig.at(BEND);
     let after = rig.at([0.0; 3]);
     assert!((3.0..12.0).contains(&after.norm()), "{after}");
     rig.at(BEND);
-    assert!((rig.at([0.0; 3]) - after).norm() < 1e-9, "the offset neither grows nor goes");
+    assert!((rig.at([0.0; 3]) - after).norm() < 1e-9, "the offset is constant");
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn gear_error_follows_position_not_time() {
 }
 
 #[test]
-fn a_leak_decays_in_holds_and_leaves_the_opposite_behind() {
+fn a_leak_decays_in_holds_and_leaves_the_opposite_offset() {
     let mut rig = Rig::clean("[effects.leak]\nrate_per_s = [0.02, 0.02, 0.02]");
     rig.go(BEND, 20.0);
     let b = bends(&rig.hold(30.0));
@@ -91,7 +91,7 @@ fn gas_compression_is_even() {
 }
 
 #[test]
-fn line_lag_is_slow_and_arrives() {
+fn line_lag_delays_the_motion_and_reaches_the_target() {
     let (mut with, mut without) = (Rig::clean("[effects.line_lag]\nlag_s = [0.3, 0.3, 0.3]"), Rig::clean(""));
     (with.go(BEND, 50.0), without.go(BEND, 50.0));
     let (a, b) = (bends(&with.hold(4.0)), bends(&without.hold(4.0)));
@@ -99,14 +99,14 @@ fn line_lag_is_slow_and_arrives() {
 }
 
 #[test]
-fn thermal_drift_needs_no_command() {
+fn thermal_drift_acts_without_a_command() {
     let mut rig = Rig::clean("[effects.thermal_drift]\noffset_mm = [1.0, 0.0, 0.0]");
     let b = bends(&rig.hold(300.0));
     assert!(b[2000] < 0.05 && b[60_000] > 0.5 && b[299_999] > b[60_000] && (2.0..5.0).contains(&b[299_999]));
 }
 
 #[test]
-fn crosstalk_is_by_pressure_not_by_vacuum() {
+fn crosstalk_follows_pressure_and_not_vacuum() {
     let others = |u: f64| {
         let mut rig = Rig::clean("[effects.crosstalk]\nshare = 0.15");
         rig.at([u, 0.0, 0.0]);
@@ -140,7 +140,7 @@ fn asymmetry_changes_slope_at_zero() {
 }
 
 #[test]
-fn hysteresis_does_not_know_time() {
+fn hysteresis_does_not_depend_on_time() {
     let loop_at = |speed: f64| {
         let mut rig = Rig::clean("[effects.hysteresis]\nshare = 0.4");
         let mut at = |to: [f64; 3]| {
@@ -166,7 +166,7 @@ fn creep_grows_in_holds_and_recovers() {
 }
 
 #[test]
-fn softening_is_there_from_the_second_stretch_on() {
+fn softening_shows_from_the_second_stretch_on() {
     let mut rig = Rig::clean("[effects.softening]\nshare = 0.3");
     let first = rig.at(scaled(0.5));
     rig.at(scaled(1.4));
@@ -190,7 +190,7 @@ fn gravity_follows_the_vertical() {
 }
 
 #[test]
-fn curvature_is_alike_all_round_and_grows_with_bend() {
+fn curvature_is_isotropic_and_grows_with_bend() {
     let gain = |deg: f64, by: f64| {
         let text = "[line]\nk_epsilon = [2.0, 2.0, 2.0]\n";
         let to = towards(deg).map(|x| x * by);
@@ -225,7 +225,7 @@ fn a_cable_is_two_fold_and_one_sided() {
 }
 
 #[test]
-fn torsion_leaves_the_axis_alone() {
+fn torsion_does_not_move_the_axis() {
     let twisted = {
         let mut r = Rig::clean("[effects.torsion]\ntwist_deg = 10.0");
         r.at(BEND);
@@ -261,8 +261,8 @@ fn transport_delay_shifts_the_motion() {
 }
 
 #[test]
-fn outside_effects_are_what_they_say() {
-    // a bubble moves in a hold
+fn effects_outside_the_catalogue_have_their_signatures() {
+    // a bubble changes the bend in a hold
     let mut rig = Rig::clean("[effects.outside.bubble_jump]\nchange = 0.5\nchannel = 1\nat_s = 4.0");
     rig.at(BEND);
     let b = bends(&rig.hold(4.0));
@@ -275,13 +275,13 @@ fn outside_effects_are_what_they_say() {
     let b = bends(&rig.hold(5.0));
     assert!(b.iter().fold(0.0f64, |m, x| m.max(*x)) > 1.1 * b[4999]);
 
-    // rate coupling is gone at rest
+    // rate coupling vanishes at standstill
     let (mut with, mut without) = (Rig::clean("[effects.outside.rate_coupling]\nshift_s = 0.1"), Rig::clean(""));
     let (m, n) = (with.go(BEND, 20.0), without.go(BEND, 20.0));
     assert!((bend(m.last().unwrap()) - bend(n.last().unwrap())).norm() > 1.0);
     assert!((bend(with.hold(3.0).last().unwrap()) - bend(without.hold(3.0).last().unwrap())).norm() < 1e-3);
 
-    // a longer tip bends more; at rest length nothing is to be seen
+    // a longer tip bends more; at the rest length nothing changes
     let text = "[line]\nk_epsilon = [2.0, 2.0, 2.0]\n[effects.outside.length_gain]\nshare = 0.4";
     let long = Rig::clean(text).at(BEND.map(|x| x + 9.0)).norm();
     assert!(long > 1.15 * Rig::clean(text).at(BEND).norm());
@@ -294,7 +294,7 @@ fn outside_effects_are_what_they_say() {
     let starts = speed.windows(2).filter(|w| w[0] < 0.3 * fastest && w[1] >= 0.3 * fastest).count();
     assert!((10..25).contains(&starts), "{starts} jumps over 10 mm of rod");
 
-    // play wears
+    // play grows with use
     let mut rig = Rig::of("[effects.outside.play_wear]\ngrowth = 1.5\nover_mm = 100.0");
     let mut gap = || {
         rig.at([0.0; 3]);
@@ -308,7 +308,7 @@ fn outside_effects_are_what_they_say() {
     });
     assert!(gap() > first + 2.0);
 
-    // a held bend unscrews, a fold pops
+    // a held bend twists the tip, a fold pops
     let mut rig = Rig::clean("[effects.outside.twist_creep]\ntwist_deg = 12.0");
     rig.at(BEND);
     let (a, b) = (*rig.hold(0.1).last().unwrap(), *rig.hold(20.0).last().unwrap());
@@ -336,7 +336,7 @@ fn base_motion_moves_no_piston_and_no_joint() {
 }
 
 #[test]
-fn directions_are_the_contracts() {
+fn bend_directions_follow_the_convention() {
     // bellow 2 stands at 120°: shortening it alone bends to direction −120°
     let b: Vector2<f64> = Rig::clean("").at([0.0, -8.0, 0.0]);
     assert!((b.y.atan2(b.x).to_degrees() + 120.0).abs() < 1e-6);

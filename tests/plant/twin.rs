@@ -1,4 +1,4 @@
-//! The paper twin repeats the paper's open-loop figures.
+//! The paper twin reproduces the paper's open-loop figures.
 
 use crate::open_loop::{Arm, arm, identify, rmse};
 use retroflex::config::board::Board;
@@ -8,7 +8,7 @@ use retroflex::simulation::plant::PlantConfig;
 /// The paper's RMSE of the bend angle, degrees: none, extension, extension + backlash.
 const PAPER_DEG: [f64; 3] = [36.96, 8.04, 7.76];
 
-/// The twin as its file has it.
+/// The twin of `boards/sim.toml`.
 pub fn paper_twin() -> PlantConfig {
     let board: Board = source::parse("boards/sim.toml", include_str!("../../boards/sim.toml")).unwrap();
     board.plant.unwrap().make()
@@ -22,18 +22,18 @@ fn arms(config: &PlantConfig, seed: u64) -> ([f64; 3], [f64; 6], usize) {
 }
 
 #[test]
-fn three_arms_are_the_papers_within_ten_percent() {
+fn three_arms_match_the_paper_within_ten_percent() {
     let (rmse, k, passes) = arms(&paper_twin(), 1);
     println!("rmse {rmse:.2?}  k* {k:.2?}  passes {passes}");
     for (got, want) in rmse.iter().zip(PAPER_DEG) {
         assert!((got / want - 1.0).abs() < 0.10, "{rmse:?}");
     }
     assert!(passes <= 7, "the paper converged within 7, here {passes}");
-    assert!(rmse[1] > rmse[2], "backlash compensation helps, if little");
+    assert!(rmse[1] > rmse[2], "backlash compensation reduces the error slightly");
 }
 
 #[test]
-fn units_spread_around_it() {
+fn units_spread_around_the_paper() {
     let units: Vec<_> = (1..=20).map(|seed| arms(&paper_twin().drawn(seed), seed)).collect();
     for (a, paper) in PAPER_DEG.iter().enumerate() {
         let all: Vec<f64> = units.iter().map(|u| u.0[a]).collect();
@@ -42,5 +42,5 @@ fn units_spread_around_it() {
         println!("arm {a}: {low:.2} to {high:.2}, mean {mean:.2} deg (paper {paper:.2})");
         assert!((mean / paper - 1.0).abs() < 0.15 && high / low < 2.2);
     }
-    assert!(units.iter().filter(|u| u.2 < 12).count() >= 18, "Algorithm 1 ends on nearly every unit");
+    assert!(units.iter().filter(|u| u.2 < 12).count() >= 18, "Algorithm 1 converges on nearly every unit");
 }

@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn alike_in_all_directions_and_growing_with_bend() {
+    fn the_change_is_isotropic_and_grows_with_bend() {
         let p = [0.2, 0.1];
         for delta in [40.0, 160.0, -100.0] {
             assert!((gain(&p, 60.0, delta) - gain(&p, 60.0, 0.0)).abs() < 1e-12);

@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn a_level_tip_sags_less_once_it_points_down() {
+    fn a_level_tip_sags_less_when_it_points_down() {
         let p = proof::with(&Gravity, &[("sag", 0.1)]);
         let level = Vector3::x();
         let at = |deg: f64| {

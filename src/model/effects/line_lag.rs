@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn on_a_ramp_it_is_tau_behind_and_draining_may_be_faster() {
+    fn a_ramp_lags_by_tau_and_draining_may_be_faster() {
         let p = proof::with(&LineLag, &[("tau", 0.4), ("fill_drain", 0.5)]);
         let behind = |speed: f64| {
             let run = proof::drive(&LineLag, &p, 10.0, |t| Vector3::repeat(speed * t));

@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_a_turn_by_its_vector_and_nothing_at_zero() {
+    fn the_mount_turns_by_its_vector_and_vanishes_at_zero() {
         let turn = MountMisalignment.mount(&[0.0, 0.0, 0.2]).expect("a turn");
         let seen = turn * Vector3::x();
         assert!((seen - Vector3::new(0.2f64.cos(), 0.2f64.sin(), 0.0)).norm() < 1e-12);

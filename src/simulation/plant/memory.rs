@@ -71,7 +71,7 @@ impl Mix for Vector3<f64> {
 }
 
 impl<T: Mix> Delay<T> {
-    /// A line that reaches `reach_s` back at steps of `step_min_s` or more, with `rest` in it.
+    /// A line that reaches `reach_s` back at steps of `step_min_s` or more, filled with `rest`.
     pub(crate) fn new(reach_s: f64, step_min_s: f64, rest: T) -> Self {
         let mut past = VecDeque::with_capacity((reach_s / step_min_s).ceil() as usize + 4);
         past.push_back((f64::NEG_INFINITY, rest));
@@ -117,7 +117,7 @@ const WANDER_S: f64 = 1.0;
 const WANDER_MAX: f64 = 2.5;
 
 impl<T: Mix> DeadTime<T> {
-    /// A dead time of `delay_s` with relative wander `jitter`, with `rest` on its way.
+    /// A dead time of `delay_s` with relative wander `jitter`, filled with `rest`.
     pub(crate) fn new(delay_s: f64, jitter: f64, rest: T, mut rng: PlantRng) -> Self {
         let wander = Wander::new(1.0, WANDER_S, &mut rng);
         Self { delay_s, jitter, line: Self::line(delay_s, jitter, rest), wander, rng }
@@ -125,7 +125,7 @@ impl<T: Mix> DeadTime<T> {
     fn line(delay_s: f64, jitter: f64, rest: T) -> Delay<T> {
         Delay::new(delay_s * (1.0 + jitter * WANDER_MAX), STEP_MIN_S, rest)
     }
-    /// Replaces everything on its way by `rest`.
+    /// Fills the line with `rest`.
     pub(crate) fn fill(&mut self, rest: T) {
         self.line = Self::line(self.delay_s, self.jitter, rest);
     }

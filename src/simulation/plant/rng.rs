@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_stay_near_their_range() {
+    fn drawn_sizes_stay_near_their_range() {
         let mut rng = PlantRng::new(1, Stream::Choice);
         for k in 0..200 {
             let x = rng.sized(0.1, 10.0, f64::from(k) / 199.0);

@@ -23,8 +23,8 @@ impl PlantEffect for AccelBias {
         let size = rng.sized(25.0, 120.0, severity);
         Self { bias_mg: (rng.direction() * size).into() }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { bias_mg: [0; 3].map(|_| tenth(1.0)) })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { bias_mg: [0; 3].map(|_| up_to(1.0)) })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(self.clone())

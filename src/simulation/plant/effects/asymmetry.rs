@@ -25,8 +25,8 @@ impl PlantEffect for Asymmetry {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sign() * rng.sized(0.08, 0.3, severity), knee_mm: rng.between(0.3, 1.2) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: tenth(0.003), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: up_to(0.003), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(self.clone())

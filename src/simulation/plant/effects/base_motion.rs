@@ -24,10 +24,9 @@ parameters! {
         at_s: f64 = 15.0, 0.0..=1e9, "seconds since the start";
         /// How long it takes, s. Default 6. A larger value is slower.
         over_s: f64 = 6.0, 0.05..=1e6, "some seconds are typical";
-        /// Sway beside it about the same axis, degrees. Default 0; typical 0 to 2. A larger value never holds
-        /// still.
+        /// Sway about the same axis, degrees. Default 0; typical 0 to 2. A larger value moves more.
         sway_deg: f64 = 0.0, -30.0..=30.0, "a degree or two is typical";
-        /// Period of the sway, s. Default 7. Nothing sways during the first 3 s, which are rest.
+        /// Period of the sway, s. Default 7. There is no sway during the first 3 s.
         sway_period_s: f64 = 7.0, 0.2..=1e6, "some seconds are typical";
     }
 }
@@ -54,8 +53,9 @@ impl PlantEffect for BaseMotion {
     }
 }
 
-/// Seconds at rest before a sway, and over which it grows.
+/// Time before a sway begins, and over which it grows, s.
 const STILL_S: f64 = 3.0;
+/// Golden ratio.
 const GOLDEN: f64 = 1.618_033_988_749_895;
 
 impl BaseMotion {

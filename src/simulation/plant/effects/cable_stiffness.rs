@@ -28,8 +28,8 @@ impl PlantEffect for CableStiffness {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.1, 0.4, severity), direction_deg: rng.angle_deg(), one_sided: rng.between(0.1, 0.6) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: tenth(0.0015), direction_deg: tenth(180.0), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: up_to(0.0015), direction_deg: up_to(180.0), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(Cable::new(self))
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn is_two_fold_and_stiffer_taut() {
+    fn the_cable_acts_both_ways_and_more_when_taut() {
         let c = Cable::new(&CableStiffness { share: 0.2, direction_deg: 30.0, one_sided: 0.3 });
         let along = |deg: f64| c.held_back(&Vector2::new(deg.to_radians().cos(), deg.to_radians().sin())).norm();
         assert!(along(120.0) < 1e-12 && along(300.0) < 1e-12);

@@ -30,8 +30,8 @@ impl PlantEffect for Clocking {
         }
         Self { offset_deg, wander: rng.between(0.03, 0.12) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { offset_deg: [tenth(0.08), -tenth(0.08), tenth(0.08)], ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { offset_deg: [up_to(0.08), -up_to(0.08), up_to(0.08)], ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(self.clone())

@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stops_one_way_and_sticks() {
+    fn the_wall_stops_the_tip_one_way_and_holds_it_sideways() {
         let mut w = Touching::new(Contact { block: 1.0, friction: 0.5, ..Contact::default() });
         let rad = |x: f64, y: f64| Vector2::new(x.to_radians(), y.to_radians());
         assert_eq!(w.step(&rad(29.0, 50.0)), (rad(29.0, 50.0), false));

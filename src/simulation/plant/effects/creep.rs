@@ -13,13 +13,13 @@ use nalgebra::Vector3;
 parameters! {
     /// `[effects.creep]`
     Creep at "effects.creep" sized by share {
-        /// Growth after all time, as a share of the motion. Default 0 (none); typical 0.02 to 0.4.
+        /// Final growth, as a share of the motion. Default 0 (none); typical 0.02 to 0.4.
         /// A larger value creeps further.
         share: f64 = 0.0, 0.0..=2.0, "0.02 to 0.4 is typical";
-        /// Exponent α of the spectrum. Default 0.2. A larger value puts more of it into minutes, smaller into
-        /// seconds.
+        /// Exponent α of the spectrum. Default 0.2. A larger value shifts the creep from seconds to
+        /// minutes.
         exponent: f64 = 0.2, -1.0..=1.0, "0.2 is typical";
-        /// How much harder large strain drives it, ν. Default 0.3. A larger value departs more from proportional.
+        /// Nonlinearity ν of the drive at large strain. Default 0.3. A larger value departs more from proportional.
         nonlinear: f64 = 0.3, 0.0..=3.0, "0.3 is typical";
     }
 }
@@ -30,15 +30,17 @@ impl PlantEffect for Creep {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.08, 0.4, severity), exponent: rng.between(0.0, 0.3), nonlinear: rng.between(0.0, 0.6) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: tenth(0.002), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: up_to(0.002), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(Creeping::new(self.clone()))
     }
 }
 
+/// Number of elements.
 const ELEMENTS: usize = 5;
+/// Shortest and longest retardation time, s: the range that a log of minutes resolves.
 const SHORTEST_S: f64 = 0.4;
 const LONGEST_S: f64 = 100.0;
 /// Strain at which the nonlinear drive counts fully, mm.
@@ -83,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn grows_in_holds_over_decades_and_recovers() {
+    fn creep_grows_over_decades_of_time_and_recovers() {
         let mut c = Creeping::new(Creep { share: 0.2, nonlinear: 0.0, ..Creep::default() });
         let q = Vector3::repeat(5.0);
         let at: Vec<f64> = (0..60_000).map(|_| c.step(&q, 0.01).x).collect();

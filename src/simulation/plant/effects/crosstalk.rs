@@ -26,8 +26,8 @@ impl PlantEffect for Crosstalk {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.05, 0.3, severity), lopsided: rng.between(-0.6, 0.6) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: tenth(0.0015), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: up_to(0.0015), ..Self::default() })
     }
     fn law(&self, unit: &UnitData) -> Box<dyn Law> {
         Box::new(Squeezing { crosstalk: self.clone(), k_epsilon: unit.k_epsilon })
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pressure_moves_the_others_and_vacuum_does_not() {
+    fn pressure_moves_the_neighbours_and_vacuum_does_not() {
         let c = Crosstalk { share: 0.1, lopsided: 0.0 };
         let k = Vector3::repeat(2.0);
         let pushed = c.squeezed_mm(&Vector3::new(5.0, 0.0, 0.0), &k);

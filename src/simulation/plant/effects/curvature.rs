@@ -23,8 +23,8 @@ impl PlantEffect for Curvature {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { excess_deg: rng.sign() * rng.sized(3.0, 10.0, severity) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { excess_deg: tenth(0.1) })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { excess_deg: up_to(0.1) })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(self.clone())
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn is_isotropic_and_its_own_size_at_sixty_degrees() {
+    fn the_excess_is_isotropic_and_stated_at_sixty_degrees() {
         let c = Curvature { excess_deg: 5.0 };
         for deg in [0.0, 77.0, 200.0f64] {
             let u = Vector2::new(deg.to_radians().cos(), deg.to_radians().sin());

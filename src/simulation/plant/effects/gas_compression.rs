@@ -30,20 +30,20 @@ impl PlantEffect for GasCompression {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { strength: rng.sized(0.5, 2.2, severity), polytropic: rng.between(1.05, 1.35), ..Self::default() }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { strength: tenth(0.012), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { strength: up_to(0.012), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(self.clone())
     }
 }
 
-/// Share of the atmosphere below which the curve goes on along its tangent: no vacuum is perfect.
+/// Share of the atmosphere below which the curve continues along its tangent: no vacuum is perfect.
 const VACUUM_FLOOR: f64 = 0.1;
 
 impl GasCompression {
     /// Pressure that a linear spring would need for the same strain, kPa, and its slope: ε(p) and
-    /// dε/dp of the true gas divided by those of the nominal spring at rest.
+    /// dε/dp of the true gas divided by those of the nominal spring at zero pressure.
     pub(crate) fn linearised_kpa(&self, pressure_kpa: f64) -> (f64, f64) {
         let (n, s) = (self.polytropic, self.strength / self.atmosphere_kpa);
         let ratio = 1.0 + s * pressure_kpa;
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn obeys_boyle_and_is_linear_for_small_signals() {
+    fn the_gas_obeys_boyle_and_is_linear_for_small_signals() {
         let g = GasCompression { strength: 1.0, ..GasCompression::default() };
         let volume = g.polytropic * g.atmosphere_kpa; // dead volume in the unit of the result
         for p in [-80.0, -40.0, -10.0, 5.0, 40.0] {

@@ -38,8 +38,8 @@ impl PlantEffect for GearPeriodic {
             ..Self::default()
         }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { amplitude_mm: tenth(0.01), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { amplitude_mm: up_to(0.01), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(Teeth::new(self.clone()))
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn repeats_every_pitch_and_is_zero_at_rest() {
+    fn the_error_repeats_every_pitch_and_starts_at_zero() {
         let config = GearPeriodic { amplitude_mm: 0.2, variation: 0.0, ..GearPeriodic::default() };
         let mut g = Teeth::new(config.clone());
         assert!(g.error_mm(&Vector3::zeros()).norm() < 1e-15);

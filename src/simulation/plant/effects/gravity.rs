@@ -29,8 +29,8 @@ impl PlantEffect for Gravity {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { sag_deg: rng.sized(2.5, 10.0, severity), com_mm: rng.between(3.0, 9.0) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { sag_deg: tenth(0.1), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { sag_deg: up_to(0.1), ..Self::default() })
     }
     fn law(&self, unit: &UnitData) -> Box<dyn Law> {
         Box::new(Weight::new(self.clone(), unit.rest_length_mm))
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn sags_down_when_level_and_bends_on_when_upright() {
+    fn a_level_tip_sags_and_an_upright_one_bends_further() {
         let mut w = Weight::new(Gravity { sag_deg: 5.0, ..Gravity::default() }, 20.0);
         let level = w.sagged(&Vector2::zeros(), 20.0, &attitude(90.0));
         // pitched by 90°, the base's x axis points down

@@ -48,7 +48,7 @@ impl Drifting {
     pub(crate) fn new(config: GyroBias, seed: u64) -> Self {
         let mut rng = PlantRng::new(seed, Stream::GyroBias);
         let mut wander = Wander::new(config.wander_deg_s.to_radians(), 40.0, &mut rng);
-        // what it starts with is the constant bias, which is nobody's fault
+        // the value at the start is a constant bias, which is part of the nominal model
         let start = wander.step(0.0, &mut rng);
         Self { config, wander, rng, start }
     }
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn starts_at_nothing_and_ends_at_its_size() {
+    fn the_drift_starts_at_zero_and_ends_at_its_size() {
         let mut d = Drifting::new(GyroBias { warm_up_deg_s: [1.0, 0.0, -2.0], ..GyroBias::default() }, 1);
         assert_eq!(d.rate(0.0, 0.0).norm(), 0.0);
         let end = d.rate(5000.0, 1.0).map(f64::to_degrees);

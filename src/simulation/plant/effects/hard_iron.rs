@@ -28,8 +28,8 @@ impl PlantEffect for HardIron {
         let size = rng.sized(4.0, 40.0, severity);
         Self { offset_ut: (rng.direction() * size).into(), viscous: rng.between(0.02, 0.15) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { offset_ut: [0; 3].map(|_| tenth(0.06)), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { offset_ut: [0; 3].map(|_| up_to(0.06)), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(Iron::new(self.clone()))
@@ -39,26 +39,26 @@ impl PlantEffect for HardIron {
 /// Time over which parts are magnetised, s.
 const VISCOUS_S: f64 = 15.0;
 
-/// Parts with the field they have soaked up.
+/// Parts with the field they have acquired.
 #[derive(Debug, Clone)]
 pub(crate) struct Iron {
     config: HardIron,
     decay: Decay,
-    soaked: Option<Vector3<f64>>,
+    acquired: Option<Vector3<f64>>,
 }
 
 impl Iron {
     pub(crate) fn new(config: HardIron) -> Self {
-        Self { config, decay: Decay::new(VISCOUS_S), soaked: None }
+        Self { config, decay: Decay::new(VISCOUS_S), acquired: None }
     }
     /// Field of the parts, µT, `dt_s` later in the outer field `outer`.
     pub(crate) fn field(&mut self, outer: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
-        // they have always been where they are at the start
-        let before = self.soaked.unwrap_or(*outer);
-        let soaked = before + (outer - before) * self.decay.share(dt_s);
-        self.soaked = Some(soaked);
+        // before the first sample the parts have been in the same field
+        let before = self.acquired.unwrap_or(*outer);
+        let acquired = before + (outer - before) * self.decay.share(dt_s);
+        self.acquired = Some(acquired);
         let offset = Vector3::from(self.config.offset_ut);
-        offset + soaked.try_normalize(1e-9).unwrap_or_default() * (self.config.viscous * offset.norm())
+        offset + acquired.try_normalize(1e-9).unwrap_or_default() * (self.config.viscous * offset.norm())
     }
 }
 
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn is_fixed_to_the_body_but_for_what_soaks() {
+    fn the_field_is_fixed_to_the_body_except_for_its_viscous_part() {
         let mut iron = Iron::new(HardIron { offset_ut: [10.0, 0.0, 0.0], viscous: 0.1 });
         let first = iron.field(&Vector3::new(0.0, 40.0, 0.0), 0.01);
         assert!((first - Vector3::new(10.0, 1.0, 0.0)).norm() < 1e-9);

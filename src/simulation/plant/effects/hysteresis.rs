@@ -1,7 +1,7 @@
 //! Rate-independent memory of rubber: many plies that yield one after another.
 //!
 //! `q − h (1 + η x/√(1 + x²)) Σ μⱼ eⱼ` with `x = q / 3 mm`. Ply `j` holds a strain `eⱼ` that follows `q` between
-//! `−κ ρⱼ` and `ρⱼ` and yields there: it gives way earlier when the bellow contracts. The yields `ρⱼ` form a
+//! `−κ ρⱼ` and `ρⱼ` and yields there: the limit is lower when the bellow contracts. The yields `ρⱼ` form a
 //! geometric ladder with lognormal weights `μⱼ` around the typical one; `η` makes loops wider when the bellow
 //! is long, so that loops of one width at two places are not congruent, which no sum of play operators
 //! reproduces.
@@ -43,8 +43,8 @@ impl PlantEffect for Hysteresis {
             long_side: rng.between(0.0, 0.3),
         }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: tenth(0.006), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: up_to(0.006), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(Plies::new(self.clone()))
@@ -53,7 +53,7 @@ impl PlantEffect for Hysteresis {
 
 /// Number of plies.
 const PLIES: usize = 11;
-/// Yields reach from the typical one over this factor to the typical one times it.
+/// Largest over typical yield, and typical over smallest.
 const REACH: f64 = 8.0;
 /// Length change over which the long side's extra width comes, mm.
 const LONG_MM: f64 = 3.0;
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bigger_loop_wipes_a_minor_one_out() {
+    fn a_larger_loop_wipes_out_a_minor_one() {
         let plain = run(&mut plies(), &[5.0, -5.0, 3.0]);
         let nested = run(&mut plies(), &[5.0, -5.0, 1.0, -1.0, 3.0]);
         assert!((plain[2] - nested[4]).abs() < 1e-9);

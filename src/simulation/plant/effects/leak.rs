@@ -30,8 +30,8 @@ impl PlantEffect for Leak {
         let rate = rng.sized(2e-3, 6e-2, severity);
         Self { rate_per_s: rng.on_channels(rate), vacuum: rng.between(0.4, 1.0), ..Self::default() }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { rate_per_s: [0; 3].map(|_| tenth(5e-5)), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { rate_per_s: [0; 3].map(|_| up_to(5e-5)), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(Leaking::new(self.clone()))
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn decays_in_a_hold_and_leaves_an_offset_behind() {
+    fn a_hold_decays_and_leaves_an_offset() {
         let mut l = Leaking::new(Leak { rate_per_s: [0.05, 0.0, 0.0], ..Leak::default() });
         let held = Vector3::repeat(10.0);
         let kpa = Vector3::repeat(1.0);
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn is_less_than_proportional_and_less_under_vacuum() {
+    fn a_leak_is_less_than_proportional_and_less_under_vacuum() {
         let l = Leaking::new(Leak { rate_per_s: [0.05; 3], ..Leak::default() });
         assert!(l.opening(20.0) < 0.75 * l.opening(0.1) && l.opening(-5.0) < l.opening(5.0));
     }

@@ -83,13 +83,13 @@ mod tests {
     }
 
     #[test]
-    fn small_steps_take_tau_and_big_ones_longer() {
+    fn small_steps_take_tau_and_large_ones_longer() {
         assert!((rise(0.01) - 0.2).abs() < 0.01);
         assert!(rise(10.0) > 0.3);
     }
 
     #[test]
-    fn never_overshoots_whatever_the_step() {
+    fn the_flow_never_overshoots() {
         let mut l = Lumen::new(LineLag { lag_s: [0.05, 0.5, 0.0], port: 0.5 });
         for _ in 0..100 {
             let z = l.step(&Vector3::repeat(3.0), 0.01);

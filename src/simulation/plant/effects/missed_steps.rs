@@ -15,7 +15,7 @@ parameters! {
     /// `[effects.missed_steps]`
     MissedSteps at "effects.missed_steps" sized by full_steps {
         /// Full steps lost each time the rotor falls out of step. Default 0 (none); typical 1 to 50.
-        /// A larger value leaves a bigger offset (0.47 mm of piston each).
+        /// A larger value leaves a larger offset (0.47 mm of piston each).
         full_steps: f64 = 0.0, 0.0..=400.0, "1 to 50 is typical";
         /// Channel that loses them, 1 to 3. Default 1.
         channel: usize = 1, CHANNELS, "channels are counted from 1 to 3";
@@ -61,7 +61,7 @@ pub(crate) struct Stall {
     ready: bool,
 }
 
-/// Smoothing of the commanded speed, s: what a rotor's inertia does.
+/// Smoothing of the commanded speed by a rotor's inertia, s.
 const QUICK_S: f64 = 0.01;
 const SLOW_S: f64 = 0.04;
 
@@ -71,7 +71,7 @@ impl Stall {
         Self { config, step_mm, microsteps, quick, slow, to_lose: 0.0, stalls: 0, ready: true }
     }
 
-    /// Takes from `turned` (microsteps of this step) what a stalled rotor does not follow.
+    /// Removes from `turned` (microsteps of this step) those that a stalled rotor does not follow.
     pub(crate) fn hold_back(&mut self, turned: &mut Vector3<f64>, t: f64, dt_s: f64) {
         let sent = &mut turned[self.config.channel - 1];
         if self.overloaded(*sent * self.step_mm / dt_s, dt_s) && t >= self.config.after_s && self.stalls < self.config.stalls_max {
@@ -83,7 +83,7 @@ impl Stall {
         *sent -= lost * sent.signum();
     }
 
-    /// True once each time the torque asked for passes what there is.
+    /// True once each time the required torque exceeds the available torque.
     fn overloaded(&mut self, speed_mm_s: f64, dt_s: f64) -> bool {
         self.quick.1 += (speed_mm_s - self.quick.1) * self.quick.0.share(dt_s);
         self.slow.1 += (speed_mm_s - self.slow.1) * self.slow.0.share(dt_s);

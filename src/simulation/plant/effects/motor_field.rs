@@ -23,8 +23,8 @@ parameters! {
         azimuth_deg: [f64; 3] = [0.0, 60.0, 120.0], -360.0..=360.0, "one turn is enough";
         /// Share h of the third harmonic. Default 0.12. A larger value is further from a circle.
         saturation: f64 = 0.12, 0.0..=1.0, "0.12 is typical";
-        /// Current at rest as a share of the moving one. Default 0.5. Smaller differs more between
-        /// motion and rest.
+        /// Current at standstill as a share of the current in motion. Default 0.5. A smaller value gives a
+        /// larger difference between motion and standstill.
         idle: f64 = 0.5, 0.0..=1.0, "0.5 is a common driver setting";
     }
 }
@@ -41,8 +41,8 @@ impl PlantEffect for MotorField {
             idle: rng.between(0.3, 0.7),
         }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { amplitude_ut: [0; 3].map(|_| tenth(0.02)), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { amplitude_ut: [0; 3].map(|_| up_to(0.02)), ..Self::default() })
     }
     fn law(&self, unit: &UnitData) -> Box<dyn Law> {
         Box::new(Motors::new(self.clone(), unit.microsteps))
@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn repeats_every_64_microsteps_and_weakens_at_rest() {
+    fn the_field_repeats_every_64_microsteps_and_weakens_at_standstill() {
         let mut m = Motors::new(MotorField { amplitude_ut: [5.0, 0.0, 0.0], ..MotorField::default() }, 16.0);
         let moving = m.field_ut(&Vector3::new(7.0, 0.0, 0.0), 0.002);
         assert!((m.coils(0, 7.0) - m.coils(0, 71.0)).norm() < 1e-9 && (m.coils(0, 7.0) - m.coils(0, 39.0)).norm() > 1.0);

@@ -27,8 +27,8 @@ impl PlantEffect for MountMisalignment {
         let size = rng.sized(3.0, 15.0, severity);
         Self { tilt_deg: (rng.direction() * size).into(), give: rng.between(0.0, 0.05) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { tilt_deg: [0; 3].map(|_| tenth(0.06)), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { tilt_deg: [0; 3].map(|_| up_to(0.06)), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(self.clone())

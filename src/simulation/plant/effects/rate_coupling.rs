@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn acts_while_moving_and_vanishes_at_rest() {
+    fn the_shift_vanishes_at_standstill() {
         let mut d = Dragging::new(RateCoupling { shift_s: 0.1 });
         let mut shift = Vector3::zeros();
         for k in 0..1000 {

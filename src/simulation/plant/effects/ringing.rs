@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn overshoots_at_its_frequency_and_settles() {
+    fn the_tip_overshoots_at_its_frequency_and_settles() {
         let mut r = Rings::new(Ringing { share: 1.0, ..Ringing::default() });
         let path: Vec<f64> = (0..4000).map(|_| r.step(&Vector3::repeat(1.0), 0.001).x).collect();
         let peak = (0..4000).max_by(|&a, &b| path[a].total_cmp(&path[b])).unwrap();

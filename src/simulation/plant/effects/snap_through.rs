@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pops_late_and_back_later() {
+    fn the_fold_pops_with_hysteresis() {
         let mut s = Snapping::new(SnapThrough { jump_mm: 0.5, at_mm: 2.0, channel: 2 });
         let mut settle = |q: f64| (0..500).map(|_| s.step(&Vector3::new(9.0, q, 9.0), 0.001)).last().unwrap();
         assert!(settle(1.9).norm() < 1e-9);

@@ -26,8 +26,8 @@ impl PlantEffect for Softening {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.1, 0.5, severity), stretch_mm: rng.between(2.0, 4.0) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: tenth(0.003), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: up_to(0.003), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(Damage::new(self.clone()))
@@ -77,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn changes_only_beyond_the_past_maximum() {
+    fn stiffness_falls_only_beyond_the_past_maximum() {
         let mut d = Damage::new(Softening { share: 0.4, ..Softening::default() });
         d.stretch(&Vector3::new(3.0, -3.0, 0.0));
         let once = d.left();

@@ -18,7 +18,7 @@ parameters! {
         /// Share of the breakaway strain that is left after the jump, 0 to 1. Default 0.3. A larger value jumps
         /// less.
         sliding: f64 = 0.3, 0.0..=1.0, "a share of the breakaway";
-        /// How much breakaway rises with ln(1 + seconds at rest). Default 0.1. A larger value ages faster.
+        /// How much breakaway rises with ln(1 + seconds at standstill). Default 0.1. A larger value ages faster.
         ageing: f64 = 0.1, 0.0..=2.0, "0.1 is plausible";
     }
 }
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn moves_in_jumps() {
+    fn the_plunger_moves_in_jumps() {
         let mut s = Sticking::new(StickSlip { breakaway_mm: 0.5, ..StickSlip::default() });
         let path: Vec<f64> = (0..=400).map(|k| s.step(&Vector3::repeat(0.01 * f64::from(k)), 0.001).x).collect();
         let jumps: Vec<f64> = path.windows(2).map(|w| w[1] - w[0]).filter(|d| *d != 0.0).collect();

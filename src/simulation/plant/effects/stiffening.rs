@@ -25,8 +25,8 @@ impl PlantEffect for Stiffening {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.12, 0.7, severity), onset_mm: rng.between(1.8, 4.0) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: tenth(0.003), ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { share: up_to(0.003), ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(Hardening::new(self))
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn is_odd_hardens_and_has_its_share_at_full_stretch() {
+    fn the_extra_force_is_odd_and_stated_at_full_stretch() {
         let s = Hardening::new(&Stiffening { share: 0.3, ..Stiffening::default() });
         assert!((s.extra(5.0).0 - 1.5).abs() < 1e-12 && s.extra(-5.0).0 == -s.extra(5.0).0);
         let gain = |q: f64| s.extra(q).0 / q;

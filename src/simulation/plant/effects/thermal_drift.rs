@@ -34,8 +34,8 @@ impl PlantEffect for ThermalDrift {
         offset_mm[main] = size * sign;
         Self { offset_mm, air_s: rng.between(6.0, 25.0), case_s: rng.between(30.0, 120.0) }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { offset_mm: [tenth(0.02), -tenth(0.02), 0.0], ..Self::default() })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { offset_mm: [up_to(0.02), -up_to(0.02), 0.0], ..Self::default() })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(Warming::new(self.clone()))
@@ -52,7 +52,7 @@ pub(crate) struct Warming {
 
 impl Warming {
     pub(crate) fn new(config: ThermalDrift) -> Self {
-        // equal masses are the limit of unequal ones; a hair apart they are told apart stably
+        // equal time constants are the limit of unequal ones; a difference of 0.2 % keeps the formula stable
         let alike = (config.case_s / config.air_s - 1.0).abs() < 1e-3;
         let case_s = if alike { config.case_s * 1.002 } else { config.case_s };
         let mass = |tau_s: f64| (tau_s, Decay::new(tau_s), 1.0);
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn starts_softly_and_ends_at_its_size() {
+    fn the_offset_starts_without_slope_and_ends_at_its_size() {
         for case_s in [90.0, 20.0] {
             let mut w = Warming::new(ThermalDrift { offset_mm: [1.0, 0.0, -0.5], case_s, ..ThermalDrift::default() });
             let path: Vec<_> = (0..20_000).map(|_| w.step(0.1)).collect();

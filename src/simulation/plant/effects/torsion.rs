@@ -25,8 +25,8 @@ impl PlantEffect for Torsion {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { twist_deg: rng.sign() * rng.sized(3.0, 20.0, severity), direction_deg: rng.angle_deg() }
     }
-    fn background(tenth: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { twist_deg: tenth(0.1), direction_deg: 0.0 })
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        Some(Self { twist_deg: up_to(0.1), direction_deg: 0.0 })
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
         Box::new(self.clone())
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn grows_with_bend_and_is_zero_at_rest() {
+    fn twist_grows_with_bend_from_zero() {
         let t = Torsion { twist_deg: 10.0, direction_deg: 30.0 };
         let at = |beta: f64| t.angle(&Vector2::new(0.0, beta));
         assert_eq!(at(0.0), 0.0);

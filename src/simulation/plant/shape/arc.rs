@@ -1,15 +1,15 @@
 //! The section as built: three bellows, each at its own distance and angle, along a circular arc.
 //!
 //! `q_i = Δl − r_i (b_x cos α_i − b_y sin α_i)` is three equations for `(b_x, b_y, Δl)`; with all
-//! bellows in place the solution is the controller's own (paper, Eq. 10-11), and it need not be.
+//! bellows in place the solution is the controller's own (paper, Eq. 10-11), which bellows out of place change.
 //! The tip of an arc of length `l` lies at `(l V b_x, −l V b_y, l S)` with `S = sin β/β` and
 //! `V = (1 − cos β)/β²` (Eq. 6).
 
 use nalgebra::{Matrix3, RowVector3, Vector2, Vector3};
 use std::f64::consts::TAU;
 
-/// The proximal plate itself. [`crate::primitives::frames::Base`] is the tip's attitude at rest, which differs
-/// from it by what weight bends a resting tip.
+/// Frame of the proximal plate. [`crate::primitives::frames::Base`] is the attitude of the tip at the start, which
+/// differs from it by the sag of the straight tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Plate;
 
