@@ -20,7 +20,7 @@ use crate::supervisor::machine::{Alarm, Machine, Sensed};
 use crate::supervisor::machine::{MachineError, MachineInfo};
 
 /// A machine that can be broken from outside its plant.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Breakable {
     inner: Lockstep<Sim>,
     /// Every transfer fails like this.

@@ -49,10 +49,6 @@ impl Damage {
     pub(crate) fn new(config: Softening) -> Self {
         Self { config, worst_mm: Vector3::zeros(), left: Vector3::repeat(1.0) }
     }
-    /// Share of each wall's stiffness that is left.
-    pub(crate) fn left(&self) -> Vector3<f64> {
-        self.left
-    }
     /// The walls have been stretched to `bellow_mm`.
     pub(crate) fn stretch(&mut self, bellow_mm: &Vector3<f64>) {
         for i in 0..3 {
@@ -80,13 +76,13 @@ mod tests {
     fn stiffness_falls_only_beyond_the_past_maximum() {
         let mut d = Damage::new(Softening { share: 0.4, ..Softening::default() });
         d.stretch(&Vector3::new(3.0, -3.0, 0.0));
-        let once = d.left();
+        let once = d.left;
         assert!(once.x < 0.76 && once.y > once.x && once.y < 1.0 && once.z == 1.0);
         for q in [0.0, 2.9, -4.0, 3.0] {
             d.stretch(&Vector3::new(q, 0.0, 0.0));
         }
-        assert_eq!(d.left().x, once.x);
+        assert_eq!(d.left.x, once.x);
         d.stretch(&Vector3::new(5.0, 0.0, 0.0));
-        assert!(d.left().x < once.x && d.left().x > 0.6);
+        assert!(d.left.x < once.x && d.left.x > 0.6);
     }
 }
