@@ -21,7 +21,7 @@ pub struct ImuColumns {
 }
 
 /// A bend log in columns of equal length.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct BendLog {
     /// Name of the file.
     pub file: String,
