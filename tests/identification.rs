@@ -13,7 +13,7 @@ use retroflex::control::learning::batch::{Measurement, Prior, solve};
 use retroflex::control::tick::{Command, LoopConfig};
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
-use retroflex::experiment::identify::{Identified, algorithm_1, with_prior};
+use retroflex::experiment::identify::{Identified, algorithm_1};
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper, short};
 use retroflex::model::arc::Shape;
@@ -26,7 +26,7 @@ use retroflex::simulation::world::World;
 fn identified(seed: u64) -> (LoopConfig, Identified) {
     let mut world = unit(seed, 0);
     let config = for_world(&uncalibrated(), &world);
-    let found = algorithm_1(&config, &mut world, &paper(), &mut |_| ()).unwrap();
+    let found = algorithm_1(&config, &mut world, &paper(), None, &mut |_| ()).unwrap();
     (LoopConfig { lines: found.lines(), dynamics: found.dynamics, ..config }, found)
 }
 
@@ -112,9 +112,9 @@ fn algorithm_1_converges_within_the_papers_count_to_the_effective_gains() {
 fn short_against_full(seed: u64, open: fn(u64, u64) -> Sim) -> f64 {
     let prior = source::read::<Calibration>(&repo("calib/paper.toml")).unwrap().prior();
     let config = for_world(&uncalibrated(), &open(seed, 0));
-    let brief = with_prior(&config, &mut open(seed, 60), &short(), &prior).unwrap();
+    let brief = algorithm_1(&config, &mut open(seed, 60), &short(), Some(&prior), &mut |_| ()).unwrap();
     let alone = prior.map(|p| Prior { k_epsilon_sigma: 1e3, k_lambda_sigma_mm: 1e3, ..p });
-    let full = with_prior(&config, &mut open(seed, 60), &paper(), &alone).unwrap();
+    let full = algorithm_1(&config, &mut open(seed, 60), &paper(), Some(&alone), &mut |_| ()).unwrap();
     let off = [0, 1, 2].map(|i: usize| brief.lines()[i].k_epsilon / full.lines()[i].k_epsilon - 1.0);
     println!("unit {seed}: k_ε {:+.1}, {:+.1}, {:+.1} %", 100.0 * off[0], 100.0 * off[1], 100.0 * off[2]);
     off.iter().fold(0.0, |worst, o| o.abs().max(worst))

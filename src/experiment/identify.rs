@@ -62,7 +62,8 @@ impl Identified {
     }
 }
 
-/// Runs Algorithm 1 on one world, starting at `config.lines`.
+/// Runs Algorithm 1 on one world, starting at `config.lines`. With a prior it starts at the gains of the prior and makes
+/// one pass: the short calibration of a new tip.
 ///
 /// # Errors
 /// [`IdentifyError`] from the world or the data.
@@ -70,41 +71,26 @@ pub fn algorithm_1(
     config: &LoopConfig,
     world: &mut dyn World,
     poses: &[Pose],
+    prior: Option<&[Prior; 3]>,
     progress: &mut dyn FnMut(usize),
 ) -> Result<Identified, IdentifyError> {
-    let open = LoopConfig { feedback: None, ..config.clone() };
-    let mut rig = Rig::new(open, world);
+    let mut now = prior.map_or(config.lines, |p| p.map(|p| p.line));
+    let mut rig = Rig::new(LoopConfig { feedback: None, ..config.clone() }, world);
     rig.align()?;
-    let mut history = vec![config.lines];
+    let mut history = vec![now];
     let mut round = Round::new(config.geometry, poses.to_vec());
     loop {
-        let now = history.last().copied().unwrap_or(config.lines);
         rig.relearn(now);
         round.again();
         hold(&mut rig, &mut round, &mut || progress(history.len()))?;
-        let channels = solve(&round.data, None)?;
-        let next = plausible(&channels)?;
-        history.push(next);
-        let converged = relative_step(&next, &now) < CONVERGED;
+        let channels = solve(&round.data, prior)?;
+        let before = std::mem::replace(&mut now, plausible(&channels)?);
+        history.push(now);
+        let converged = prior.is_some() || relative_step(&now, &before) < CONVERGED;
         if converged || history.len() > PASSES_MAX {
             return Ok(Identified { channels, dynamics: round.dynamics(&config.dynamics), history, converged });
         }
     }
-}
-
-/// Runs one pass with a prior: the short calibration of a new tip.
-///
-/// # Errors
-/// [`IdentifyError`] from the world or the data.
-pub fn with_prior(config: &LoopConfig, world: &mut dyn World, poses: &[Pose], prior: &[Prior; 3]) -> Result<Identified, IdentifyError> {
-    let lines = prior.map(|p| p.line);
-    let mut rig = Rig::new(LoopConfig { feedback: None, lines, ..config.clone() }, world);
-    rig.align()?;
-    let mut round = Round::new(config.geometry, poses.to_vec());
-    hold(&mut rig, &mut round, &mut || ())?;
-    let channels = solve(&round.data, Some(prior))?;
-    let next = plausible(&channels)?;
-    Ok(Identified { channels, dynamics: round.dynamics(&config.dynamics), history: vec![lines, next], converged: true })
 }
 
 /// The gains of `channels`, if they are within the physical range.

@@ -33,17 +33,25 @@ pub enum Step {
     Over,
 }
 
+/// Progress of the present pose.
+#[derive(Debug, Clone, Copy, Default)]
+struct PoseProgress {
+    /// Time since the command, time at rest, and measured time, s.
+    since_s: f64,
+    rested_s: f64,
+    measured_s: f64,
+    /// Sum of the measured bends, rad, and their number.
+    sum: Vector2<f64>,
+    samples: u32,
+}
+
 /// One round of poses.
 #[derive(Debug, Clone)]
 pub struct Round {
     geometry: Geometry,
     poses: Vec<Pose>,
     at: usize,
-    since_s: f64,
-    rested_s: f64,
-    sum: Vector2<f64>,
-    samples: u32,
-    measured_s: f64,
+    pose: PoseProgress,
     pushes: Pushes,
     bank: DynamicsBank,
     /// Measurements so far; a pose that was not reached in time has none.
@@ -59,11 +67,7 @@ impl Round {
             data: Vec::with_capacity(poses.len()),
             poses,
             at: 0,
-            since_s: 0.0,
-            rested_s: 0.0,
-            sum: Vector2::zeros(),
-            samples: 0,
-            measured_s: 0.0,
+            pose: PoseProgress::default(),
             pushes: Pushes::default(),
             bank: DynamicsBank::default(),
         }
@@ -98,28 +102,28 @@ impl Round {
     pub fn step(&mut self, frame: &Frame, piston_mm: &Vector3<f64>, dt_s: f64) -> Step {
         let half_s = 0.5 * dt_s; // tolerance for rounding in the sums of periods
         self.pushes.follow(piston_mm);
-        self.since_s += dt_s;
-        self.rested_s = if frame.phase == TickPhase::Holding { self.rested_s + dt_s } else { 0.0 };
+        self.pose.since_s += dt_s;
+        self.pose.rested_s = if frame.phase == TickPhase::Holding { self.pose.rested_s + dt_s } else { 0.0 };
         if let Some(estimate) = frame.estimate {
             self.bank.step(frame.bend_from_pistons.0, estimate.bend.0, dt_s);
-            if self.since_s > HOLD_S - SCORED_S + half_s && self.rested_s > RESTED_S + half_s {
-                self.sum += estimate.bend.0;
-                self.samples += 1;
-                self.measured_s += dt_s;
+            if self.pose.since_s > HOLD_S - SCORED_S + half_s && self.pose.rested_s > RESTED_S + half_s {
+                self.pose.sum += estimate.bend.0;
+                self.pose.samples += 1;
+                self.pose.measured_s += dt_s;
             }
         }
-        let measured = self.measured_s > SCORED_S - half_s;
+        let measured = self.pose.measured_s > SCORED_S - half_s;
         if measured {
             self.measure();
-        } else if self.since_s < WAY_MAX_S - half_s {
+        } else if self.pose.since_s < WAY_MAX_S - half_s {
             return Step::Waiting;
         }
-        (self.since_s, self.rested_s, self.sum, self.samples, self.measured_s) = (0.0, 0.0, Vector2::zeros(), 0, 0.0);
+        self.pose = PoseProgress::default();
         self.at += 1;
         if self.at < self.poses.len() { Step::Next } else { Step::Over }
     }
     fn measure(&mut self) {
-        let bend = Bend(self.sum / f64::from(self.samples.max(1)));
+        let bend = Bend(self.pose.sum / f64::from(self.pose.samples.max(1)));
         let bellow_mm = self.geometry.lengths(&Shape { bend, length: Mm(self.geometry.rest_length_mm) });
         let Pushes { last_mm, side, .. } = self.pushes;
         self.data.push(Measurement { piston_mm: last_mm, bellow_mm, side, weight: self.pushes.weight() });
