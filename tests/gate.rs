@@ -305,7 +305,7 @@ fn an_emergency_stop_releases_at_once_in_any_state() {
     gate.pass(&request([50; 3]));
     let output = gate.pass(&GateInput { emergency_stop: true, armed: false, ..request([50; 3]) });
     assert_eq!((output.tripped, output.energise), (Some(TripCause::EmergencyStop), false));
-    assert_eq!(gate.latched(), Some(TripCause::Stale), "the first cause is kept");
+    assert_eq!(gate.latched(), Some(TripCause::Stale), "the first cause stays latched");
 }
 
 #[test]

@@ -38,11 +38,11 @@ struct Flight {
 }
 
 impl Flight {
-    fn new(kept: Option<RestartState>, machine: Option<Lockstep<Sim>>) -> Self {
+    fn new(remembered: Option<RestartState>, machine: Option<Lockstep<Sim>>) -> Self {
         let machine = machine.unwrap_or_else(|| Lockstep::new(unit(0, 1)));
         let calib: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
         let config = assemble(&twin(), &calib, &Gains::default(), machine.world.info());
-        Self { runner: Runner::new(machine, Supervisor::new(config, kept)), k: 0 }
+        Self { runner: Runner::new(machine, Supervisor::new(config, remembered)), k: 0 }
     }
     fn turn(&mut self, order: Option<Order>) -> CycleOutput {
         self.k += 1;
@@ -261,10 +261,10 @@ fn taken_over(change: impl Fn(&mut RestartState, &mut SupervisorConfig)) -> (Fli
     before.run(0.1);
     before.bend(50.0, 30.0);
     before.run(3.0);
-    let mut kept = before.runner.supervisor.keep();
+    let mut remembered = before.runner.supervisor.keep();
     let (mut config, t0) = (before.runner.supervisor.config().clone(), before.k);
-    change(&mut kept, &mut config);
-    let runner = Runner::new(before.runner.machine, Supervisor::new(config, Some(kept)));
+    change(&mut remembered, &mut config);
+    let runner = Runner::new(before.runner.machine, Supervisor::new(config, Some(remembered)));
     let mut after = Flight { runner, k: t0 };
     let energise = (0..4000).map(|_| after.turn(None).energise).collect();
     (after, energise)
@@ -276,7 +276,7 @@ fn a_tip_found_energised_stays_so_until_the_check() {
     assert_eq!(fly.runner.supervisor.mode(), Mode::Disarmed);
     assert!(energise.iter().all(|e| *e), "released after {:?} cycles", energise.iter().position(|e| !e));
     // the remembered pose contradicts the measured one: energised until the check, then released
-    let turned_away = |kept: &mut RestartState, _: &mut SupervisorConfig| kept.bend_rad = [-0.9, 0.3];
+    let turned_away = |remembered: &mut RestartState, _: &mut SupervisorConfig| remembered.bend_rad = [-0.9, 0.3];
     let (fly, energise) = taken_over(turned_away);
     assert_eq!(fly.runner.supervisor.mode(), Mode::Lost);
     assert!(energise[..1000].iter().all(|e| *e) && !energise[3999]);
@@ -284,7 +284,7 @@ fn a_tip_found_energised_stays_so_until_the_check() {
     let (_, energise) = taken_over(|_, config| config.gate.on.late = SafeState::Release);
     assert!(!energise[0]);
     // without a remembered pose the drivers are released
-    let (_, energise) = taken_over(|kept, _| kept.steps = Steps::default());
+    let (_, energise) = taken_over(|remembered, _| remembered.steps = Steps::default());
     assert!(!energise[0]);
 }
 

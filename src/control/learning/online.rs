@@ -25,7 +25,7 @@ use std::f64::consts::TAU;
 pub struct RefineConfig {
     /// Learn at all. Default true.
     pub enabled: bool,
-    /// Share of a sector's information kept per accepted pose there. Default 0.9 (a memory of about
+    /// Share of a sector's information retained per accepted pose there. Default 0.9 (a memory of about
     /// ten poses a sector, 120 in all). Larger remembers longer and follows a changing tip later.
     pub forgetting: f64,
     /// Worth of the calibrated prior in poses of full strain. Default 1. Larger holds the gains
