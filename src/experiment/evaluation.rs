@@ -137,7 +137,8 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
         let mut world = open(Purpose::Identify).map_err(RigError::from)?;
         plant.clone_from(&world.info().name);
         let config = for_world(&base, world.as_ref());
-        let result = identify::algorithm_1(&config, world.as_mut(), &paper(), None, &mut |pass| progress(&format!("identify, pass {pass}")))?;
+        let result =
+            identify::algorithm_1(&config, world.as_mut(), &paper(), None, &mut |pass| progress(&format!("identify, pass {pass}")))?;
         (base.lines, base.dynamics) = (result.lines(), result.dynamics);
         found = Some(result);
     }
