@@ -52,31 +52,31 @@ fn file(folder: &TempDir, name: &str, text: &str) -> String {
 #[test]
 fn errors_in_files_name_line_key_and_range() {
     let folder = TempDir::new().unwrap();
-    refused(&["evaluate", "--board", "/nowhere/board.toml"], &["/nowhere/board.toml", "No such file"]);
+    refused(&["evaluate", "--board", "/nowhere/board.toml"], &["/nowhere/board.toml", "there is no such file"]);
     let cases: [(&str, &str, &[&str]); 12] = [
         ("--calib", "[transmission]\nk_epsilon = [2.2, 2.5]\nk_lambda_mm = [0.9, 0.9, 0.9]\n", &["line 2", "length 2"]),
         (
             "--calib",
             "[transmission]\nk_epsilon = [2.2, nan, 2.2]\nk_lambda_mm = [0.9, 0.9, 0.9]\n",
-            &["line 2", "k_epsilon.1", "NaN", "0 to 10"],
+            &["line 2", "k_epsilon[2]", "NaN", "0 to 10"],
         ),
         (
             "--calib",
             "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.9, 0.9, -0.1]\n",
-            &["line 3", "k_lambda_mm.2", "-0.1", "0 to 3"],
+            &["line 3", "k_lambda_mm[3]", "-0.1", "0 to 3"],
         ),
         (
             "--calib",
             "[transmission]\nk_epsilon = [2.2, 2.2, 55.0]\nk_lambda_mm = [0.9, 0.9, 0.9]\n",
-            &["line 2", "k_epsilon.2", "55", "0 to 10"],
+            &["line 2", "k_epsilon[3]", "55", "0 to 10"],
         ),
         ("--calib", "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\n", &["k_lambda_mm"]),
         ("--calib", "", &["transmission"]),
         ("--gains", "[loop]\ntau_s = 0.1\n", &["line 2", "tau_s", "tau_c_s"]),
-        ("--gains", "[loop]\ntau_c_s = \"100 ms\"\n", &["line 2", "string", "f64"]),
+        ("--gains", "[loop]\ntau_c_s = \"100 ms\"\n", &["line 2", "the text \"100 ms\"", "expected a number"]),
         ("--gains", "[loop]\ntau_c_s = 100\n", &["line 2", "loop.tau_c_s", "100 s", "0.01 to 10 s"]),
         ("--board", "[geometry]\nrest_length_mm = 0.02\n", &["line 2", "geometry.rest_length_mm", "0.02 mm", "5 to 100 mm"]),
-        ("--board", "[plant.line]\nk_epsilon = [2.2, inf, 2.2]\n", &["line 2", "plant.line.k_epsilon.1", "inf"]),
+        ("--board", "[plant.line]\nk_epsilon = [2.2, inf, 2.2]\n", &["line 2", "plant.line.k_epsilon[2]", "inf"]),
         ("--board", "[plant]\nperiod_s = 5\n", &["line 2", "plant.period_s", "5 s", "0.0001 to 0.01 s"]),
     ];
     for (n, (option, text, words)) in cases.into_iter().enumerate() {
@@ -86,6 +86,7 @@ fn errors_in_files_name_line_key_and_range() {
         all.extend(words);
         refused(&["evaluate", option, &path], &all);
     }
+    refused(&["evaluate", "--board", folder.path().to_str().unwrap()], &["this is a folder"]);
     let binary = folder.path().join("binary.toml");
     std::fs::write(&binary, [0xff, 0xfe, 0x00]).unwrap();
     refused(&["evaluate", "--gains", binary.to_str().unwrap()], &["binary.toml", "UTF-8"]);

@@ -74,7 +74,8 @@ fn chip_board(rig: &Rig) -> String {
 
 /// A board file of the repository with lines replaced, in the rig's folder.
 fn variant(rig: &Rig, name: &str, changes: &[(&str, &str)]) -> String {
-    let mut text = std::fs::read_to_string(repo(&format!("boards/{name}.toml"))).unwrap();
+    let board: Board = source::read(&repo(&format!("boards/{name}.toml"))).unwrap();
+    let mut text = retroflex::config::show::whole(&board);
     for (old, new) in changes {
         assert!(text.contains(old), "`{old}` is not in {name}");
         text = text.replacen(old, new, 1);

@@ -61,7 +61,7 @@ fn write_back(path: &Path, board: &Board, wiring: &Wiring) -> Result<()> {
     let text = std::fs::read_to_string(path).into_diagnostic()?;
     let (new, changes) = rewired(&text, board, wiring).map_err(|key| {
         miette!(
-            "{}: {key} does not appear in the file, so it cannot be corrected there; add it to its table and run the command again",
+            "{}: {key} is not written in the file, so it cannot be changed there; copy its table from `retroflex board show` and run again",
             path.display()
         )
     })?;

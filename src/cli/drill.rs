@@ -1,10 +1,9 @@
 //! `retroflex drill`: every fault, in mid-motion; `--soak HOURS`: all of them, at random, for long.
 
-use crate::cli::{CommandOutcome, output};
+use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
-use crate::config::source;
 use crate::drill::bench::Make;
 use crate::drill::process::Harm;
 use crate::drill::run::{Allowance, fly};
@@ -78,8 +77,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 /// The paper twin with the paper's calibration.
 fn twin() -> Result<Make> {
-    let board: Board = source::parse("boards/sim.toml", include_str!("../../boards/sim.toml"))?;
-    let calibration: Calibration = source::parse("calib/paper.toml", include_str!("../../calib/paper.toml"))?;
+    let board: Board = inputs::board(None)?;
+    let calibration: Calibration = inputs::calibration(None)?;
     Ok(Make { board, calibration, gains: Gains::default() })
 }
 

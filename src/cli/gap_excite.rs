@@ -6,7 +6,7 @@ use crate::cli::output::{self, write};
 use crate::diagnosis::excite::rows::csv;
 use crate::diagnosis::excite::{APART, Designed, LONGEST_S, Wanted, design, separable};
 use crate::model::transmission::Line;
-use crate::primitives::check::{Check, Checker};
+use crate::primitives::{check::Checker, parameters::Check};
 use comfy_table::{CellAlignment, Table, presets};
 use miette::{Result, miette};
 use std::path::PathBuf;
@@ -51,7 +51,7 @@ impl Check for ExciteArgs {
 pub fn run(args: &ExciteArgs) -> Result<CommandOutcome> {
     let mut checker = Checker::default();
     args.check(&mut checker);
-    checker.done().map_err(|e| miette!("{}: {}: {}", e.key, e.problem, e.mend))?;
+    checker.done().map_err(|e| miette!("{}: {}: {}", e.key, e.problem, e.hint))?;
     let like: Vec<&std::path::Path> = args.like.iter().map(PathBuf::as_path).collect();
     output::check(&[("--out", Some(&args.out))], &like)?;
     let like = args.like.as_deref().map(saved).transpose()?;

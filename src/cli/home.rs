@@ -2,7 +2,7 @@
 
 use crate::cli::{CommandOutcome, manual_motion, output};
 use crate::config::board::Board;
-use crate::config::hardware::HomingMethod;
+use crate::config::sections::HomingMethod;
 use crate::config::source;
 use crate::supervisor::commission::homing::{self, HomingConfig};
 use miette::{Result, miette};

@@ -3,8 +3,8 @@
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
-use crate::config::source;
-use crate::primitives::check::Check;
+use crate::config::{shipped, source};
+use crate::primitives::parameters::Check;
 use crate::simulation::link;
 use miette::{Result, miette};
 use serde::de::DeserializeOwned;
@@ -15,7 +15,7 @@ use std::path::Path;
 /// # Errors
 /// A report that names file, line and key.
 pub fn board(path: Option<&Path>) -> Result<Board> {
-    read_or(path, "boards/sim.toml", include_str!("../../boards/sim.toml"))
+    read_or(path, shipped::SIM)
 }
 
 /// A gains file; by default `boards/gains.toml`.
@@ -23,7 +23,7 @@ pub fn board(path: Option<&Path>) -> Result<Board> {
 /// # Errors
 /// A report that names file, line and key.
 pub fn gains(path: Option<&Path>) -> Result<Gains> {
-    read_or(path, "boards/gains.toml", include_str!("../../boards/gains.toml"))
+    read_or(path, shipped::GAINS)
 }
 
 /// A calibration file; by default the paper's gains.
@@ -31,10 +31,14 @@ pub fn gains(path: Option<&Path>) -> Result<Gains> {
 /// # Errors
 /// A report that names file, line and key.
 pub fn calibration(path: Option<&Path>) -> Result<Calibration> {
-    read_or(path, "calib/paper.toml", include_str!("../../calib/paper.toml"))
+    read_or(path, shipped::PAPER)
 }
 
-fn read_or<T: DeserializeOwned + Check>(path: Option<&Path>, name: &str, built_in: &str) -> Result<T> {
+/// A file of any kind, or what comes with the program in its place.
+///
+/// # Errors
+/// A report that names file, line and key.
+pub fn read_or<T: DeserializeOwned + Check>(path: Option<&Path>, (name, built_in): (&str, &str)) -> Result<T> {
     Ok(match path {
         Some(path) => source::read(path)?,
         None => source::parse(name, built_in)?,

@@ -4,6 +4,7 @@
 //! reachable.
 
 pub mod bench;
+pub mod board;
 pub mod calibrate;
 pub mod client;
 pub mod commission;
@@ -46,6 +47,9 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Verify the wiring and the tightness of a machine with small guarded moves.
     Commission(commission::Args),
+    /// Boards, gains and calibrations.
+    #[command(subcommand)]
+    Board(board::BoardCommand),
     /// Find the zero position of the pistons.
     Home(home::Args),
     /// Move one piston slowly.
@@ -140,6 +144,7 @@ pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Commission(args) => commission::run(&args),
+        Command::Board(command) => board::run(&command),
         Command::Home(args) => home::run(&args),
         Command::Jog(args) => jog::run(&args),
         Command::Bench(command) => bench::run(&command),

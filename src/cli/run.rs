@@ -1,10 +1,9 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
-use crate::cli::{CommandOutcome, Unreachable, logging, manual_motion};
+use crate::cli::{CommandOutcome, Unreachable, inputs, logging, manual_motion};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
-use crate::config::gains::Gains;
-use crate::config::source;
+use crate::config::show;
 use crate::config::supervisor::assemble;
 use crate::hardware::machine::Hardware;
 use crate::service::{ServiceError, Setup, serve};
@@ -75,18 +74,16 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 }
 
 fn prepare(args: &Args) -> Result<Setup> {
-    let (board, board_text): (Board, String) = read_or(args.board.as_deref(), "boards/sim.toml", include_str!("../../boards/sim.toml"))?;
-    let (gains, gains_text): (Gains, String) =
-        read_or(args.gains.as_deref(), "boards/gains.toml", include_str!("../../boards/gains.toml"))?;
-    let (calibration, calib_text): (Calibration, String) =
-        read_or(args.calib.as_deref(), "calib/paper.toml", include_str!("../../calib/paper.toml"))?;
+    let board = inputs::board(args.board.as_deref())?;
+    let gains = inputs::gains(args.gains.as_deref())?;
+    let calibration = inputs::calibration(args.calib.as_deref())?;
     let tip = check_tip(args, &calibration)?;
     if args.fast && (args.plant.is_none() && board.plant.is_none()) {
         return Err(miette!("--fast: only a plant can run faster than the clock; give --plant, or a board with a [plant] table"));
     }
     let machine = open(args, &board, &calibration)?;
     let supervisor = assemble(&board, &calibration, &gains, machine.info());
-    let texts = [board_text, gains_text, calib_text];
+    let texts = [show::compact(&board), show::compact(&gains), show::compact(&calibration)];
     Ok(Setup {
         machine,
         supervisor,
@@ -101,22 +98,6 @@ fn prepare(args: &Args) -> Result<Setup> {
         fast: args.fast,
         record: args.record.clone(),
     })
-}
-
-/// A file, or what the program carries in its place; with its text.
-fn read_or<T: serde::de::DeserializeOwned + crate::primitives::check::Check>(
-    path: Option<&Path>,
-    name: &str,
-    own: &str,
-) -> Result<(T, String)> {
-    match path {
-        None => Ok((source::parse(name, own)?, own.to_owned())),
-        Some(path) => {
-            let value = source::read(path)?;
-            let text = std::fs::read_to_string(path).into_diagnostic()?;
-            Ok((value, text))
-        }
-    }
 }
 
 /// The tip that is mounted, if the calibration is its own or is taken on purpose.

@@ -4,84 +4,50 @@ use crate::control::learning::batch::Prior;
 use crate::control::pi::Dynamics;
 use crate::estimation::imu_calibration::ImuCalibration;
 use crate::model::transmission::Line;
-use crate::primitives::check::{Check, Checker};
-use serde::{Deserialize, Serialize};
+use crate::parameters;
+use crate::primitives::check::Checker;
+use crate::primitives::parameters::{Check, Parameters, Table};
 
-/// A calibration file.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Calibration {
-    /// Extension and backlash.
-    pub transmission: TransmissionSection,
-    /// Lag and dead time.
-    #[serde(default)]
-    pub dynamics: DynamicsSection,
-    /// The tip IMU's own errors, as `retroflex calibrate imu` writes them.
-    #[serde(default)]
-    pub imu: ImuCalibration,
-}
-
-/// Extension and backlash of the three lines.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TransmissionSection {
-    /// Extension gains k_ε, dimensionless, channel 1 to 3. A larger gain moves the piston further
-    /// for the same bellow.
-    pub k_epsilon: [f64; 3],
-    /// Backlash half-widths k_λ, mm. A larger one makes a larger jump at every reversal.
-    pub k_lambda_mm: [f64; 3],
-    /// 1 σ of k_ε; default 0.25, the spread between units.
-    #[serde(default = "default_k_epsilon_sigma")]
-    pub k_epsilon_sigma: [f64; 3],
-    /// 1 σ of k_λ, mm; default 0.08.
-    #[serde(default = "default_k_lambda_sigma_mm")]
-    pub k_lambda_sigma_mm: [f64; 3],
-    /// Tip the calibration was made on; empty if it was not said.
-    #[serde(default)]
-    pub tip: String,
-    /// Day of the calibration, `YYYY-MM-DD`; empty if it was not said.
-    #[serde(default)]
-    pub date: String,
-    /// What it was made from: a log, a command, a publication.
-    #[serde(default)]
-    pub source: String,
-}
-
-fn default_k_epsilon_sigma() -> [f64; 3] {
-    [0.25; 3]
-}
-fn default_k_lambda_sigma_mm() -> [f64; 3] {
-    [0.08; 3]
-}
-
-impl Default for TransmissionSection {
-    /// No compensation: where Algorithm 1 starts.
-    fn default() -> Self {
-        Self {
-            k_epsilon: [0.0; 3],
-            k_lambda_mm: [0.0; 3],
-            k_epsilon_sigma: default_k_epsilon_sigma(),
-            k_lambda_sigma_mm: default_k_lambda_sigma_mm(),
-            tip: String::new(),
-            date: String::new(),
-            source: String::new(),
-        }
+parameters! {
+    /// A calibration: what this tip is.
+    pub struct Calibration {
+        /// Extension and backlash of the three lines.
+        transmission: TransmissionSection;
+        /// Lag and dead time.
+        dynamics: DynamicsSection;
+        /// Errors of the tip IMU, as `retroflex calibrate imu` writes them.
+        imu: ImuCalibration;
     }
 }
 
-/// Lag and dead time from piston to felt bend.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct DynamicsSection {
-    /// First-order lag τ, s. Default 0.03. Larger leads the feedforward further ahead and raises K_p.
-    pub lag_s: f64,
-    /// Dead time T, s. Default 0.01. Larger makes the loop more patient.
-    pub delay_s: f64,
+parameters! {
+    /// Extension and backlash of the three lines. The defaults of the standard deviations are the spread between units.
+    pub struct TransmissionSection {
+        /// Extension gains k_ε of channels 1 to 3: piston travel lost in the air per bellow travel. A larger gain moves the
+        /// piston further for the same bellow.
+        k_epsilon: [f64; 3], "", 0.0..=10.0, "the paper found 2.2 to 2.5; `retroflex calibrate transmission` identifies it";
+        /// Backlash half-widths k_λ of channels 1 to 3. A larger value makes a larger step at every reversal.
+        k_lambda_mm: [f64; 3], "mm", 0.0..=3.0, "the paper found 0.8 to 0.9 mm; `retroflex calibrate transmission` identifies it";
+        /// Standard deviation of each k_ε. A larger value gives the calibration less weight as a prior.
+        k_epsilon_sigma: [f64; 3] = [0.25; 3], "", 0.0001..=5.0, "the spread between units is about 0.25";
+        /// Standard deviation of each k_λ. A larger value gives the calibration less weight as a prior.
+        k_lambda_sigma_mm: [f64; 3] = [0.08; 3], "mm", 0.0001..=2.0, "the spread between units is about 0.08 mm";
+        /// Tip that was calibrated.
+        tip: String = String::new();
+        /// Day of the calibration, `YYYY-MM-DD`.
+        date: String = String::new();
+        /// Origin of the numbers: a log, a command, a publication.
+        source: String = String::new();
+    }
 }
 
-impl Default for DynamicsSection {
-    fn default() -> Self {
-        Self { lag_s: 0.03, delay_s: 0.01 }
+parameters! {
+    /// Lag and dead time from piston to estimated bend.
+    pub struct DynamicsSection: Copy {
+        /// First-order lag τ. A larger value makes the feedforward lead further and raises the proportional gain.
+        lag_s: f64 = 0.03, "s", 0.001..=2.0, "0.03 suits a bare tip on 1.2 m of line";
+        /// Dead time T. A larger value slows the loop down.
+        delay_s: f64 = 0.01, "s", 0.0..=0.3, "0.01 suits a local bus";
     }
 }
 
@@ -110,19 +76,8 @@ impl Calibration {
 }
 
 impl Check for Calibration {
-    fn check(&self, to: &mut Checker) {
-        let t = &self.transmission;
-        to.ranges(
-            "transmission.k_epsilon",
-            &t.k_epsilon,
-            0.0..=10.0,
-            "",
-            "the paper found 2.2 to 2.5; identify it with `retroflex evaluate`",
-        );
-        to.ranges("transmission.k_lambda_mm", &t.k_lambda_mm, 0.0..=3.0, "mm", "the paper found 0.8 to 0.9 mm");
-        to.ranges("transmission.k_epsilon_sigma", &t.k_epsilon_sigma, 1e-4..=5.0, "", "the spread between units is about 0.25");
-        to.ranges("transmission.k_lambda_sigma_mm", &t.k_lambda_sigma_mm, 1e-4..=2.0, "mm", "the spread between units is about 0.08 mm");
-        to.range("dynamics.lag_s", self.dynamics.lag_s, 0.001..=2.0, "s", "0.03 for a bare tip");
-        to.range("dynamics.delay_s", self.dynamics.delay_s, 0.0..=0.3, "s", "0.01 for a local bus");
-    }
+    const TABLE: Option<&'static Table> = Some(<Self as Parameters>::TABLE);
+
+    /// Nothing relates two values of a calibration.
+    fn check(&self, _: &mut Checker) {}
 }

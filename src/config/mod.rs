@@ -1,17 +1,18 @@
 //! TOML in, validated domain types out.
 //!
 //! Three kinds of file: a *board* (what the machine is), a *calibration* (what this tip is) and
-//! *gains* (how the loop behaves). Unknown keys are errors; every number has a range; an error shows
-//! the file, the line, the key, the value and how to mend it.
+//! *gains* (how the loop behaves). Unknown keys are errors and every number has a range; an error
+//! shows the file, the line, the key, the value and how to correct it.
 
 pub mod board;
 pub mod calib;
-mod fuse;
 pub mod gains;
-pub mod hardware;
-pub mod pins;
 pub mod power;
+mod relations;
+pub mod sections;
 pub mod service;
+pub mod shipped;
+pub mod show;
 pub mod source;
 pub mod supervisor;
 
@@ -31,7 +32,7 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Loop
         side: gains.side(),
         bend_pace: gains.pace.bend(),
         length_pace: gains.pace.length(),
-        piston_pace: board.motion.pace(),
+        piston_pace: board.pace(),
         limits: board.limits(),
         feedback: Some(gains.feedback()),
         refine: gains.refine,

@@ -1,4 +1,4 @@
-//! The files together, as the pilot needs them.
+//! The files together, as the supervisor needs them.
 
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
@@ -7,7 +7,7 @@ use crate::model::drive::Drive;
 use crate::supervisor::cycle::SupervisorConfig;
 use crate::supervisor::machine::MachineInfo;
 
-/// Board, calibration and gains for a machine of this nature.
+/// Board, calibration and gains for a machine.
 #[must_use]
 pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, info: &MachineInfo) -> SupervisorConfig {
     let mut tick = super::assemble(board, calibration, gains);
@@ -15,5 +15,11 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, info: &
     tick.drive = Drive { step_mm: info.step_mm };
     tick.geometry.rest_length_mm = info.rest_length_mm;
     let gate = board.safety.gate(&tick, &tick.limits, info.period_s);
-    SupervisorConfig { gate, residual: board.safety.explain, restart_check: board.safety.proof, dead_man_s: board.service.dead_man_s, tick }
+    SupervisorConfig {
+        gate,
+        residual: board.safety.residual,
+        restart_check: board.safety.restart,
+        dead_man_s: board.service.dead_man_s,
+        tick,
+    }
 }

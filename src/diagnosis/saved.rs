@@ -6,7 +6,7 @@ use crate::diagnosis::observe::Observed;
 use crate::diagnosis::search::{Candidate, Found, model_of, score};
 use crate::diagnosis::sense::sense;
 use crate::model::effects::Effect;
-use crate::primitives::check::{Check, Checker};
+use crate::primitives::{check::Checker, parameters::Check};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -13,7 +13,7 @@
 
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
-use crate::motion::config::{ConfigError, MotionConfig, StepperConfig};
+use crate::motion::config::{MotionConfig, StepperConfig};
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::MotionLimits;
 use crate::motion::lines::{EmergencyStop, Levels, PulseTiming};
@@ -21,6 +21,7 @@ use crate::motion::pulse::{PulseAction, StepCore};
 use crate::motion::queue::{self, FeedError, Feeder, TimedSegment};
 use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
 use crate::motion::segment::Segment;
+use crate::primitives::check::Invalid;
 use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 
@@ -42,7 +43,7 @@ const ENABLE_SETTLES_NS: u64 = 500_000;
 pub enum StartError {
     /// The configuration is invalid.
     #[error(transparent)]
-    Config(#[from] ConfigError),
+    Config(#[from] Invalid),
     /// The operating system created no thread.
     #[error("the step thread could not be started: {0}")]
     Thread(#[from] std::io::Error),

@@ -4,8 +4,10 @@
 //! tolerance of [`TOLERANCE`] for rounding in a chain of cubics, a thousandth of the 1e-6 that
 //! [`crate::motion`] guarantees.
 
-use crate::motion::config::{ConfigError, MotionConfig};
+use crate::motion::config::MotionConfig;
 use crate::motion::state::MotionState;
+use crate::primitives::check::{Checker, Invalid};
+use crate::primitives::parameters::Parameters;
 
 /// Relative tolerance of every comparison with a limit.
 pub const TOLERANCE: f64 = 1e-9;
@@ -28,10 +30,13 @@ pub struct MotionLimits {
 }
 
 impl TryFrom<&MotionConfig> for MotionLimits {
-    type Error = ConfigError;
+    type Error = Invalid;
 
-    fn try_from(c: &MotionConfig) -> Result<Self, ConfigError> {
-        c.validate()?;
+    fn try_from(c: &MotionConfig) -> Result<Self, Invalid> {
+        c.checked("motion")?;
+        let mut checker = Checker::default();
+        checker.range("limits.travel_mm", c.travel_max_mm, 0.1..=1000.0, "mm", "what rack and syringe allow either side of rest");
+        checker.done()?;
         Ok(Self {
             speed_max_mm_s: c.speed_max_mm_s,
             acceleration_max_mm_s2: c.acceleration_max_mm_s2,

@@ -6,7 +6,8 @@
 //! Every interval is therefore counted from the reading *after* the earlier write to the reading
 //! *before* the later one. The true interval is never shorter, however long the writes take.
 
-use crate::motion::config::{ConfigError, StepperConfig};
+use crate::motion::config::StepperConfig;
+use crate::primitives::check::Invalid;
 
 /// Logical levels of all output lines. The pin backend applies polarity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -63,9 +64,9 @@ pub struct PulseTiming {
 }
 
 impl TryFrom<&StepperConfig> for PulseTiming {
-    type Error = ConfigError;
+    type Error = Invalid;
 
-    fn try_from(c: &StepperConfig) -> Result<Self, ConfigError> {
+    fn try_from(c: &StepperConfig) -> Result<Self, Invalid> {
         c.validate()?;
         let ns = |value: f64, unit_ns: f64| (value * unit_ns).ceil() as u64;
         Ok(Self {

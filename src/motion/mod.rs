@@ -39,7 +39,7 @@ pub mod state;
 pub mod steps;
 pub mod stop;
 
-pub use config::{ConfigError, MotionConfig, StepperConfig};
+pub use config::{MotionConfig, StepperConfig};
 pub use follow::{Motion, MoveStatus};
 pub use limits::MotionLimits;
 pub use segment::{ChannelSegment, Segment};

@@ -1,6 +1,7 @@
-//! Units, frames, samples and range checks: the words that every other room uses.
+//! Units, frames, samples and the parameter table: the vocabulary of every other room.
 
 pub mod check;
 pub mod frames;
+pub mod parameters;
 pub mod sample;
 pub mod units;

@@ -19,32 +19,26 @@
 pub use crate::supervisor::suspicion::{Suspicion, SuspicionKind};
 
 use crate::model::arc::Geometry;
+use crate::parameters;
 use nalgebra::{Vector2, Vector3};
-use serde::{Deserialize, Serialize};
 
-/// When something is called unexplained.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ResidualConfig {
-    /// Unexplained bend that is worth a word while the set-point rests, degrees. Default 4.5. Larger
-    /// overlooks larger leaks and hears less of creep.
-    pub rest_deg: f64,
-    /// Unexplained bend that is worth a word while it moves, degrees. Default 12: backlash and lag that
-    /// are not quite as believed make 10 of them. Larger overlooks larger faults.
-    pub motion_deg: f64,
-    /// … both more by so much per degree that the pistons have led the tip since. Default 0.3: a
-    /// tip whose cable pulls taut on one side gives a third less there. Larger overlooks a line that answers weakly.
-    pub share: f64,
-    /// How long it must stand, s. Default 0.1. Larger overlooks knocks and says leaks later.
-    pub for_s: f64,
-    /// A leap of the unexplained bend within 64 turns that is called sudden, degrees; twice what the
-    /// pistons led the tip meanwhile is allowed besides: no way of theirs to turn explains more. Default 3.5. Larger overlooks larger bursts.
-    pub leap_deg: f64,
-}
-
-impl Default for ResidualConfig {
-    fn default() -> Self {
-        Self { rest_deg: 4.5, motion_deg: 12.0, share: 0.30, for_s: 0.1, leap_deg: 3.5 }
+parameters! {
+    /// Residual monitor: when a difference between predicted and estimated bend is reported.
+    pub struct ResidualConfig: Copy {
+        /// Unexplained bend that is reported while the set-point is constant. A larger value misses larger leaks and reports
+        /// less creep.
+        rest_deg: f64 = 4.5, "deg", 0.2..=45.0, "4.5 is above what creep makes";
+        /// Unexplained bend that is reported while the set-point moves: backlash and lag that differ from the calibration make
+        /// 10° of it. A larger value misses larger faults.
+        motion_deg: f64 = 12.0, "deg", 0.2..=90.0, "12 is above what backlash and lag make";
+        /// Increase of both thresholds per degree that the pistons have commanded since: a tip whose cable pulls taut on one
+        /// side follows a third less there. A larger value misses a line that responds weakly.
+        share: f64 = 0.3, "", 0.0..=2.0, "0.3 is above the error of the gains";
+        /// Time for which the threshold must be exceeded. A larger value ignores knocks and reports leaks later.
+        for_s: f64 = 0.1, "s", 0.0..=10.0, "0.1 ignores a knock";
+        /// Change of the unexplained bend within 64 turns of the loop that counts as sudden; twice the bend commanded meanwhile
+        /// is allowed besides. A larger value misses larger bursts.
+        jump_deg: f64 = 3.5, "deg", 0.2..=90.0, "3.5 is above what a motion makes";
     }
 }
 
@@ -216,7 +210,7 @@ impl ResidualMonitor {
         let since = residual - self.baseline.0;
         let keep = (-input.dt_s / SMOOTH_S).exp();
         self.smooth = since + (self.smooth - since) * keep;
-        self.jump.step(self.config.leap_deg.to_radians(), residual, moved.max(gapless), input.dt_s);
+        self.jump.step(self.config.jump_deg.to_radians(), residual, moved.max(gapless), input.dt_s);
         self.assess(input)
     }
 

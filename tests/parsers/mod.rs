@@ -22,7 +22,7 @@ fn text(bytes: &[u8]) -> String {
 }
 
 /// A refusal is one message that names the file.
-fn toml<T: serde::de::DeserializeOwned + retroflex::primitives::check::Check>(bytes: &[u8]) -> bool {
+fn toml<T: serde::de::DeserializeOwned + retroflex::primitives::parameters::Check>(bytes: &[u8]) -> bool {
     match source::parse::<T>("fuzzed.toml", &text(bytes)) {
         Ok(_) => true,
         Err(why) => {

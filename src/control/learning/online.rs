@@ -15,49 +15,35 @@
 //! 5. **Outliers.** A row that deviates by more than `outlier` times the spread is not learned from.
 
 use crate::model::transmission::Line;
+use crate::parameters;
 use nalgebra::{Vector2, Vector3};
-use serde::Deserialize;
 use std::f64::consts::TAU;
 
-/// Guards and pace of the learner.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RefineConfig {
-    /// Learn at all. Default true.
-    pub enabled: bool,
-    /// Share of a sector's information retained per accepted pose there. Default 0.9 (a memory of about
-    /// ten poses a sector, 120 in all). Larger remembers longer and follows a changing tip later.
-    pub forgetting: f64,
-    /// Worth of the calibrated prior in poses of full strain. Default 1. Larger holds the gains
-    /// closer to the calibration.
-    pub prior_poses: f64,
-    /// Change of bend between two poses that count, degrees. Default 5. Larger learns from fewer,
-    /// more different poses.
-    pub pose_step_deg: f64,
-    /// Least strain of a bellow for its row to count, mm. Default 1. Larger ignores gentle bends,
-    /// where an offset would pass for a gain.
-    pub strain_min_mm: f64,
-    /// Range around the prior, as a fraction of 1 + k_ε. Default 0.5. Larger lets a worn tip be
-    /// followed further, and a fault be mistaken for one.
-    pub range: f64,
-    /// Largest change of the gain in use per pose, as a fraction of 1 + k_ε. Default 0.04.
-    pub step_max: f64,
-    /// A row further from the estimate than this many spreads is not learned from. Default 4.
-    pub outlier: f64,
-}
-
-impl Default for RefineConfig {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            forgetting: 0.9,
-            prior_poses: 1.0,
-            pose_step_deg: 5.0,
-            strain_min_mm: 1.0,
-            range: 0.5,
-            step_max: 0.04,
-            outlier: 4.0,
-        }
+parameters! {
+    /// Online refinement of the extension gains: learning rate and guards.
+    pub struct RefineConfig: Copy {
+        /// Learns k_ε during operation.
+        enabled: bool = true;
+        /// Fraction of a sector's information that is kept per accepted pose in that sector of bend directions; the default
+        /// is a memory of about ten poses a sector, 120 in all. A larger value remembers longer and follows a changing tip
+        /// later.
+        forgetting: f64 = 0.9, "", 0.5..=1.0, "0.9 remembers about ten poses in each of twelve directions";
+        /// Weight of the calibrated prior, in poses of full strain. A larger value holds the gains closer to the
+        /// calibration.
+        prior_poses: f64 = 1.0, "", 0.01..=1000.0, "1 weighs the calibration as one pose";
+        /// Change of bend between two poses that count. A larger value learns from fewer, more different poses.
+        pose_step_deg: f64 = 5.0, "deg", 0.5..=90.0, "5 is well above the noise";
+        /// Smallest strain of a bellow for its row to count. A larger value ignores gentle bends, in which an offset would
+        /// be taken for a gain.
+        strain_min_mm: f64 = 1.0, "mm", 0.1..=10.0, "1 is a bend of about 20°";
+        /// Range around the prior, as a fraction of 1 + k_ε. A larger value follows a worn tip further, and a fault as well.
+        range: f64 = 0.5, "", 0.01..=2.0, "0.5 allows half of 1 + k_ε either way";
+        /// Largest change of a gain per pose, as a fraction of 1 + k_ε. A larger value learns faster and jumps further on a
+        /// bad pose.
+        step_max: f64 = 0.04, "", 0.001..=1.0, "0.04 is not noticed in the motion";
+        /// A row further from the estimate than this many standard deviations is not learned from. A larger value accepts
+        /// less plausible poses.
+        outlier: f64 = 4.0, "", 1.0..=100.0, "4 rejects what noise does not explain";
     }
 }
 

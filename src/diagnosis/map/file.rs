@@ -2,7 +2,7 @@
 //!
 //! Every key has its paragraph in `docs/other-rigs.md`; unknown keys are errors.
 
-use crate::primitives::check::{Check, Checker};
+use crate::primitives::{check::Checker, parameters::Check};
 use serde::Deserialize;
 
 /// What the nominal model of a rig is.

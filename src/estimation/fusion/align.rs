@@ -5,31 +5,24 @@
 //! those as states), and the mean rate is the gyroscope's bias. Stillness is demanded, not assumed:
 //! a window that moves starts again, and the reason is kept for whoever waits.
 
+use crate::parameters;
 use crate::primitives::sample::ImuSample;
 use nalgebra::Vector3;
-use serde::Deserialize;
 
-/// When the tip counts as still.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct AlignConfig {
-    /// Length of the still stretch that is averaged, s. Default 1.8. Longer gives a better gyroscope
-    /// bias (its error falls with the square root) and a later start.
-    pub window_s: f64,
-    /// Largest deviation of one rate sample from the running mean, rad/s. Default 0.15. Larger
-    /// accepts a noisier part, and a tip that still sways.
-    pub gyro_band_rad_s: f64,
-    /// Largest deviation of one specific-force sample from the running mean, m/s². Default 1.5.
-    /// Larger accepts more vibration.
-    pub acc_band_m_s2: f64,
-    /// Largest mean rate that is believed to be bias, rad/s. Default 0.15 (8.6 °/s). Larger would
-    /// take a steady turn of the base for bias.
-    pub gyro_bias_max_rad_s: f64,
-}
-
-impl Default for AlignConfig {
-    fn default() -> Self {
-        Self { window_s: 1.8, gyro_band_rad_s: 0.15, acc_band_m_s2: 1.5, gyro_bias_max_rad_s: 0.15 }
+parameters! {
+    /// Alignment at start: when the tip counts as still.
+    pub struct AlignConfig: Copy {
+        /// Length of the still interval that is averaged. A larger value gives a better gyroscope bias (its error falls with
+        /// the square root) and a later start.
+        window_s: f64 = 1.8, "s", 0.2..=60.0, "the tip stands still for at least 2 s at start";
+        /// Largest deviation of one rate sample from the running mean. A larger value accepts a noisier part, and a tip that
+        /// still sways.
+        gyro_band_rad_s: f64 = 0.15, "rad/s", 0.001..=2.0, "0.15 is several times the noise of the parts used";
+        /// Largest deviation of one specific-force sample from the running mean. A larger value accepts more vibration.
+        acc_band_m_s2: f64 = 1.5, "m/s²", 0.01..=10.0, "1.5 tolerates a fan nearby";
+        /// Largest mean rate that is taken for bias; the default is 8.6 °/s. A larger value would take a steady turn of the
+        /// base for bias.
+        gyro_bias_max_rad_s: f64 = 0.15, "rad/s", 0.001..=1.0, "0.15 is beyond the zero-rate level of the parts used";
     }
 }
 

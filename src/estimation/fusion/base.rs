@@ -13,9 +13,9 @@
 
 use crate::estimation::fusion::align::{AlignConfig, AlignState, Alignment};
 use crate::estimation::fusion::intake::{self, Step};
+use crate::parameters;
 use crate::primitives::sample::ImuSample;
 use nalgebra::{UnitQuaternion, Vector3};
-use serde::Deserialize;
 
 /// By how much the base has turned since the rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,28 +34,21 @@ impl BaseTurn {
     }
 }
 
-/// Settings of the base IMU.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BaseConfig {
-    /// Rotation vector from the base IMU's axes to those of the tip IMU at rest, degrees. Default
-    /// [0, 0, 0]: mounted alike. A wrong one tilts what is taken off the tip by as much, in proportion
-    /// to the turn.
-    pub mount_deg: [f64; 3],
-    /// Time in which gravity levels the base's attitude, s. Default 2. Larger resists shaking better
-    /// and a gyroscope bias worse.
-    pub gravity_time_s: f64,
-    /// Time in which the field turns its heading, s; 0 leaves the field out. Default 20. Larger is
-    /// misled later by the motors' fields and drifts longer with the gyroscope.
-    pub field_time_s: f64,
-    /// Rate under which the base counts as standing, rad/s. Default 0.02. Larger learns the bias in
-    /// more moments, and takes a slow turn for bias.
-    pub still_rate_rad_s: f64,
-}
-
-impl Default for BaseConfig {
-    fn default() -> Self {
-        Self { mount_deg: [0.0; 3], gravity_time_s: 2.0, field_time_s: 20.0, still_rate_rad_s: 0.02 }
+parameters! {
+    /// The IMU on the base, where there is one.
+    pub struct BaseConfig: Copy {
+        /// Rotation vector from the axes of the base IMU to those of the tip IMU at rest. The default is mounted alike. An
+        /// error tilts the correction of the tip by as much, in proportion to the turn of the base.
+        mount_deg: [f64; 3] = [0.0; 3], "deg", -180.0..=180.0, "[0, 0, 0] is mounted like the tip's IMU";
+        /// Time constant with which gravity levels the attitude of the base. A larger value resists shaking better and a
+        /// gyroscope bias worse.
+        gravity_time_s: f64 = 2.0, "s", 0.05..=1000.0, "2 suits a base that is moved by hand";
+        /// Time constant with which the field corrects the heading of the base; 0 does not use the field. A larger value is
+        /// disturbed less by the motors' fields and drifts longer with the gyroscope.
+        field_time_s: f64 = 20.0, "s", 0.0..=10_000.0, "20; 0 does not use the field";
+        /// Rate below which the base counts as standing. A larger value learns the bias more often, and takes a slow turn for
+        /// bias.
+        still_rate_rad_s: f64 = 0.02, "rad/s", 0.0001..=1.0, "0.02 is 1.1 °/s";
     }
 }
 

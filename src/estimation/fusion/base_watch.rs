@@ -23,47 +23,32 @@
 //! that lies does the same.
 
 use crate::estimation::fusion::intake::share;
+use crate::parameters;
 use nalgebra::{Vector2, Vector3};
-use serde::Deserialize;
 
-/// Settings of the watch.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct WatchConfig {
-    /// Watch at all. Default true.
-    pub enabled: bool,
-    /// Unexplained twist that flags a moved base, degrees. Default 5. Larger overlooks larger turns.
-    pub twist_deg: f64,
-    /// Twist that is allowed per degree of set-point motion. Default 0.45: torsion and a tilted mount. Less is
-    /// allowed once the tip has shown that it makes less. Larger overlooks larger turns of a tip that moves.
-    pub twist_share: f64,
-    /// Unexplained bend that flags a moved base, degrees. Default 5.5. Larger overlooks larger turns.
-    pub bend_deg: f64,
-    /// Unexplained bend at which it is asked whether the pistons stood, degrees. Default 0.4. Larger
-    /// asks when the loop has already answered the turn.
-    pub onset_deg: f64,
-    /// Error within which the loop counts as settled, degrees. Default 1.5. Larger watches sooner
-    /// after a motion, with a less exact model.
-    pub settled_deg: f64,
-    /// Twist against the mechanism, in standard deviations over some seconds, from which the base may have
-    /// turned slowly: a word, nothing more. Default 0.8. Larger overlooks larger turns.
-    pub misfit: f64,
-    /// How long both are remembered, s. Default 1.5. Larger sees slower turns, and more creep.
-    pub memory_s: f64,
-}
-
-impl Default for WatchConfig {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            twist_deg: 5.0,
-            twist_share: 0.45,
-            bend_deg: 5.5,
-            onset_deg: 0.4,
-            settled_deg: 1.5,
-            misfit: 0.8,
-            memory_s: 1.5,
-        }
+parameters! {
+    /// Detection of base motion without a base IMU.
+    pub struct WatchConfig: Copy {
+        /// Detects base motion.
+        enabled: bool = true;
+        /// Unexplained twist that flags base motion. A larger value misses larger turns.
+        twist_deg: f64 = 5.0, "deg", 0.1..=90.0, "5 is above the noise of the estimate";
+        /// Twist that is allowed per degree of set-point motion: torsion and a tilted mount. Less is allowed once the tip has
+        /// shown that it twists less. A larger value attributes more of a turn to the tip.
+        twist_share: f64 = 0.45, "", 0.0..=2.0, "0.45 covers torsion and a tilted mount";
+        /// Unexplained bend that flags base motion. A larger value misses larger turns.
+        bend_deg: f64 = 5.5, "deg", 0.1..=90.0, "5.5 is above what creep makes";
+        /// Unexplained bend at which the pistons are required to stand. A larger value tests it when the loop has already
+        /// reacted to the turn.
+        onset_deg: f64 = 0.4, "deg", 0.01..=90.0, "below bend_deg";
+        /// Error below which the loop counts as settled. A larger value starts to watch sooner after a motion, with a less
+        /// exact model.
+        settled_deg: f64 = 1.5, "deg", 0.01..=45.0, "1.5 is reached soon after a motion";
+        /// Twist against the mechanism, in standard deviations over 3 s, above which the status reports that the base may
+        /// have turned slowly. A larger value misses larger turns.
+        misfit: f64 = 0.8, "sigma", 0.05..=100.0, "0.8 is reached by a slow turn of the base";
+        /// Time constant with which both quantities are forgotten. A larger value detects slower turns, and more creep.
+        memory_s: f64 = 1.5, "s", 0.1..=600.0, "1.5 is longer than a motion of the base";
     }
 }
 

@@ -6,6 +6,7 @@ use crate::estimation::fusion::filter::{Periods, TipEstimator};
 use crate::estimation::fusion::generic::Generic;
 use crate::estimation::fusion::registry::FilterName;
 use crate::model::bend::Bend;
+use crate::primitives::parameters::{Setting, Shape};
 use serde::{Deserialize, Serialize};
 use std::ops::{Deref, DerefMut};
 
@@ -45,6 +46,10 @@ impl EstimatorName {
     pub fn second(self) -> Self {
         if self == Self::Generic(FilterName::Madgwick) { Self::Bend } else { Self::Generic(FilterName::Madgwick) }
     }
+}
+
+impl Setting for EstimatorName {
+    const SHAPE: Shape = Shape::Choice(&["bend", "madgwick", "vqf", "vqf-long", "mekf"]);
 }
 
 impl TryFrom<String> for EstimatorName {

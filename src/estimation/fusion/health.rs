@@ -28,7 +28,7 @@ mod verdict;
 
 pub use cause::{CauseSet, HealthCause};
 pub use checks::KnownErrors;
-pub use config::{ConfigError, HealthConfig, Policies, Policy};
+pub use config::{HealthConfig, Policies, Policy};
 pub use monitor::SensorMonitor;
 pub use reading::{FieldReference, ImuReading, Quality, ReadFault};
 pub use verdict::{HealthAction, HealthVerdict, Recovered};

@@ -8,29 +8,22 @@
 use crate::estimation::fusion::base::BaseTurn;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::filter::{MeasurementMask, TipEstimator};
+use crate::parameters;
 use crate::primitives::sample::ImuSample;
 use nalgebra::{UnitQuaternion, Vector3};
-use serde::Deserialize;
 
-/// Settings of the second opinion.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SecondConfig {
-    /// Period of the second estimator, s. Default 0.01. Larger costs less time and sees fast motion
-    /// less exactly.
-    pub period_s: f64,
-    /// Angle between the two that is still agreement, degrees. Default 8. Larger raises the flag later.
-    pub angle_deg: f64,
-    /// How much more is allowed per °/s of turning, s. Default 0.05. Larger is silent in fast motion.
-    pub angle_per_rate_s: f64,
-    /// How long they must differ before the flag is raised, s. Default 2; agreement for as long takes
-    /// it down. Larger ignores longer transients.
-    pub time_s: f64,
-}
-
-impl Default for SecondConfig {
-    fn default() -> Self {
-        Self { period_s: 0.01, angle_deg: 8.0, angle_per_rate_s: 0.05, time_s: 2.0 }
+parameters! {
+    /// The second estimator, which runs beside the selected one and raises a flag when the two disagree.
+    pub struct SecondConfig: Copy {
+        /// Period of the second estimator. A larger value costs less time and follows fast motion less exactly.
+        period_s: f64 = 0.01, "s", 0.0005..=0.5, "0.01 costs little time";
+        /// Angle between the two estimates that counts as agreement. A larger value raises the flag later.
+        angle_deg: f64 = 8.0, "deg", 0.1..=180.0, "8 is above what two sound filters differ by";
+        /// Further angle that is allowed per °/s of turning. A larger value ignores differences in fast motion.
+        angle_per_rate_s: f64 = 0.05, "s", 0.0..=10.0, "0.05 covers the delay of the second estimator";
+        /// Time for which the estimates must differ before the flag is raised, and agree before it is cleared. A larger value
+        /// ignores longer transients.
+        time_s: f64 = 2.0, "s", 0.0..=600.0, "2 ignores transients";
     }
 }
 

@@ -27,6 +27,7 @@ pub mod still;
 pub use limits::CalibrationLimits;
 pub use refusal::Refusal;
 
+use crate::primitives::parameters::{Setting, Shape};
 use crate::primitives::sample::ImuSample;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -91,6 +92,11 @@ pub struct ImuCalibration {
     /// Fields of the motor coils, fixed in the base frame. Subtracted by [`motor::MotorField`], which
     /// must know the phases.
     pub motor_field: Option<motor::MotorField>,
+}
+
+/// Results with sigma, date and source: described with each entry.
+impl Setting for ImuCalibration {
+    const SHAPE: Shape = Shape::Opaque;
 }
 
 impl ImuCalibration {

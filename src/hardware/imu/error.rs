@@ -108,17 +108,3 @@ impl ImuError {
         }
     }
 }
-
-/// A setting that the part does not support.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("`imu.chip.{field}` = {value} does not exist on the {part}: write {allowed}")]
-pub struct SettingError {
-    /// The configured part.
-    pub part: Part,
-    /// Name of the field.
-    pub field: &'static str,
-    /// Its value.
-    pub value: f64,
-    /// The allowed values.
-    pub allowed: &'static str,
-}

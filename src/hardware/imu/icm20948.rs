@@ -26,7 +26,8 @@ pub mod reg;
 pub use config::{IcmConfig, Settings, scale};
 
 use super::port::Port;
-use super::{ChipId, Identity, Imu, ImuError, Part, RawImu, Scale, SettingError};
+use super::{ChipId, Identity, Imu, ImuError, Part, RawImu, Scale};
+use crate::primitives::check::Invalid;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 
@@ -61,8 +62,8 @@ impl<I: I2c> Icm20948<I> {
     /// A driver that has not accessed its chip yet.
     ///
     /// # Errors
-    /// [`SettingError`] for a setting that the part does not support.
-    pub fn new(bus: I, config: &IcmConfig) -> Result<Self, SettingError> {
+    /// [`Invalid`] for a setting that the part does not support.
+    pub fn new(bus: I, config: &IcmConfig) -> Result<Self, Invalid> {
         let settings = config.settings()?;
         let port = Port { part: Part::Icm20948, address: settings.address };
         let (last, last_mag) = (None, None);

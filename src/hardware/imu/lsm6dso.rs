@@ -11,7 +11,8 @@ pub use config::{LsmConfig, Settings, scale};
 
 use super::lis2mdl::Lis2mdl;
 use super::port::Port;
-use super::{Identity, Imu, ImuError, Part, RawImu, Scale, SettingError};
+use super::{Identity, Imu, ImuError, Part, RawImu, Scale};
+use crate::primitives::check::Invalid;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 
@@ -71,14 +72,13 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
     /// A driver that has not accessed its chips yet.
     ///
     /// # Errors
-    /// [`SettingError`] for a setting that the parts do not support.
-    pub fn new(bus: I, config: &LsmConfig) -> Result<Self, SettingError> {
+    /// [`Invalid`] for a setting that the parts do not support.
+    pub fn new(bus: I, config: &LsmConfig) -> Result<Self, Invalid> {
         let settings = config.settings()?;
-        let mag = Lis2mdl::new(config.mag_rate_hz).ok_or(SettingError {
-            part: Part::Lis2mdl,
-            field: "mag_rate_hz",
-            value: f64::from(config.mag_rate_hz),
-            allowed: "10, 20, 50 or 100",
+        let mag = Lis2mdl::new(config.mag_rate_hz).ok_or(Invalid {
+            key: "imu.chip.mag_rate_hz".to_owned(),
+            problem: format!("the LIS2MDL does not measure at {} Hz", config.mag_rate_hz),
+            hint: "write 10, 20, 50 or 100".to_owned(),
         })?;
         let port = Port { part: Part::Lsm6dso, address: settings.address };
         let mag_rate_hz = f64::from(config.mag_rate_hz);

@@ -29,10 +29,12 @@ mod port;
 mod raw;
 mod recovery;
 
-pub use error::{ImuError, SettingError};
+pub use error::ImuError;
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
 pub use recovery::ImuRecovery;
 
+use crate::primitives::check::Invalid;
+use crate::primitives::parameters::{Parameters, Setting, Shape};
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 use serde::{Deserialize, Serialize};
@@ -117,6 +119,13 @@ pub enum ChipConfig {
     Lsm6dsoLis2mdl(lsm6dso::LsmConfig),
 }
 
+impl Setting for ChipConfig {
+    const SHAPE: Shape = Shape::Tagged(
+        "part",
+        &[("icm20948", <icm20948::IcmConfig as Parameters>::TABLE), ("lsm6dso_lis2mdl", <lsm6dso::LsmConfig as Parameters>::TABLE)],
+    );
+}
+
 impl Default for ChipConfig {
     fn default() -> Self {
         Self::Icm20948(icm20948::IcmConfig::default())
@@ -146,7 +155,7 @@ impl ChipConfig {
     ///
     /// # Errors
     /// The first setting that the part does not support.
-    pub fn check(&self) -> Result<(), SettingError> {
+    pub fn check(&self) -> Result<(), Invalid> {
         match self {
             Self::Icm20948(c) => c.settings().map(|_| ()),
             Self::Lsm6dsoLis2mdl(c) => c.settings().map(|_| ()),
@@ -157,8 +166,8 @@ impl ChipConfig {
 /// The driver for a configuration, not yet initialised.
 ///
 /// # Errors
-/// [`SettingError`] for a setting that the part does not support.
-pub fn open<I: I2c + Send + 'static>(config: &ChipConfig, bus: I) -> Result<Box<dyn Imu + Send>, SettingError> {
+/// [`Invalid`] for a setting that the part does not support.
+pub fn open<I: I2c + Send + 'static>(config: &ChipConfig, bus: I) -> Result<Box<dyn Imu + Send>, Invalid> {
     Ok(match config {
         ChipConfig::Icm20948(c) => Box::new(icm20948::Icm20948::new(bus, c)?),
         ChipConfig::Lsm6dsoLis2mdl(c) => Box::new(lsm6dso::Lsm6dsoLis2mdl::new(bus, c)?),

@@ -2,6 +2,7 @@
 
 use super::ImuError;
 use crate::estimation::fusion::health::Quality;
+use crate::primitives::parameters::{Setting, Shape};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
 use nalgebra::Vector3;
@@ -70,6 +71,11 @@ impl Axis {
     fn parts(self) -> (usize, f64) {
         (self as usize / 2, if self as usize % 2 == 0 { 1.0 } else { -1.0 })
     }
+}
+
+/// Three words in a file: `["+x", "-y", "+z"]`.
+impl Setting for Axes {
+    const SHAPE: Shape = Shape::Scalar;
 }
 
 /// Orientation of a magnetometer relative to the accelerometer: x, y and z of the accelerometer's frame,

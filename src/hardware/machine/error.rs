@@ -1,8 +1,9 @@
 //! Errors of opening the hardware, each with a remedy.
 
-use crate::hardware::imu::{ImuError, SettingError};
+use crate::hardware::imu::ImuError;
 use crate::hardware::pins::OpenError;
 use crate::hardware::stepper::StartError;
+use crate::primitives::check::Invalid;
 
 /// Why a machine could not be opened.
 #[derive(Debug, thiserror::Error)]
@@ -55,7 +56,7 @@ pub enum HardwareError {
     },
     /// The part does not support a setting.
     #[error(transparent)]
-    Setting(#[from] SettingError),
+    Setting(#[from] Invalid),
     /// The operating system created no thread.
     #[error("the IMU thread could not be started: {0}")]
     Thread(#[from] std::io::Error),

@@ -1,110 +1,91 @@
-//! `[pins]` of a board file: which line does what, and which way round.
+//! The wiring: which line does what, and its polarity.
 
-use crate::motion::ConfigError;
-use serde::{Deserialize, Serialize};
+use crate::primitives::check::{Invalid, shown};
+use crate::{choices, parameters};
 
-/// How the lines are reached.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Backend {
-    /// GPIO character device: any Linux board.
-    #[default]
-    Cdev,
-    /// Mapped registers of a Raspberry Pi.
-    Rppal,
-    /// No hardware.
-    Mock,
-}
-
-/// Resistor on an input.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Pull {
-    /// To the supply: a switch to ground reads low when closed.
-    #[default]
-    Up,
-    /// To ground.
-    Down,
-    /// None: the board has its own.
-    Off,
-}
-
-/// An input line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct InputPin {
-    /// Line number (BCM number on a Raspberry Pi).
-    pub pin: u32,
-    /// Pressed is low. Default true: a normally open switch to ground. A normally closed switch, which
-    /// also notices a broken wire, wants false.
-    #[serde(default = "yes")]
-    pub active_low: bool,
-    /// Resistor: `up` (default), `down` or `off`.
-    #[serde(default)]
-    pub pull: Pull,
-}
-
-fn yes() -> bool {
-    true
-}
-
-/// The lines of one driver.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ChannelPins {
-    /// STEP line.
-    pub step: u32,
-    /// DIR line.
-    pub dir: u32,
-    /// EN line; left out when it is hard-wired. Several channels may share one.
-    #[serde(default)]
-    pub enable: Option<u32>,
-    /// MS1 to MS3 lines; left out when they are hard-wired. Channels may share them.
-    #[serde(default)]
-    pub ms: Option<[u32; 3]>,
-    /// Turns the motor the other way. Default false: DIR high elongates the bellow.
-    #[serde(default)]
-    pub dir_inverted: bool,
-    /// Home switch, if there is one.
-    #[serde(default)]
-    pub home: Option<InputPin>,
-}
-
-/// `[pins]`: the wiring.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct PinsConfig {
-    /// How the lines are reached: `cdev` (default), `rppal` or `mock`.
-    pub backend: Backend,
-    /// Device file of the chip, for `cdev`. Default `/dev/gpiochip0`; on a Raspberry Pi 5 with an
-    /// older kernel the header is on `/dev/gpiochip4`.
-    pub chip: String,
-    /// STEP rests high and pulses low. Default false: the A4988 steps on the rising edge.
-    pub step_active_low: bool,
-    /// EN is low when energised. Default true, as on the A4988.
-    pub enable_active_low: bool,
-    /// The drivers of channels 1 to 3.
-    pub channels: [ChannelPins; 3],
-    /// Emergency stop input, if there is one.
-    pub emergency_stop: Option<InputPin>,
-}
-
-impl Default for PinsConfig {
-    fn default() -> Self {
-        let channel = |step, dir| ChannelPins { step, dir, enable: Some(5), ms: None, dir_inverted: false, home: None };
-        Self {
-            backend: Backend::default(),
-            chip: "/dev/gpiochip0".into(),
-            step_active_low: false,
-            enable_active_low: true,
-            channels: [channel(17, 23), channel(27, 24), channel(22, 25)],
-            emergency_stop: None,
-        }
+choices! {
+    /// How the lines are reached.
+    pub enum Backend {
+        /// GPIO character device: any Linux board.
+        Cdev = "cdev",
+        /// Mapped registers of a Raspberry Pi.
+        Rppal = "rppal",
+        /// No hardware.
+        Mock = "mock",
     }
 }
 
+choices! {
+    /// Resistor on an input.
+    pub enum Pull {
+        /// To the supply: a switch to ground reads low when closed.
+        Up = "up",
+        /// To ground.
+        Down = "down",
+        /// None: the board has its own.
+        Off = "off",
+    }
+}
+
+parameters! {
+    /// An input line.
+    pub struct InputPin: Copy, Eq {
+        /// Line number (Broadcom number on a Raspberry Pi).
+        pin: u32;
+        /// Pressed is low: a normally open switch to ground. A normally closed switch, which also detects a broken wire, needs
+        /// `false`.
+        active_low: bool = true;
+        /// Resistor of the line.
+        pull: Pull = Pull::Up;
+    }
+}
+
+parameters! {
+    /// The lines of one driver.
+    pub struct ChannelPins: Copy, Eq {
+        /// STEP line, which pulses once a microstep.
+        step: u32;
+        /// DIR line, which sets the direction of a step.
+        dir: u32;
+        /// EN line, left out when it is hard-wired; channels may share one. GPIO 5 of a Raspberry Pi is pulled up at start,
+        /// against the pull-down of the breakout.
+        enable: Option<u32> = None;
+        /// MS1, MS2 and MS3 lines, left out when they are strapped to `drive.microsteps`; channels may share them.
+        ms: Option<[u32; 3]> = None;
+        /// Reverses the motor. With `false`, DIR high elongates the bellow. `retroflex commission` measures it.
+        dir_inverted: bool = false;
+        /// Home switch.
+        home: Option<InputPin> = None;
+    }
+}
+
+parameters! {
+    /// The wiring.
+    pub struct PinsConfig: Eq {
+        /// How the lines are reached: `rppal` (registers of a Raspberry Pi), `cdev` (GPIO character device of any Linux board,
+        /// one call for all lines) or `mock` (no hardware, every edge is recorded).
+        backend: Backend = Backend::Cdev;
+        /// Device file of the chip, for `cdev`; `gpioinfo` lists the chips. On a Raspberry Pi 5 with an older kernel the header
+        /// is on `/dev/gpiochip4`.
+        chip: String = "/dev/gpiochip0".to_owned();
+        /// STEP rests high and pulses low. The A4988 steps on the rising edge and needs `false`.
+        step_active_low: bool = false;
+        /// EN is low when energised, as on the A4988.
+        enable_active_low: bool = true;
+        /// The drivers of channels 1 to 3, in the order of the bellows.
+        channels: [ChannelPins; 3] = [channel(17, 23), channel(27, 24), channel(22, 25)];
+        /// Emergency stop input.
+        emergency_stop: Option<InputPin> = None;
+    }
+}
+
+/// A driver whose EN line is shared, as in the reference wiring.
+fn channel(step: u32, dir: u32) -> ChannelPins {
+    ChannelPins { step, dir, enable: Some(5), ..ChannelPins::default() }
+}
+
 impl PinsConfig {
-    /// Every line with what it is for, in the order of the file.
+    /// Every line with its use, in the order of the file.
     #[must_use]
     pub fn uses(&self) -> Vec<Use> {
         let mut uses = Vec::new();
@@ -127,21 +108,22 @@ impl PinsConfig {
         }
         uses
     }
+}
 
-    /// Accepts the section or names what is wrong.
+impl PinsConfig {
+    /// Checks that every signal has a line of its own.
     ///
     /// # Errors
-    /// [`ConfigError`] for a line that two things want.
-    pub fn validate(&self) -> Result<(), ConfigError> {
+    /// The first line with two uses.
+    pub fn validate(&self) -> Result<(), Invalid> {
         let uses = self.uses();
-        for (i, u) in uses.iter().enumerate() {
-            let clash = uses[..i].iter().find(|o| o.pin == u.pin && !(u.shared && o.shared && o.name == u.name));
+        for (n, u) in uses.iter().enumerate() {
+            let clash = uses[..n].iter().find(|o| o.pin == u.pin && !(u.shared && o.shared && o.name == u.name));
             if let Some(other) = clash {
-                return Err(ConfigError {
-                    key: "pins.channels",
-                    value: format!("{} on line {}", u.name, u.pin),
-                    allowed: format!("a line of its own, and line {} is {} already", u.pin, other.name),
-                    mend: "Give every signal its own line; only EN and MS may be shared among channels.",
+                return Err(Invalid {
+                    key: format!("pins.{}", u.key),
+                    problem: format!("line {} is already {}", u.pin, shown(&format!("pins.{}", other.key))),
+                    hint: "give every signal its own line; only `enable` and `ms` may be shared among channels".to_owned(),
                 });
             }
         }
@@ -167,22 +149,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_wiring_is_sound() {
-        PinsConfig::default().validate().unwrap();
-    }
-
-    #[test]
-    fn a_line_used_twice_is_named() {
-        let mut c = PinsConfig::default();
-        c.channels[2].dir = c.channels[0].step;
-        let words = c.validate().unwrap_err().to_string();
-        assert!(words.contains("dir on line 17") && words.contains("step already"), "{words}");
-        let mut c = PinsConfig::default();
-        c.channels[1].ms = Some([5, 6, 13]);
-        assert!(c.validate().is_err(), "MS1 on the EN line");
-    }
-
-    #[test]
     fn wiring_reads_from_toml() {
         let c: PinsConfig = toml::from_str(
             "backend = \"rppal\"\nemergency_stop = { pin = 26, active_low = false }\n\
@@ -190,7 +156,6 @@ mod tests {
              [[channels]]\nstep = 18\ndir = 8\nms = [7, 1, 12]\nhome = { pin = 16 }\n",
         )
         .unwrap();
-        c.validate().unwrap();
         assert_eq!((c.backend, c.channels[1].enable), (Backend::Rppal, Some(15)));
         assert_eq!(c.channels[2].home, Some(InputPin { pin: 16, active_low: true, pull: Pull::Up }));
     }

@@ -6,8 +6,8 @@
 
 use crate::hardware::pins::PinError;
 use crate::hardware::pins::config::{InputPin, PinsConfig, Pull};
-use crate::motion::ConfigError;
 use crate::motion::lines::{Inputs, Levels};
+use crate::primitives::check::Invalid;
 
 /// The lines of a board and their functions.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -28,8 +28,8 @@ impl LineMap {
     /// Assigns bits to the lines of a valid configuration.
     ///
     /// # Errors
-    /// [`ConfigError`] when MS lines are wired and the chip does not support `microsteps`.
-    pub fn new(config: &PinsConfig, microsteps: u32) -> Result<Self, ConfigError> {
+    /// [`Invalid`] when MS lines are wired and the chip does not support `microsteps`.
+    pub fn new(config: &PinsConfig, microsteps: u32) -> Result<Self, Invalid> {
         let mut map = Self::default();
         for (i, c) in config.channels.iter().enumerate() {
             map.step[i] = map.output(c.step, config.step_active_low);
@@ -128,7 +128,7 @@ impl LineMap {
 }
 
 /// Levels of MS1 to MS3 of the A4988.
-fn ms_levels(microsteps: u32) -> Result<[bool; 3], ConfigError> {
+fn ms_levels(microsteps: u32) -> Result<[bool; 3], Invalid> {
     const TABLE: [(u32, [bool; 3]); 5] = [
         (1, [false, false, false]),
         (2, [true, false, false]),
@@ -136,11 +136,10 @@ fn ms_levels(microsteps: u32) -> Result<[bool; 3], ConfigError> {
         (8, [true, true, false]),
         (16, [true, true, true]),
     ];
-    TABLE.into_iter().find(|row| row.0 == microsteps).map(|row| row.1).ok_or_else(|| ConfigError {
-        key: "drive.microsteps",
-        value: microsteps.to_string(),
-        allowed: "1, 2, 4, 8 or 16, since the MS lines are wired".into(),
-        mend: "Leave pins.channels.ms out if they are hard-wired.",
+    TABLE.into_iter().find(|row| row.0 == microsteps).map(|row| row.1).ok_or_else(|| Invalid {
+        key: "drive.microsteps".to_owned(),
+        problem: format!("{microsteps} must be 1, 2, 4, 8 or 16, since the MS lines are wired"),
+        hint: "leave pins.channels[].ms out if they are hard-wired".to_owned(),
     })
 }
 

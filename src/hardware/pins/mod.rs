@@ -176,7 +176,7 @@ pub fn open(config: &PinsConfig, microsteps: u32) -> Result<Box<dyn Pins>, OpenE
 pub enum OpenError {
     /// The configuration.
     #[error(transparent)]
-    Config(#[from] crate::motion::ConfigError),
+    Config(#[from] crate::primitives::check::Invalid),
     /// The hardware.
     #[error(transparent)]
     Pin(#[from] PinError),

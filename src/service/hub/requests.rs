@@ -122,9 +122,7 @@ impl Hub {
             return Err(Failure::refused("too many commands at once; try again in a moment"));
         }
         self.parts.supervisor = next;
-        if let Ok(text) = std::fs::read_to_string(&path) {
-            self.parts.texts[1] = text;
-        }
+        self.parts.texts[1] = crate::config::show::compact(&gains);
         self.parts.gains_now = gains;
         if let Some(r) = &mut self.recording {
             r.cut_tape();

@@ -6,24 +6,17 @@
 
 use crate::control::tick::{LoopConfig, LoopState, RestartState};
 use crate::model::bend::Bend;
+use crate::parameters;
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
 
-/// Tolerances of the check.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RestartCheckConfig {
-    /// Largest angle between measured and remembered gravity, degrees. Default 4. A larger value accepts a larger change
-    /// of the pose and starts with a larger error.
-    pub gravity_deg: f64,
-    /// Largest angle between measured and remembered magnetic field, degrees. Default 10. A larger value tolerates iron
-    /// that was moved in the meantime.
-    pub field_deg: f64,
-}
-
-impl Default for RestartCheckConfig {
-    fn default() -> Self {
-        Self { gravity_deg: 4.0, field_deg: 10.0 }
+parameters! {
+    /// Restart with a bent tip: when the tip counts as being where it was.
+    pub struct RestartCheckConfig: Copy {
+        /// Largest angle between measured and remembered gravity. A larger value continues after a larger change, and with a
+        /// larger error.
+        gravity_deg: f64 = 4.0, "deg", 0.1..=45.0, "a few degrees";
+        /// Largest angle between measured and remembered field. A larger value tolerates iron that was moved meanwhile.
+        field_deg: f64 = 10.0, "deg", 0.1..=90.0, "some degrees more than gravity";
     }
 }
 

@@ -1,5 +1,6 @@
 //! Causes of a trip, the safe state of each cause, and the limits of the gate.
 
+use crate::{choices, parameters};
 use serde::{Deserialize, Serialize};
 
 /// A condition that trips the gate.
@@ -30,17 +31,16 @@ pub enum TripCause {
     Following,
 }
 
-/// Reaction of the gate to a trip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SafeState {
-    /// Brake within the limits and stand with the drivers energised; the lines keep their pressure.
-    #[default]
-    Hold,
-    /// Brake, return to zero slowly, then release the drivers.
-    Relax,
-    /// Release the drivers at once; the air pushes the pistons back.
-    Release,
+choices! {
+    /// Reaction of the gate to a trip.
+    pub enum SafeState {
+        /// Brake within the limits and stand, energised: the tip keeps its pressure.
+        Hold = "hold",
+        /// Brake, return to zero slowly, then release.
+        Relax = "relax",
+        /// Release the drivers at once: the air pushes the pistons back.
+        Release = "release",
+    }
 }
 
 /// Limits and safe states. Lengths are in mm, angles in rad and times in s.
@@ -77,50 +77,34 @@ pub struct GateLimits {
     pub on: SafeStates,
 }
 
-/// Safe state of each cause (`[safety.on]` of the board file).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SafeStates {
-    /// Emergency stop pressed. Default `release`.
-    pub emergency_stop: SafeState,
-    /// Alarm of the step generator. Default `hold`.
-    pub step_generator: SafeState,
-    /// Late tick. Default `hold`.
-    pub late: SafeState,
-    /// Motion while not armed. Default `hold`.
-    pub unarmed: SafeState,
-    /// Travel. Default `hold`.
-    pub travel: SafeState,
-    /// Speed. Default `hold`.
-    pub rate: SafeState,
-    /// Acceleration. Default `hold`.
-    pub acceleration: SafeState,
-    /// Pressure. Default `relax`.
-    pub pressure: SafeState,
-    /// Stale orientation. Default `hold`.
-    pub stale: SafeState,
-    /// Filters disagree. Default `hold`.
-    pub disagreement: SafeState,
-    /// Following error. Default `hold`.
-    pub following: SafeState,
-}
-
-impl Default for SafeStates {
-    fn default() -> Self {
-        let hold = SafeState::Hold;
-        Self {
-            emergency_stop: SafeState::Release,
-            step_generator: hold,
-            late: hold,
-            unarmed: hold,
-            travel: hold,
-            rate: hold,
-            acceleration: hold,
-            pressure: SafeState::Relax,
-            stale: hold,
-            disagreement: hold,
-            following: hold,
-        }
+parameters! {
+    /// Safe state of each cause: `hold` (brake and stand, energised: the tip keeps its bend), `relax` (brake, return to zero
+    /// slowly, then release the drivers) or `release` (release the drivers at once: the tip goes soft and straight by its own
+    /// air, and zero must be found again).
+    pub struct SafeStates: Copy, Eq {
+        /// The emergency stop is pressed. The step thread reacts by itself: `release` takes the current away at once; anything
+        /// else brakes within the limits and keeps pressure on tissue.
+        emergency_stop: SafeState = SafeState::Release;
+        /// Alarm of the step thread: late, starved, torn motion, pins. What was pulsed is counted.
+        step_generator: SafeState = SafeState::Hold;
+        /// A turn of the loop came late; motion stands.
+        late: SafeState = SafeState::Hold;
+        /// Motion was commanded while not armed: a software fault, and nothing has moved.
+        unarmed: SafeState = SafeState::Hold;
+        /// A piston would leave its travel; the tip is not at fault.
+        travel: SafeState = SafeState::Hold;
+        /// A piston would be too fast.
+        rate: SafeState = SafeState::Hold;
+        /// A piston would be accelerated too strongly.
+        acceleration: SafeState = SafeState::Hold;
+        /// A line would be compressed too far: less pressure is the way out.
+        pressure: SafeState = SafeState::Relax;
+        /// No usable orientation for too long: a bus often recovers within a second.
+        stale: SafeState = SafeState::Hold;
+        /// The two orientation filters disagree; one of them may be right.
+        disagreement: SafeState = SafeState::Hold;
+        /// The tip does not follow its set-point. `relax` suits places where tissue may be caught.
+        following: SafeState = SafeState::Hold;
     }
 }
 

@@ -1,84 +1,68 @@
-//! Limits of a believable reading and what to do beyond them: the `[fuse.health]` table of a gains file.
+//! Limits of a plausible reading and the reaction to an implausible one: the `[fuse.health]` table of a gains file.
 
 use super::cause::HealthCause;
+use crate::parameters;
+use crate::primitives::parameters::{Setting, Shape};
 use serde::{Deserialize, Serialize};
 
-/// What happens while a cause is in force.
+/// Reaction while a cause is present.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Policy {
-    /// Leave the faulty sample out; the next good one is used at once.
+    /// Omit the faulty sample; the next good one is used at once.
     Skip,
-    /// Integrate the gyroscope alone, at most this long; then hold as well.
+    /// Integrate the gyroscope alone for a limited time, then hold.
     CoastOnGyro {
-        /// How long the gyroscope may carry the attitude alone, seconds.
+        /// Longest time without other sensors, s.
         for_s: f64,
     },
-    /// Keep gyroscope and accelerometer, leave the magnetometer out.
+    /// Use gyroscope and accelerometer, omit the magnetometer.
     GravityOnly,
     /// Stop the pistons where they are until the sensor has recovered.
     Hold,
 }
 
-/// One policy for each cause, `cause = { do = "…" }`.
-///
-/// `do` is `skip`, `coast_on_gyro` (with `for_s`), `gravity_only` or `hold`. A milder policy keeps
-/// the tip moving through a fault at the price of a larger attitude error; `hold` is always safe.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Policies {
-    /// A transfer that was refused. Default `skip`: one lost sample costs one period of attitude.
-    pub nack: Policy,
-    /// A transfer that broke off. Default `skip`, as for `nack`.
-    pub short_read: Policy,
-    /// A bus on which nothing works. Default `hold`: there is no attitude to steer by.
-    pub stuck_bus: Policy,
-    /// A chip that is not the configured one. Default `hold`: its numbers mean something else.
-    pub wrong_id: Policy,
-    /// A chip that lost its settings. Default `hold` until it is set up again.
-    pub brown_out: Policy,
-    /// A chip that repeats itself. Default `hold`: a still picture of a moving tip is dangerous.
-    pub frozen: Policy,
-    /// A number that is none. Default `skip`; never let it reach a filter.
-    pub not_finite: Policy,
-    /// A single impossible sample. Default `skip`.
-    pub spike: Policy,
-    /// A gyroscope at its end stop. Default `hold`: rotation is lost for as long as it lasts.
-    pub saturated: Policy,
-    /// Samples that come late or not at all. Default `skip`; `blind_max_s` then holds.
-    pub stale_timestamp: Policy,
-    /// A clock that jumps. Default `skip`: the step would be integrated over a false time.
-    pub jumping_timestamp: Policy,
-    /// An overflowing magnetometer. Default `gravity_only`.
-    pub mag_overflow: Policy,
-    /// A magnetometer without news. Default `gravity_only`.
-    pub mag_silent: Policy,
-    /// A field that is not the earth's alone. Default `gravity_only`.
-    pub field_disturbed: Policy,
-    /// An accelerometer that feels more than gravity. Default `coast_on_gyro` for 5 s: a push or a
-    /// knock passes, and within 5 s a corrected gyroscope drifts by well under a degree.
-    pub accel_disturbed: Policy,
+/// An inline table: `{ do = "coast_on_gyro", for_s = 5.0 }`.
+impl Setting for Policy {
+    const SHAPE: Shape = Shape::Scalar;
 }
 
-impl Default for Policies {
-    fn default() -> Self {
-        Self {
-            nack: Policy::Skip,
-            short_read: Policy::Skip,
-            stuck_bus: Policy::Hold,
-            wrong_id: Policy::Hold,
-            brown_out: Policy::Hold,
-            frozen: Policy::Hold,
-            not_finite: Policy::Skip,
-            spike: Policy::Skip,
-            saturated: Policy::Hold,
-            stale_timestamp: Policy::Skip,
-            jumping_timestamp: Policy::Skip,
-            mag_overflow: Policy::GravityOnly,
-            mag_silent: Policy::GravityOnly,
-            field_disturbed: Policy::GravityOnly,
-            accel_disturbed: Policy::CoastOnGyro { for_s: 5.0 },
-        }
+parameters! {
+    /// Reaction to each cause while it is present: `skip` omits the sample, `gravity_only` omits the magnetometer,
+    /// `coast_on_gyro` integrates the gyroscope alone for `for_s` seconds and then holds, `hold` stops the pistons. A milder
+    /// policy keeps the tip moving at the price of a larger error; `hold` is always safe.
+    pub struct Policies: Copy {
+        /// A transfer that was not acknowledged: one lost sample costs one period.
+        nack: Policy = Policy::Skip;
+        /// A transfer that ended early.
+        short_read: Policy = Policy::Skip;
+        /// A bus on which every transfer fails: there is no attitude to control with.
+        stuck_bus: Policy = Policy::Hold;
+        /// A chip that is not the configured one: its numbers have another meaning.
+        wrong_id: Policy = Policy::Hold;
+        /// A chip that lost its settings; the pistons hold until it is set up again.
+        brown_out: Policy = Policy::Hold;
+        /// A chip that repeats its reading while the tip may move.
+        frozen: Policy = Policy::Hold;
+        /// A value that is not a number. Whatever the policy, it never reaches a filter.
+        not_finite: Policy = Policy::Skip;
+        /// A single implausible sample.
+        spike: Policy = Policy::Skip;
+        /// A gyroscope at the end of its range: the rotation is unknown while it lasts.
+        saturated: Policy = Policy::Hold;
+        /// Samples that come late or not at all; `blind_max_s` limits how long.
+        stale_timestamp: Policy = Policy::Skip;
+        /// A clock that jumps: the sample would be integrated over a wrong time.
+        jumping_timestamp: Policy = Policy::Skip;
+        /// A magnetometer that overflows.
+        mag_overflow: Policy = Policy::GravityOnly;
+        /// A magnetometer without new values.
+        mag_silent: Policy = Policy::GravityOnly;
+        /// A field that differs from the one at rest.
+        field_disturbed: Policy = Policy::GravityOnly;
+        /// An accelerometer that measures more than gravity: a knock passes within 5 s, in which a corrected gyroscope drifts
+        /// by less than a degree.
+        accel_disturbed: Policy = Policy::CoastOnGyro { for_s: 5.0 };
     }
 }
 
@@ -106,139 +90,74 @@ impl Policies {
     }
 }
 
-/// When a reading is believed. The limits are on SI values in the sensor frame, after calibration:
-/// an uncorrected hard iron of up to 300 µT would drown every test of the field.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct HealthConfig {
-    /// Failed transfers in a row that make a stuck bus. Default 20 (40 ms at 500 Hz). A bigger value
-    /// waits longer before the bus is declared dead and a recovery is tried.
-    pub stuck_after: u32,
-
-    /// Identical samples in a row that make a frozen sensor; 0 switches the test off. Default 25. Real
-    /// converters are never this quiet; a plant without noise is (see [`super::Quality::expect_noise`]).
-    /// A bigger value detects later.
-    pub frozen_after: u32,
-
-    /// Largest angular acceleration the tip can have, rad/s². Default 300: the pistons reach
-    /// 120 °/s in about 10 ms at most. A faster change of rate is a spike. A bigger value lets
-    /// smaller spikes through.
-    pub angular_acceleration_max_rad_s2: f64,
-
-    /// Jump of the rate that is always allowed, rad/s, above `angular_acceleration_max_rad_s2` times
-    /// the sample period: noise and quantisation. Default 0.3.
-    pub gyro_jump_allowed_rad_s: f64,
-
-    /// Jump of the specific force between two samples that is always allowed, m/s². Default 15: a
-    /// knock on the tip is not a spike but a disturbed accelerometer. A bigger value lets wild
-    /// samples through to the norm test.
-    pub acc_jump_allowed_m_s2: f64,
-
-    /// Samples that agree with each other, though not with what came before, after which a jump is
-    /// believed. Default 5. A bigger value skips longer after a true, violent motion.
-    pub spike_confirm: u32,
-
-    /// Share of the full scale, 0 to 1, from which a channel counts as saturated. Default 0.98.
-    pub saturated_at: f64,
-
-    /// Age from which a sample is stale, s; also the longest silence. Default 0.02, ten periods at
-    /// 500 Hz. A bigger value tolerates a slower source.
-    pub stale_after_s: f64,
-
-    /// Longest time between two consecutive samples, s. Default 0.1. A bigger step is a jump of the
-    /// clock, or a loop that stood still; either way one sample cannot bridge it.
-    pub jump_max_s: f64,
-
-    /// Longest time without a single usable gyroscope sample before the pistons are held, whatever
-    /// the policies say, s. Default 0.05: at 120 °/s the tip turns 6° unseen. A bigger value rides
-    /// through longer dropouts blindly.
-    pub blind_max_s: f64,
-
-    /// Whether a magnetometer is fitted and needed. Default true; false silences `mag_silent`.
-    pub expect_mag: bool,
-
-    /// Time without a new magnetometer value that counts as silence, s. Default 0.2, twenty periods
-    /// at 100 Hz.
-    pub mag_silent_after_s: f64,
-
-    /// Allowed difference of the field's strength from the one at rest, as a share of it. Default
-    /// 0.15. A bigger value trusts a bent field more: heading errors follow it.
-    pub field_norm_tolerance: f64,
-
-    /// Allowed difference of the field's dip from the one at rest, degrees. Default 10.
-    pub field_dip_tolerance_deg: f64,
-
-    /// Allowed difference of the specific force's norm from gravity, m/s². Default 1.0, which is a
-    /// tilt error of 6° at worst. A bigger value trusts a shaken accelerometer more.
-    pub acc_norm_tolerance_m_s2: f64,
-
-    /// Time constant with which the remembered vertical follows the accelerometer, s. Default 5. It
-    /// turns with the gyroscope and serves the dip test alone. A bigger value resists shaking better
-    /// and a gyroscope bias worse.
-    pub vertical_memory_s: f64,
-
-    /// Good samples in a row after which a fault is over. Default 25 (50 ms at 500 Hz). A bigger
-    /// value returns later but does not flap.
-    pub recover_samples: u32,
-
-    /// Good magnetometer values in a row after which a magnetic fault is over. Default 10 (0.1 s at
-    /// 100 Hz). A field that is disturbed again within a minute takes twice as long each time. A bigger
-    /// value leaves the field out for longer after a passing disturbance.
-    pub recover_mag_samples: u32,
-
-    /// Good accelerometer samples in a row after which a disturbance is over. Default 5. While the
-    /// tip is shaken the norm passes through g time and again; a bigger value trusts fewer of these.
-    pub recover_acc_samples: u32,
-
-    /// What to do about each cause.
-    pub policy: Policies,
-}
-
-impl Default for HealthConfig {
-    fn default() -> Self {
-        Self {
-            stuck_after: 20,
-            frozen_after: 25,
-            angular_acceleration_max_rad_s2: 300.0,
-            gyro_jump_allowed_rad_s: 0.3,
-            acc_jump_allowed_m_s2: 15.0,
-            spike_confirm: 5,
-            saturated_at: 0.98,
-            stale_after_s: 0.02,
-            jump_max_s: 0.1,
-            blind_max_s: 0.05,
-            expect_mag: true,
-            mag_silent_after_s: 0.2,
-            field_norm_tolerance: 0.15,
-            field_dip_tolerance_deg: 10.0,
-            acc_norm_tolerance_m_s2: 1.0,
-            vertical_memory_s: 5.0,
-            recover_samples: 25,
-            recover_mag_samples: 10,
-            recover_acc_samples: 5,
-            policy: Policies::default(),
-        }
+parameters! {
+    /// Plausibility of readings, and the reaction to implausible ones. The limits apply to SI values in the sensor frame
+    /// after calibration: an uncorrected hard iron of up to 300 µT would hide every test of the field.
+    pub struct HealthConfig: Copy {
+        /// Consecutive failed transfers that count as a stuck bus; the default is 40 ms at 500 Hz. A larger value waits longer
+        /// before a recovery is tried.
+        stuck_after: u32 = 20, "", 1..=100_000, "20 is 40 ms at 500 Hz";
+        /// Consecutive identical samples that count as a frozen sensor; 0 disables the test. Real converters are never this
+        /// quiet. A larger value detects later.
+        frozen_after: u32 = 25, "", 0..=100_000, "25 is 50 ms at 500 Hz; 0 disables the test";
+        /// Largest angular acceleration of the tip; the pistons reach 120 °/s in about 10 ms. A faster change of rate is a
+        /// spike. A larger value accepts smaller spikes.
+        angular_acceleration_max_rad_s2: f64 = 300.0, "rad/s²", 0.001..=100_000.0, "300 is far above what the pistons reach";
+        /// Change of rate between two samples that is always accepted: noise and quantisation. A larger value accepts small
+        /// spikes at high sampling rates.
+        gyro_jump_allowed_rad_s: f64 = 0.3, "rad/s", 0.001..=100_000.0, "0.3 is above noise and quantisation";
+        /// Change of specific force between two samples that is always accepted: a knock on the tip is not a spike. A larger
+        /// value leaves wild samples to the test of the norm.
+        acc_jump_allowed_m_s2: f64 = 15.0, "m/s²", 0.001..=100_000.0, "15 is above a knock on the tip";
+        /// Consecutive samples that agree with each other, though not with those before, after which a jump is accepted. A
+        /// larger value omits more of a real, violent motion.
+        spike_confirm: u32 = 5, "", 1..=100_000, "5 is 10 ms at 500 Hz";
+        /// Fraction of full scale above which a channel counts as saturated. A larger value detects an end stop later.
+        saturated_at: f64 = 0.98, "", 0.5..=1.0, "0.98 is just below the end stop";
+        /// Age above which a sample is stale, and longest silence; at least six periods of the source. A larger value
+        /// tolerates a slower source.
+        stale_after_s: f64 = 0.02, "s", 0.001..=100_000.0, "0.02 is ten periods at 500 Hz";
+        /// Longest time between two samples; at least six periods of the source. Beyond it the clock jumped or the loop
+        /// stalled. A larger value integrates over longer gaps.
+        jump_max_s: f64 = 0.1, "s", 0.001..=100_000.0, "0.1 is the longest gap that one sample can bridge";
+        /// Longest time without a gyroscope sample before the pistons hold, whatever the policies are: at 120 °/s the tip
+        /// turns by 6° in 0.05 s. A larger value continues through longer gaps without measurement.
+        blind_max_s: f64 = 0.05, "s", 0.001..=100_000.0, "0.05 is 6° at 120 °/s";
+        /// A magnetometer is fitted and needed. `false` disables `mag_silent`.
+        expect_mag: bool = true;
+        /// Time without a new magnetometer value that counts as silence. A larger value detects later.
+        mag_silent_after_s: f64 = 0.2, "s", 0.001..=100_000.0, "0.2 is twenty periods at 100 Hz";
+        /// Accepted difference of the field's strength from that at rest, as a fraction of it. A larger value accepts a
+        /// distorted field, and heading errors follow it.
+        field_norm_tolerance: f64 = 0.15, "", 0.001..=100_000.0, "0.15 is 7 µT of 48";
+        /// Accepted difference of the field's dip from that at rest. A larger value accepts a distorted field, and heading
+        /// errors follow it.
+        field_dip_tolerance_deg: f64 = 10.0, "deg", 0.001..=100_000.0, "10 is as strict as field_norm_tolerance = 0.15";
+        /// Accepted difference of the specific force's norm from gravity; 1 m/s² is a tilt of 6° at worst. A larger value
+        /// accepts a shaken accelerometer.
+        acc_norm_tolerance_m_s2: f64 = 1.0, "m/s²", 0.001..=100_000.0, "1 is a tilt of 6° at worst";
+        /// Time constant with which the remembered vertical follows the accelerometer, for the test of the dip. A larger value
+        /// resists shaking better and a gyroscope bias worse.
+        vertical_memory_s: f64 = 5.0, "s", 0.001..=100_000.0, "5 outlasts a knock";
+        /// Consecutive good samples after which a fault is over. A larger value recovers later and does not flap.
+        recover_samples: u32 = 25, "", 1..=100_000, "25 is 50 ms at 500 Hz";
+        /// Consecutive good magnetometer values after which a magnetic fault is over; twice as many each time it recurs within
+        /// a minute. A larger value omits the field for longer.
+        recover_mag_samples: u32 = 10, "", 1..=100_000, "10 is 0.1 s at 100 Hz";
+        /// Consecutive good accelerometer samples after which a disturbance is over. While the tip is shaken the norm passes
+        /// through g repeatedly; a larger value accepts fewer of these passes.
+        recover_acc_samples: u32 = 5, "", 1..=100_000, "5 is 10 ms at 500 Hz";
+        /// Reaction to each cause.
+        policy: Policies;
     }
 }
 
-/// A limit of the `[fuse.health]` table that cannot be.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("`fuse.health.{field}` = {value} is out of range: allowed is {allowed}; leave it out for the default")]
-pub struct ConfigError {
-    /// Name of the field.
-    pub field: &'static str,
-    /// What was written.
-    pub value: f64,
-    /// What may be written.
-    pub allowed: &'static str,
-}
-
-/// A silence of fewer periods than this is no silence.
+/// Periods of the source that a time limit covers at least: a shorter gap is ordinary jitter.
 const PERIODS: f64 = 6.0;
 
 impl HealthConfig {
-    /// The limits for a source that samples every `imu_s`, its magnetometer every `mag_s` (s): times
-    /// that are short against its periods are stretched.
+    /// The limits for a source that samples every `imu_s` and its magnetometer every `mag_s` (s): times that are short
+    /// against its periods are stretched.
     #[must_use]
     pub fn for_periods(&self, imu_s: f64, mag_s: Option<f64>) -> Self {
         let at_least = |value: f64, period: f64| value.max(PERIODS * period);
@@ -251,48 +170,4 @@ impl HealthConfig {
             ..*self
         }
     }
-
-    /// Checks every limit.
-    ///
-    /// # Errors
-    /// The first field outside its range, with the range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        let positive = [
-            ("angular_acceleration_max_rad_s2", self.angular_acceleration_max_rad_s2),
-            ("gyro_jump_allowed_rad_s", self.gyro_jump_allowed_rad_s),
-            ("acc_jump_allowed_m_s2", self.acc_jump_allowed_m_s2),
-            ("stale_after_s", self.stale_after_s),
-            ("jump_max_s", self.jump_max_s),
-            ("blind_max_s", self.blind_max_s),
-            ("mag_silent_after_s", self.mag_silent_after_s),
-            ("field_norm_tolerance", self.field_norm_tolerance),
-            ("field_dip_tolerance_deg", self.field_dip_tolerance_deg),
-            ("acc_norm_tolerance_m_s2", self.acc_norm_tolerance_m_s2),
-            ("vertical_memory_s", self.vertical_memory_s),
-        ];
-        for (field, value) in positive {
-            within(field, value, value > 0.0 && value.is_finite(), "a number above 0")?;
-        }
-        let counts = [
-            ("stuck_after", self.stuck_after),
-            ("spike_confirm", self.spike_confirm),
-            ("recover_samples", self.recover_samples),
-            ("recover_mag_samples", self.recover_mag_samples),
-            ("recover_acc_samples", self.recover_acc_samples),
-        ];
-        for (field, value) in counts {
-            within(field, f64::from(value), value > 0, "1 or more")?;
-        }
-        within("saturated_at", self.saturated_at, self.saturated_at > 0.5 && self.saturated_at <= 1.0, "0.5 to 1")?;
-        for cause in HealthCause::ALL {
-            if let Policy::CoastOnGyro { for_s } = self.policy.of(cause) {
-                within("policy.….for_s", for_s, for_s > 0.0 && for_s <= 60.0, "above 0, at most 60 s")?;
-            }
-        }
-        Ok(())
-    }
-}
-
-fn within(field: &'static str, value: f64, ok: bool, allowed: &'static str) -> Result<(), ConfigError> {
-    if ok { Ok(()) } else { Err(ConfigError { field, value, allowed }) }
 }

@@ -2,6 +2,7 @@
 
 use super::checks::field_disturbed;
 use super::*;
+use crate::primitives::parameters::Parameters;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
 use nalgebra::{Rotation3, Vector3};
@@ -367,10 +368,10 @@ fn policies_are_parsed_and_invalid_limits_are_named() {
     let text = "frozen_after = 0\n[policy]\nspike = { do = \"hold\" }\nnack = { do = \"coast_on_gyro\", for_s = 0.5 }\n";
     let c: HealthConfig = toml::from_str(text).expect("valid");
     assert_eq!((c.policy.spike, c.policy.nack), (Policy::Hold, Policy::CoastOnGyro { for_s: 0.5 }));
-    c.validate().expect("sound");
+    c.checked("fuse.health").expect("sound");
     assert!(toml::from_str::<HealthConfig>("blind_maxs = 1").is_err(), "a typo is an error");
     let bad = HealthConfig { saturated_at: 98.0, ..HealthConfig::default() };
-    assert!(bad.validate().unwrap_err().to_string().contains("`fuse.health.saturated_at` = 98"));
+    assert_eq!(bad.checked("fuse.health").unwrap_err().key, "fuse.health.saturated_at");
     let back: HealthConfig = toml::from_str(&toml::to_string(&HealthConfig::default()).expect("serialises")).expect("reads back");
     assert_eq!(back, HealthConfig::default());
 }

@@ -8,31 +8,31 @@ use crate::estimation::fusion::estimator::EstimatorName;
 use crate::estimation::fusion::health::{HealthConfig, ImuReading};
 use crate::estimation::fusion::second::SecondConfig;
 use crate::model::bend::Bend;
+use crate::parameters;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
 use nalgebra::Vector3;
-use serde::Deserialize;
 
-/// Settings of alignment, estimators and sensor health.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct FuseConfig {
-    /// Estimator of the loop: `bend` (default), `madgwick`, `vqf`, `vqf-long` or `mekf`. The generic ones need the
-    /// magnetometer; `bend` works without it.
-    pub filter: EstimatorName,
-    /// When the tip counts as still.
-    pub align: AlignConfig,
-    /// The bend-constrained estimator.
-    pub bend: BendFilterConfig,
-    /// The independent second estimator.
-    pub second: SecondConfig,
-    /// When a reading may be used, and the consequence of each fault.
-    pub health: HealthConfig,
-    /// The IMU on the base, if there is one.
-    pub base: BaseConfig,
-    /// Detection of base motion without a base IMU.
-    pub watch: WatchConfig,
+parameters! {
+    /// Orientation estimation.
+    pub struct FuseConfig: Copy {
+        /// Estimator of the loop: `bend` uses the constraint that the tip is an arc; `madgwick`, `vqf`, `vqf-long` and `mekf`
+        /// are generic filters. The generic ones need the magnetometer; `bend` can do without.
+        filter: EstimatorName = EstimatorName::Bend;
+        /// Alignment at start: when the tip counts as still.
+        align: AlignConfig;
+        /// The bend-constrained estimator.
+        bend: BendFilterConfig;
+        /// The second estimator.
+        second: SecondConfig;
+        /// Plausibility of readings, and the reaction to implausible ones.
+        health: HealthConfig;
+        /// The IMU on the base, where there is one.
+        base: BaseConfig;
+        /// Detection of base motion without a base IMU.
+        watch: WatchConfig;
+    }
 }
 
 /// Output of the fusion.

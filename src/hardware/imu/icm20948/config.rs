@@ -1,65 +1,41 @@
 //! Settings of the ICM-20948 in people's units, and their translation into its registers.
 
 use super::BASE_RATE_HZ;
-use crate::hardware::imu::{Axes, Part, STANDARD_GRAVITY_M_S2, Scale, SettingError};
-use serde::{Deserialize, Serialize};
+use crate::hardware::imu::{Axes, STANDARD_GRAVITY_M_S2, Scale};
+use crate::parameters;
+use crate::primitives::check::Invalid;
+use crate::primitives::parameters::Parameters;
 
 /// Gyroscope filters: 3 dB bandwidth by GYRO_DLPFCFG 0 to 7 (DS-000189, table of GYRO_CONFIG_1).
 const GYRO_BANDWIDTH_HZ: [f64; 8] = [196.6, 151.8, 119.5, 51.2, 23.9, 11.6, 5.7, 361.4];
 /// Accelerometer filters by ACCEL_DLPFCFG 0 to 7 (table of ACCEL_CONFIG); 0 equals 1.
 const ACC_BANDWIDTH_HZ: [f64; 8] = [246.0, 246.0, 111.4, 50.4, 23.9, 11.5, 5.7, 473.0];
 
-/// Settings of an ICM-20948.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct IcmConfig {
-    /// 7-bit bus address: 104 (0x68) with the AD0 pin low, 105 (0x69) with it high. Default 104.
-    /// A second sensor on the same bus takes the other one.
-    pub address: u8,
-
-    /// Full scale of the gyroscope, °/s: 250, 500, 1000 or 2000. Default 500, four times the fastest
-    /// bend. A bigger range survives jerks and costs resolution (500 is 0.015 °/s a count).
-    pub gyro_range_dps: u16,
-
-    /// Full scale of the accelerometer, g: 2, 4, 8 or 16. Default 4. A bigger range survives knocks
-    /// and costs resolution (4 g is 0.12 mg a count).
-    pub acc_range_g: u8,
-
-    /// Readings a second that the loop will make, Hz, 4.4 to 1125. Default 500. The chip converts at
-    /// the next rate 1125 / (1 + n) Hz that is not slower (here 562.5), so no conversion is read
-    /// twice.
-    pub rate_hz: f64,
-
-    /// Narrowest gyroscope filter allowed, Hz, up to 361. Default 100: the chip takes the next wider
-    /// of 5.7, 11.6, 23.9, 51.2, 119.5, 151.8, 196.6 and 361.4. A bigger value lets more noise and
-    /// less delay through.
-    pub gyro_bandwidth_hz: f64,
-
-    /// Narrowest accelerometer filter allowed, Hz, up to 473. Default 50: the next wider of 5.7,
-    /// 11.5, 23.9, 50.4, 111.4, 246 and 473 is taken.
-    pub acc_bandwidth_hz: f64,
-
-    /// Measurements a second of the magnetometer, Hz: 10, 20, 50 or 100. Default 100.
-    pub mag_rate_hz: u16,
-
-    /// Readings between two checks that the chip still has its settings; 0 never checks. Default 50,
-    /// ten times a second at 500 Hz. A smaller value finds a restart sooner and costs bus time: a
-    /// check takes up to 0.5 ms.
-    pub canary_every: u16,
-}
-
-impl Default for IcmConfig {
-    fn default() -> Self {
-        Self {
-            address: 0x68,
-            gyro_range_dps: 500,
-            acc_range_g: 4,
-            rate_hz: 500.0,
-            gyro_bandwidth_hz: 100.0,
-            acc_bandwidth_hz: 50.0,
-            mag_rate_hz: 100,
-            canary_every: 50,
-        }
+parameters! {
+    /// Settings of an ICM-20948.
+    pub struct IcmConfig {
+        /// 7-bit bus address: 104 (0x68) with the AD0 pin low, 105 (0x69) with it high. A second sensor on the same bus takes
+        /// the other one.
+        address: u8 = 104, "", [104, 105], "104 (0x68) or 105 (0x69)";
+        /// Full scale of the gyroscope; the default is four times the fastest bend. A larger range survives jerks and costs
+        /// resolution (500 is 0.015 °/s a count).
+        gyro_range_dps: u16 = 500, "°/s", [250, 500, 1000, 2000], "500 is four times the fastest bend";
+        /// Full scale of the accelerometer. A larger range survives knocks and costs resolution (4 g is 0.12 mg a count).
+        acc_range_g: u8 = 4, "g", [2, 4, 8, 16], "4 survives the motion of the tip";
+        /// Readings per second. The chip converts at the next rate of 1125 / (1 + n) Hz that is not slower, so that no
+        /// conversion is read twice. A larger value loads the bus, which carries about 1600 at 400 kHz.
+        rate_hz: f64 = 500.0, "Hz", 4.4..=1125.0, "500 is one reading per turn of the loop";
+        /// Smallest bandwidth of the gyroscope filter: the chip takes the next wider of 5.7, 11.6, 23.9, 51.2, 119.5, 151.8,
+        /// 196.6 and 361.4. A larger value passes more noise with less delay.
+        gyro_bandwidth_hz: f64 = 100.0, "Hz", 0.0..=361.4, "100 passes the fastest bend";
+        /// Smallest bandwidth of the accelerometer filter: the next wider of 5.7, 11.5, 23.9, 50.4, 111.4, 246 and 473. A larger
+        /// value passes more noise with less delay.
+        acc_bandwidth_hz: f64 = 50.0, "Hz", 0.0..=473.0, "50 passes the fastest bend";
+        /// Measurements per second of the magnetometer. A larger value averages the heading over more measurements.
+        mag_rate_hz: u16 = 100, "Hz", [10, 20, 50, 100], "100";
+        /// Readings between two checks that the chip still has its settings; 0 disables them. A smaller value detects a restart
+        /// sooner and costs bus time: a check takes up to 0.5 ms.
+        canary_every: u16 = 50, "", 0..=65_535, "50 is ten times a second at 500 Hz";
     }
 }
 
@@ -76,11 +52,12 @@ pub struct Settings {
     pub(super) scale: Scale,
 }
 
-/// Position of the narrowest filter that is at least `wanted` wide.
-fn filter(table: &[f64; 8], wanted: f64) -> Option<u8> {
+/// Position of the narrowest filter that is at least `wanted_hz` wide, which must not exceed the widest.
+fn filter(table: &[f64; 8], wanted_hz: f64) -> u8 {
     (0..8_u8)
-        .filter(|i| table[usize::from(*i)] >= wanted)
+        .filter(|i| table[usize::from(*i)] >= wanted_hz)
         .min_by(|a, b| table[usize::from(*a)].total_cmp(&table[usize::from(*b)]).then(b.cmp(a)))
+        .unwrap_or(7)
 }
 
 impl IcmConfig {
@@ -88,28 +65,15 @@ impl IcmConfig {
     ///
     /// # Errors
     /// The first setting that the part does not have.
-    pub fn settings(&self) -> Result<Settings, SettingError> {
-        let no = |field, value, allowed| SettingError { part: Part::Icm20948, field, value, allowed };
-        let range = |list: &[u16], have: u16| (0_u8..).zip(list).find(|(_, x)| **x == have).map(|(i, _)| i);
-        if !matches!(self.address, 0x68 | 0x69) {
-            return Err(no("address", f64::from(self.address), "104 (0x68) or 105 (0x69)"));
-        }
-        let gyro_fs = range(&[250, 500, 1000, 2000], self.gyro_range_dps).ok_or(no(
-            "gyro_range_dps",
-            f64::from(self.gyro_range_dps),
-            "250, 500, 1000 or 2000",
-        ))?;
-        let acc_fs =
-            range(&[2, 4, 8, 16], u16::from(self.acc_range_g)).ok_or(no("acc_range_g", f64::from(self.acc_range_g), "2, 4, 8 or 16"))?;
-        let mag_mode =
-            range(&[10, 20, 50, 100], self.mag_rate_hz).ok_or(no("mag_rate_hz", f64::from(self.mag_rate_hz), "10, 20, 50 or 100"))?;
-        if !(4.4..=BASE_RATE_HZ).contains(&self.rate_hz) {
-            return Err(no("rate_hz", self.rate_hz, "4.4 to 1125"));
-        }
-        let gyro_dlpf =
-            filter(&GYRO_BANDWIDTH_HZ, self.gyro_bandwidth_hz).ok_or(no("gyro_bandwidth_hz", self.gyro_bandwidth_hz, "at most 361.4"))?;
-        let acc_dlpf =
-            filter(&ACC_BANDWIDTH_HZ, self.acc_bandwidth_hz).ok_or(no("acc_bandwidth_hz", self.acc_bandwidth_hz, "at most 473"))?;
+    pub fn settings(&self) -> Result<Settings, Invalid> {
+        self.checked("imu.chip")?;
+        // every value is in its list: the search finds it
+        let code = |list: &[u16], have: u16| (0_u8..).zip(list).find(|(_, x)| **x == have).map_or(0, |(i, _)| i);
+        let gyro_fs = code(&[250, 500, 1000, 2000], self.gyro_range_dps);
+        let acc_fs = code(&[2, 4, 8, 16], u16::from(self.acc_range_g));
+        let mag_mode = code(&[10, 20, 50, 100], self.mag_rate_hz);
+        let gyro_dlpf = filter(&GYRO_BANDWIDTH_HZ, self.gyro_bandwidth_hz);
+        let acc_dlpf = filter(&ACC_BANDWIDTH_HZ, self.acc_bandwidth_hz);
         Ok(Settings {
             address: self.address,
             divider: ((BASE_RATE_HZ / self.rate_hz).floor() - 1.0) as u8,
@@ -170,7 +134,7 @@ mod tests {
         ];
         for (config, field) in bad {
             let error = config.settings().expect_err(field);
-            assert!(error.to_string().contains(&format!("`imu.chip.{field}`")), "{error}");
+            assert_eq!(error.key, format!("imu.chip.{field}"));
         }
     }
 

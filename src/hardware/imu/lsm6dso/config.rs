@@ -1,61 +1,38 @@
 //! Settings of the LSM6DSO and its LIS2MDL in people's units, and their translation into registers.
 
 use super::RATES_HZ;
-use crate::hardware::imu::{Axes, Part, STANDARD_GRAVITY_M_S2, Scale, SettingError, lis2mdl};
-use serde::{Deserialize, Serialize};
+use crate::hardware::imu::{Axes, STANDARD_GRAVITY_M_S2, Scale, lis2mdl};
+use crate::parameters;
+use crate::primitives::check::{Checker, Invalid};
+use crate::primitives::parameters::Parameters;
 
-/// Settings of an LSM6DSO and the LIS2MDL beside it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LsmConfig {
-    /// 7-bit bus address of the LSM6DSO: 106 (0x6A) with SA0 low, 107 (0x6B) with it high. Default
-    /// 106. The LIS2MDL is always at 30 (0x1E).
-    pub address: u8,
-
-    /// Full scale of the gyroscope, °/s: 125, 250, 500, 1000 or 2000. Default 500 (0.0175 °/s a
-    /// count). A bigger range survives jerks and costs resolution.
-    pub gyro_range_dps: u16,
-
-    /// Full scale of the accelerometer, g: 2, 4, 8 or 16. Default 4 (0.122 mg a count).
-    pub acc_range_g: u8,
-
-    /// Readings a second that the loop will make, Hz, 1 to 6664. Default 500. The chip converts at
-    /// the next rate of 12.5, 26, 52, 104, 208, 416, 833, 1666 … Hz that is not slower.
-    pub rate_hz: f64,
-
-    /// Gyroscope low-pass, CTRL6_C.FTYPE: 0 to 7, or left out for none but the fixed second stage
-    /// (295 Hz at 833 Hz). 3 is the widest, 4 to 7 ever narrower. Default none.
-    pub gyro_filter: Option<u8>,
-
-    /// Accelerometer low-pass as a share of the conversion rate: 2 (default), 4, 10, 20, 45, 100,
-    /// 200, 400 or 800; 10 is 83 Hz at 833 Hz. A bigger value filters more and lags more.
-    pub acc_filter_divisor: u16,
-
-    /// Measurements a second of the LIS2MDL, Hz: 10, 20, 50 or 100. Default 100.
-    pub mag_rate_hz: u16,
-
-    /// How the LIS2MDL sits against the LSM6DSO: their x, y and z of the LSM6DSO as signed axes of
-    /// the LIS2MDL. Default `["+x", "+y", "+z"]`, side by side with the same pin-1 corner.
-    pub mag_axes: Axes,
-
-    /// Readings between two checks that the chips still have their settings; 0 never checks.
-    /// Default 50. A smaller value finds a restart sooner and costs bus time (0.25 ms a check).
-    pub canary_every: u16,
-}
-
-impl Default for LsmConfig {
-    fn default() -> Self {
-        Self {
-            address: 0x6A,
-            gyro_range_dps: 500,
-            acc_range_g: 4,
-            rate_hz: 500.0,
-            gyro_filter: None,
-            acc_filter_divisor: 2,
-            mag_rate_hz: 100,
-            mag_axes: Axes::ALIGNED,
-            canary_every: 50,
-        }
+parameters! {
+    /// Settings of an LSM6DSO and the LIS2MDL beside it.
+    pub struct LsmConfig {
+        /// 7-bit bus address of the LSM6DSO: 106 (0x6A) with SA0 low, 107 (0x6B) with it high. The LIS2MDL is always at 30
+        /// (0x1E).
+        address: u8 = 106, "", [106, 107], "106 (0x6A) or 107 (0x6B)";
+        /// Full scale of the gyroscope. A larger range survives jerks and costs resolution (500 is 0.0175 °/s a count).
+        gyro_range_dps: u16 = 500, "°/s", [125, 250, 500, 1000, 2000], "500 is four times the fastest bend";
+        /// Full scale of the accelerometer. A larger range survives knocks and costs resolution (4 g is 0.122 mg a count).
+        acc_range_g: u8 = 4, "g", [2, 4, 8, 16], "4 survives the motion of the tip";
+        /// Readings per second. The chip converts at the next rate of 12.5, 26, 52, 104, 208, 416, 833, 1666 … Hz that is not
+        /// slower. A larger value loads the bus.
+        rate_hz: f64 = 500.0, "Hz", 1.0..=6664.0, "500 is one reading per turn of the loop";
+        /// Gyroscope low-pass, CTRL6_C.FTYPE; left out, only the fixed second stage (295 Hz at 833 Hz). 3 is the widest, a
+        /// larger value is narrower.
+        gyro_filter: Option<u8> = None, "", 0..=7, "leave it out for the fixed second stage alone";
+        /// Accelerometer low-pass as a divisor of the conversion rate; 10 is 83 Hz at 833 Hz. A larger value filters more and
+        /// delays more.
+        acc_filter_divisor: u16 = 2, "", [2, 4, 10, 20, 45, 100, 200, 400, 800], "10 is 83 Hz at 833 Hz";
+        /// Measurements per second of the LIS2MDL. A larger value averages the heading over more measurements.
+        mag_rate_hz: u16 = 100, "Hz", [10, 20, 50, 100], "100";
+        /// Orientation of the LIS2MDL against the LSM6DSO: x, y and z of the LSM6DSO as signed axes of the LIS2MDL. The default
+        /// is side by side with the same pin-1 corner.
+        mag_axes: Axes = Axes::ALIGNED;
+        /// Readings between two checks that the chips still have their settings; 0 disables them. A smaller value detects a
+        /// restart sooner and costs bus time (0.25 ms a check).
+        canary_every: u16 = 50, "", 0..=65_535, "50 is ten times a second at 500 Hz";
     }
 }
 
@@ -99,34 +76,16 @@ impl LsmConfig {
     ///
     /// # Errors
     /// The first setting that the parts do not have.
-    pub fn settings(&self) -> Result<Settings, SettingError> {
-        let no = |field, value, allowed| SettingError { part: Part::Lsm6dso, field, value, allowed };
-        if !matches!(self.address, 0x6A | 0x6B) {
-            return Err(no("address", f64::from(self.address), "106 (0x6A) or 107 (0x6B)"));
-        }
-        let (_, fs_g) = GYRO.into_iter().find(|(r, _)| *r == self.gyro_range_dps).ok_or(no(
-            "gyro_range_dps",
-            f64::from(self.gyro_range_dps),
-            "125, 250, 500, 1000 or 2000",
-        ))?;
-        let (_, fs_xl) =
-            ACC.into_iter().find(|(r, _)| *r == self.acc_range_g).ok_or(no("acc_range_g", f64::from(self.acc_range_g), "2, 4, 8 or 16"))?;
-        let (odr, rate_hz) = (1_u8..).zip(RATES_HZ).find(|(_, r)| *r >= self.rate_hz && self.rate_hz >= 1.0).ok_or(no(
-            "rate_hz",
-            self.rate_hz,
-            "1 to 6664",
-        ))?;
+    pub fn settings(&self) -> Result<Settings, Invalid> {
+        self.checked("imu.chip")?;
+        let mut checker = Checker::default();
+        checker.holds("imu.chip.mag_axes", self.mag_axes.is_permutation(), "an axis is used twice", "each of x, y and z once, with a sign");
+        checker.done()?;
+        // every value is in its list: the searches find it
+        let fs_g = GYRO.into_iter().find(|(range, _)| *range == self.gyro_range_dps).map_or(0, |(_, bits)| bits);
+        let fs_xl = ACC.into_iter().find(|(range, _)| *range == self.acc_range_g).map_or(0, |(_, bits)| bits);
+        let (odr, rate_hz) = (1_u8..).zip(RATES_HZ).find(|(_, rate)| *rate >= self.rate_hz).unwrap_or((1, RATES_HZ[0]));
         let divisor = ACC_DIVISORS.into_iter().position(|d| d == self.acc_filter_divisor);
-        if divisor.is_none() && self.acc_filter_divisor != 2 {
-            let allowed = "2, 4, 10, 20, 45, 100, 200, 400 or 800";
-            return Err(no("acc_filter_divisor", f64::from(self.acc_filter_divisor), allowed));
-        }
-        if let Some(bad) = self.gyro_filter.filter(|f| *f > 7) {
-            return Err(no("gyro_filter", f64::from(bad), "0 to 7, or leave it out"));
-        }
-        if !self.mag_axes.is_permutation() {
-            return Err(no("mag_axes", f64::NAN, "each of x, y and z once, with a sign"));
-        }
         Ok(Settings {
             address: self.address,
             ctrl1: odr << 4 | fs_xl | if divisor.is_some() { 0x02 } else { 0 },
@@ -184,14 +143,14 @@ mod tests {
             (LsmConfig { acc_filter_divisor: 3, ..LsmConfig::default() }, "acc_filter_divisor"),
         ];
         for (config, field) in bad {
-            assert_eq!(config.settings().expect_err(field).field, field);
+            assert_eq!(config.settings().expect_err(field).key, format!("imu.chip.{field}"));
         }
         let text = "part = \"lsm6dso_lis2mdl\"\nmag_axes = [\"-y\", \"+x\", \"+z\"]\nacc_range_g = 8\n";
         let config: crate::hardware::imu::ChipConfig = toml::from_str(text).expect("valid");
         let crate::hardware::imu::ChipConfig::Lsm6dsoLis2mdl(config) = config else { panic!("wrong part") };
         assert_eq!(config.acc_range_g, 8);
         let twice = LsmConfig { mag_axes: Axes([crate::hardware::imu::Axis::PlusX; 3]), ..LsmConfig::default() };
-        assert_eq!(twice.settings().expect_err("twice x").field, "mag_axes");
+        assert_eq!(twice.settings().expect_err("twice x").key, "imu.chip.mag_axes");
         assert!(toml::from_str::<crate::hardware::imu::ChipConfig>("part = \"icm20948\"\nacc_rang_g = 8\n").is_err());
         assert!(toml::from_str::<crate::hardware::imu::ChipConfig>("part = \"mpu6050\"\n").is_err());
     }

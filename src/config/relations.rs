@@ -1,0 +1,153 @@
+//! Relations between the tables of a board: a board that contradicts itself is refused as it is read, with the place in
+//! the file.
+
+use crate::config::board::{Board, PlantSection};
+use crate::config::sections::{Header, HomingMethod, ImuSection};
+use crate::hardware::pins::map::LineMap;
+use crate::hardware::pins::{Backend, PinsConfig};
+use crate::motion::MotionLimits;
+use crate::motion::stop::longest_stop_mm;
+use crate::primitives::check::{Checker, Invalid};
+use crate::primitives::parameters::{Check, Parameters, Table};
+use crate::simulation::plant::PlantError;
+
+impl Check for Board {
+    const TABLE: Option<&'static Table> = Some(<Self as Parameters>::TABLE);
+
+    fn check(&self, to: &mut Checker) {
+        let g = &self.geometry;
+        let at_rest = "compare it with geometry.rest_length_mm";
+        to.range("geometry.bellow_min_mm", g.bellow_min_mm, 1.0..=g.rest_length_mm, "mm", at_rest);
+        to.range("geometry.bellow_max_mm", g.bellow_max_mm, g.rest_length_mm..=200.0, "mm", at_rest);
+        let same = self.service.socket == self.service.status_socket;
+        to.holds("service.status_socket", !same, "the status socket is the command socket", "give each its own path");
+        priorities(self, to);
+        power(self, to);
+        motion(self, to);
+        homing(self, to);
+        if let Some(pins) = &self.pins {
+            wiring(self, pins, to);
+        }
+        sensors(self, to);
+        if let Some(section) = &self.plant {
+            plant(section, to);
+        }
+    }
+}
+
+/// Takes a problem over.
+fn pass_on(verdict: Result<(), Invalid>, to: &mut Checker) {
+    if let Err(Invalid { key, problem, hint }) = verdict {
+        to.refuse(&key, problem, &hint);
+    }
+}
+
+fn priorities(board: &Board, to: &mut Checker) {
+    let steps = board.stepper.priority;
+    for (key, value) in [("service.priority", board.service.priority), ("machine.imu_priority", board.machine.imu_priority)] {
+        let problem = format!("{value} is not below stepper.priority = {steps}");
+        to.holds(key, value == 0 || steps == 0 || value < steps, &problem, "the step thread comes first: give it the highest priority");
+    }
+}
+
+fn power(board: &Board, to: &mut Checker) {
+    let (have, pressure) = (board.power.holding_torque_n_mm, board.limits.pressure_max_kpa);
+    let needed = board.power.torque_n_mm(pressure, board.drive.pinion_pitch_diameter_mm);
+    let problem = format!("{have} N·mm do not hold limits.pressure_max_kpa = {pressure} kPa, which turns the motor with {needed:.0} N·mm");
+    to.holds("power.holding_torque_n_mm", have > needed, &problem, "lower limits.pressure_max_kpa or use a stronger motor");
+}
+
+/// Motion and pulses, each alone and together.
+fn motion(board: &Board, to: &mut Checker) {
+    let (motion, stepper, period_s) = (board.motion_config(), &board.stepper, board.machine.period_s);
+    pass_on(stepper.validate(), to);
+    if board.pins.is_some() {
+        pass_on(stepper.validate_rate(&motion, board.drive.law().step_mm), to);
+        let problem = format!("{} ms is less than one turn of the loop, {} ms", stepper.lead_ms, period_s * 1e3);
+        to.holds("stepper.lead_ms", stepper.lead_ms * 1e-3 >= period_s, &problem, "two turns of machine.period_s are a good lead");
+    }
+    let Ok(limits) = MotionLimits::try_from(&motion) else { return };
+    let (stop_mm, travel_mm) = (longest_stop_mm(&limits), board.limits.travel_mm);
+    let problem = format!("a stop from full speed takes {stop_mm:.2} mm, more than the travel of {travel_mm} mm");
+    to.holds("limits.travel_mm", stop_mm < travel_mm, &problem, "lower motion.speed_max_mm_s or raise motion.acceleration_max_mm_s2");
+}
+
+fn homing(board: &Board, to: &mut Checker) {
+    let (h, travel) = (&board.homing, board.limits.travel_mm);
+    let fastest = board.motion.speed_max_mm_s.min(10.0);
+    to.range("homing.speed_mm_s", h.speed_mm_s, 0.1..=fastest, "mm/s", "not faster than motion.speed_max_mm_s");
+    to.range("homing.back_off_mm", h.back_off_mm, 0.1..=travel, "mm", "within limits.travel_mm");
+    to.range("homing.repeat_max_mm", h.repeat_max_mm, board.drive.law().step_mm..=1.0, "mm", "at least one microstep");
+    to.ranges("homing.at_mm", &h.at_mm, -travel..=travel, "mm", "where the switch closes, within limits.travel_mm");
+    if h.method == HomingMethod::Operator {
+        return;
+    }
+    let missing = board.pins.as_ref().map(|p| p.channels.iter().position(|c| c.home.is_none()));
+    let problem = match missing {
+        None => "switches are selected, but the board has no [pins]".to_owned(),
+        Some(Some(i)) => format!("switches are selected, but channel {} has none", i + 1),
+        Some(None) => String::new(),
+    };
+    to.holds("homing.method", problem.is_empty(), &problem, "give every channel a `home` line, or write \"operator\"");
+    let sided = h.at_mm.iter().all(|p| *p != 0.0);
+    to.holds("homing.at_mm", sided, "a switch at rest has no side to search on", "write the position with its sign");
+}
+
+fn sensors(board: &Board, to: &mut Checker) {
+    for (table, imu) in [("imu", &board.imu), ("base_imu", &board.base_imu)] {
+        if let Some(imu) = imu {
+            let bus = format!("{table}.bus");
+            to.holds(&bus, imu.bus.starts_with('/'), &format!("`{}` is not a device file", imu.bus), "`ls /dev/i2c-*` lists the buses");
+            pass_on(imu.chip.check().map_err(|e| Invalid { key: e.key.replacen("imu", table, 1), ..e }), to);
+        }
+    }
+    if let (Some(tip), Some(base)) = (&board.imu, &board.base_imu) {
+        let place = |imu: &ImuSection| (imu.bus.clone(), imu.chip.address());
+        let problem = format!("{:#04x} on {} is already the tip's IMU", base.chip.address(), base.bus);
+        let hint = "pull the address pin of one sensor the other way, or use another bus";
+        to.holds("base_imu.chip.address", place(tip) != place(base), &problem, hint);
+    }
+}
+
+/// The wiring against the header: every line exists, has one use, and no other task.
+fn wiring(board: &Board, pins: &PinsConfig, to: &mut Checker) {
+    let chip = format!("`{}` is not a device file", pins.chip);
+    to.holds("pins.chip", pins.chip.starts_with('/'), &chip, "`ls /dev/gpiochip*` lists the chips");
+    for u in pins.uses() {
+        header_line(board, pins.backend, &format!("pins.{}", u.key), u.pin, to);
+    }
+    pass_on(pins.validate(), to);
+    pass_on(LineMap::new(pins, board.drive.microsteps).map(|_| ()), to);
+}
+
+/// A line of the header, or why not.
+fn header_line(board: &Board, backend: Backend, key: &str, pin: u32, to: &mut Checker) {
+    if board.machine.header == Header::Any && backend != Backend::Rppal {
+        to.range(key, f64::from(pin), 0.0..=511.0, "", "`gpioinfo` lists the lines of a chip");
+        return;
+    }
+    let numbers = "the header has GPIO 2 to 27 (Broadcom numbers, not positions on the header)";
+    let on_bus_1 = [&board.imu, &board.base_imu].into_iter().flatten().any(|imu| imu.bus == "/dev/i2c-1");
+    match pin {
+        0 | 1 => to.refuse(key, format!("GPIO {pin} reads the identification EEPROM of an add-on board"), numbers),
+        2 | 3 if on_bus_1 => to.refuse(key, format!("GPIO {pin} is SDA or SCL of /dev/i2c-1, where the IMU is"), "choose another line"),
+        2..=27 => {}
+        _ => to.refuse(key, format!("the header has no GPIO {pin}"), numbers),
+    }
+}
+
+/// Reports what the built-in plant refuses; it counts channels from 1, keys count from 0.
+fn plant(section: &PlantSection, to: &mut Checker) {
+    to.range("plant.period_s", section.period_s, 1e-4..=0.01, "s", "0.001 is a loop at 1 kHz");
+    match section.make().validate() {
+        Ok(()) => {}
+        Err(PlantError::Range { name, value, low, high, mend }) => {
+            let key = match name.strip_suffix(']').and_then(|n| n.split_once('[')) {
+                Some((array, index)) => format!("plant.{array}.{}", index.parse::<usize>().map_or(0, |i| i.saturating_sub(1))),
+                None => format!("plant.{name}"),
+            };
+            to.refuse(&key, format!("{value} is outside {low} to {high}"), mend);
+        }
+        Err(other) => to.refuse("plant", other.to_string(), "see the tables of boards/sim.toml"),
+    }
+}

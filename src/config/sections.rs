@@ -1,0 +1,155 @@
+//! The tables of a board file that describe the machine.
+
+use crate::hardware::imu::ChipConfig;
+use crate::model::arc::Geometry;
+use crate::model::drive::Drive;
+use crate::{choices, parameters};
+use nalgebra::{UnitQuaternion, Vector3};
+
+choices! {
+    /// Which lines a header has.
+    pub enum Header {
+        /// Any chip with any lines.
+        Any = "any",
+        /// The 40-pin header of a Raspberry Pi: GPIO 2 to 27; 0 and 1 belong to the identification EEPROM.
+        RaspberryPi = "raspberry_pi",
+    }
+}
+
+parameters! {
+    /// The computer and the loop on it.
+    pub struct MachineSection {
+        /// Name, for reports and the status.
+        name: String = "unnamed".to_owned();
+        /// Which lines there are. `raspberry_pi`: the 40-pin header with GPIO 2 to 27, in Broadcom numbers; `any`: whatever the
+        /// chip has. A line that does not exist is refused when the file is read.
+        header: Header = Header::Any;
+        /// Period of the loop on hardware. A larger value spares the processor and delays everything.
+        period_s: f64 = 0.002, "s", 0.0005..=0.02, "0.002 is a loop at 500 Hz";
+        /// SCHED_FIFO priority of the thread that reads the IMU; 0 requests none. A larger value displaces more of the system.
+        imu_priority: i32 = 75, "", 0..=98, "below the step thread; 0 requests no real-time scheduling";
+    }
+}
+
+parameters! {
+    /// The bending section.
+    pub struct GeometrySection: Copy {
+        /// Side of the triangle whose corners are the bellows. A larger value needs more bellow stroke per degree of bend.
+        triangle_side_mm: f64 = 7.0, "mm", 2.0..=30.0, "measure between two bellow axes";
+        /// Bellow length at atmospheric pressure. A larger value moves the tip further at the same bend. A plant that reports
+        /// its own length replaces this one.
+        rest_length_mm: f64 = 20.0, "mm", 5.0..=100.0, "measure a bellow at atmospheric pressure";
+        /// Shortest bellow. A larger value forbids tighter bends.
+        bellow_min_mm: f64 = 14.0, "mm", 1.0..=100.0, "shorter than rest_length_mm";
+        /// Longest bellow. A smaller value forbids tighter bends.
+        bellow_max_mm: f64 = 29.0, "mm", 5.0..=200.0, "longer than rest_length_mm";
+    }
+}
+
+impl GeometrySection {
+    /// The kinematic law of this section.
+    #[must_use]
+    pub fn law(&self) -> Geometry {
+        Geometry { r_mm: self.triangle_side_mm / 3f64.sqrt(), rest_length_mm: self.rest_length_mm }
+    }
+}
+
+parameters! {
+    /// Motor, rack and pinion.
+    pub struct DriveSection: Copy {
+        /// Pitch diameter of the pinion. A larger value moves the piston further per step and gives the pressure a longer lever
+        /// on the motor.
+        pinion_pitch_diameter_mm: f64 = 30.0, "mm", 2.0..=100.0, "module times number of teeth";
+        /// Full steps of the motor per turn. A larger value moves the piston less per step.
+        full_steps: u32 = 200, "", 20..=800, "200 for a 1.8° motor";
+        /// Microsteps per full step: up to 16 on the A4988. Where the `ms` lines are wired they are set to it, otherwise the
+        /// driver must be strapped to it. A larger value resolves finer and needs a faster step clock.
+        microsteps: u32 = 16, "", [1, 2, 4, 8, 16, 32], "as the driver is strapped";
+    }
+}
+
+impl DriveSection {
+    /// The drive law of this section.
+    #[must_use]
+    pub fn law(&self) -> Drive {
+        Drive::rack_and_pinion(self.pinion_pitch_diameter_mm, self.full_steps, self.microsteps)
+    }
+}
+
+parameters! {
+    /// How far a piston may go.
+    pub struct LimitsSection: Copy {
+        /// Piston travel either side of rest; the default is half of the 60 mm rack. A value larger than the rack runs the
+        /// pinion off it.
+        travel_mm: f64 = 30.0, "mm", 1.0..=100.0, "half the rack's length";
+        /// Gauge pressure per mm of piston that compresses air; the default is 17.5 kPa at the paper's largest bend. A larger
+        /// value stops the piston sooner.
+        pressure_kpa_per_mm: f64 = 1.4, "kPa/mm", 0.01..=100.0, "read a gauge while the piston moves by 1 mm against a blocked bellow";
+        /// Largest gauge pressure of either sign; the default is the paper's 6 PSI. A larger value risks the bellow and pushes
+        /// harder against the motor.
+        pressure_max_kpa: f64 = 41.3, "kPa", 1.0..=200.0, "the paper stays under 6 PSI = 41.4 kPa";
+    }
+}
+
+choices! {
+    /// How zero is found.
+    pub enum HomingMethod {
+        /// A person brings the pistons to rest and confirms it.
+        Operator = "operator",
+        /// Every channel has a home switch.
+        Switches = "switches",
+    }
+}
+
+parameters! {
+    /// How zero is found.
+    pub struct HomingSection: Copy {
+        /// `operator`: a person brings the pistons to rest and confirms it; `switches`: every channel has a `home` line.
+        method: HomingMethod = HomingMethod::Operator;
+        /// Speed of the first approach to a switch. A larger value is quicker and overruns the switch further.
+        speed_mm_s: f64 = 4.0, "mm/s", 0.1..=10.0, "slow enough to stop within the switch's travel";
+        /// Distance from a closed switch before the slow second approach: more than the switch's own travel. A larger value
+        /// takes longer.
+        back_off_mm: f64 = 2.0, "mm", 0.1..=100.0, "more than the switch's own travel";
+        /// Largest difference between two approaches; the default is three microsteps. A larger value accepts a worse switch.
+        repeat_max_mm: f64 = 0.09, "mm", 0.001..=1.0, "a few microsteps";
+        /// Piston position of each channel where its switch closes; the default is the end of travel that shortens the bellow.
+        /// The sign sets the direction of the search.
+        at_mm: [f64; 3] = [-30.0; 3], "mm", -100.0..=100.0, "where the switch closes, within limits.travel_mm";
+    }
+}
+
+choices! {
+    /// How the bus is reached.
+    pub enum BusBackend {
+        /// The kernel's bus file, through `linux-embedded-hal`.
+        Linux = "linux",
+        /// The same file, through `rppal`.
+        Rppal = "rppal",
+    }
+}
+
+parameters! {
+    /// An IMU and its mounting.
+    pub struct ImuSection {
+        /// Device file of the bus. On a Raspberry Pi it is on pins 3 and 5 of the header and needs
+        /// `dtparam=i2c_arm_baudrate=400000` in config.txt.
+        bus: String = "/dev/i2c-1".to_owned();
+        /// How the bus is reached: `linux`, the kernel's file with a repeated start in every reading; `rppal`, the same file
+        /// with a stop between register and data.
+        backend: BusBackend = BusBackend::Linux;
+        /// Rotation from the sensor to the tip (or base) as a rotation vector: axis times angle. With the default, z points out
+        /// of the tip and x towards bellow 1. `retroflex commission` measures it; an error turns every bend plane.
+        mount_deg: [f64; 3] = [0.0; 3], "deg", -360.0..=360.0, "a rotation vector: axis times angle";
+        /// The part and its settings.
+        chip: ChipConfig;
+    }
+}
+
+impl ImuSection {
+    /// The mount as a rotation.
+    #[must_use]
+    pub fn mount(&self) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_scaled_axis(Vector3::from(self.mount_deg).map(f64::to_radians))
+    }
+}

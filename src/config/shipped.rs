@@ -1,0 +1,30 @@
+//! The files that come with the program: boards by name, gains and the paper's calibration.
+
+/// The board of the built-in plant, on which everything runs that is not given another.
+pub const SIM: (&str, &str) = ("boards/sim.toml", include_str!("../../boards/sim.toml"));
+/// The paper's calibration.
+pub const PAPER: (&str, &str) = ("calib/paper.toml", include_str!("../../calib/paper.toml"));
+/// The default gains.
+pub const GAINS: (&str, &str) = ("boards/gains.toml", include_str!("../../boards/gains.toml"));
+
+/// Every board with its text.
+pub const BOARDS: [(&str, &str); 6] = [
+    ("sim", SIM.1),
+    ("pi3", include_str!("../../boards/pi3.toml")),
+    ("pi4", include_str!("../../boards/pi4.toml")),
+    ("pi5", include_str!("../../boards/pi5.toml")),
+    ("pi-zero2w", include_str!("../../boards/pi-zero2w.toml")),
+    ("linux-gpiochip", include_str!("../../boards/linux-gpiochip.toml")),
+];
+
+/// The text of a board.
+#[must_use]
+pub fn board(name: &str) -> Option<&'static str> {
+    BOARDS.iter().find(|(n, _)| *n == name).map(|(_, text)| *text)
+}
+
+/// Their names, for messages.
+#[must_use]
+pub fn names() -> String {
+    BOARDS.map(|(name, _)| name).join(", ")
+}

@@ -1,0 +1,136 @@
+//! A resolved file as TOML, with the paragraph, default and range of every key.
+
+use crate::primitives::parameters::{Allowed, Parameters, Row, Shape, Table, join};
+use std::fmt::Write;
+use toml::{Table as Values, Value};
+
+/// The whole of a structure: every key, with its value.
+#[must_use]
+pub fn whole<T: Parameters>(value: &T) -> String {
+    let table = |v: &T| Values::try_from(v).unwrap_or_default();
+    let mut page = Page::default();
+    page.comment(T::TABLE.about);
+    page.rows(T::TABLE, "", &table(value), &table(&T::default()));
+    page.0
+}
+
+/// The whole of a structure without comments, for a machine: it does not depend on a later program's defaults.
+#[must_use]
+pub fn compact<T: Parameters>(value: &T) -> String {
+    toml::to_string(value).unwrap_or_default()
+}
+
+#[derive(Default)]
+struct Page(String);
+
+impl Page {
+    fn line(&mut self, text: &str) {
+        self.0.push_str(text);
+        self.0.push('\n');
+    }
+
+    fn comment(&mut self, lines: &[&str]) {
+        for line in lines {
+            let _ = writeln!(self.0, "#{line}");
+        }
+    }
+
+    /// Plain values first, as TOML wants it, then the sub-tables.
+    fn rows(&mut self, table: &Table, at: &str, values: &Values, defaults: &Values) {
+        for row in table.rows.iter().filter(|r| !is_table(&r.shape)) {
+            self.comment(row.paragraph);
+            self.line(&format!("# {}", limits(row, defaults.get(row.key))));
+            match values.get(row.key) {
+                Some(value) => self.line(&format!("{} = {}", row.key, written(row, value))),
+                None => self.line(&format!("# {} is left out.", row.key)),
+            }
+        }
+        for row in table.rows.iter().filter(|r| is_table(&r.shape)) {
+            self.sub_table(row, &row.shape, &join(at, row.key), values.get(row.key), defaults.get(row.key));
+        }
+    }
+
+    fn sub_table(&mut self, row: &Row, shape: &Shape, at: &str, value: Option<&Value>, default: Option<&Value>) {
+        let none = Values::new();
+        let default = default.and_then(Value::as_table).unwrap_or(&none);
+        match (shape, value) {
+            (Shape::Optional(inner), Some(_)) => self.sub_table(row, inner, at, value, Some(&Value::Table(default.clone()))),
+            (Shape::List(Shape::Table(table)), Some(Value::Array(list))) => {
+                for (n, values) in list.iter().filter_map(Value::as_table).enumerate() {
+                    self.line("");
+                    if n == 0 {
+                        self.comment(row.paragraph);
+                    }
+                    self.line(&format!("[[{at}]]"));
+                    self.rows(table, at, values, &none);
+                }
+            }
+            (Shape::Table(table), Some(Value::Table(values))) => self.table(row, table, at, values, default),
+            (Shape::Tagged(tag, alternatives), Some(Value::Table(values))) => {
+                let word = values.get(*tag).and_then(Value::as_str);
+                if let Some((word, table)) = alternatives.iter().find(|(name, _)| Some(*name) == word) {
+                    self.line("");
+                    self.comment(row.paragraph);
+                    self.line(&format!("[{at}]"));
+                    let words: Vec<&str> = alternatives.iter().map(|(name, _)| *name).collect();
+                    self.line(&format!("# One of: {}.", words.join(", ")));
+                    self.line(&format!("{tag} = \"{word}\""));
+                    self.rows(table, at, values, default);
+                }
+            }
+            (Shape::Opaque, Some(Value::Table(values))) if !values.is_empty() => {
+                self.line("");
+                self.comment(row.paragraph);
+                let nested = Values::from_iter([(at.to_owned(), Value::Table(values.clone()))]);
+                let text = toml::to_string(&nested).unwrap_or_default().replace(&format!("\"{at}\""), at);
+                self.0.push_str(&text);
+            }
+            _ => {
+                self.line("");
+                self.comment(row.paragraph);
+                self.line(&format!("# [{at}] is left out."));
+            }
+        }
+    }
+
+    fn table(&mut self, row: &Row, table: &Table, at: &str, values: &Values, defaults: &Values) {
+        self.line("");
+        self.comment(row.paragraph);
+        self.line(&format!("[{at}]"));
+        self.rows(table, at, values, defaults);
+    }
+}
+
+fn is_table(shape: &Shape) -> bool {
+    match shape {
+        Shape::Table(_) | Shape::Tagged(..) | Shape::Opaque => true,
+        Shape::Optional(inner) | Shape::List(inner) => is_table(inner),
+        Shape::Scalar | Shape::Choice(_) => false,
+    }
+}
+
+/// Default and accepted values, as a sentence: `Default 0.1 s; 0.01 to 10.`
+fn limits(row: &Row, default: Option<&Value>) -> String {
+    let unit = if row.unit.is_empty() || row.unit == OCTAL { String::new() } else { format!(" {}", row.unit) };
+    let default = match default {
+        _ if row.required => "Required".to_owned(),
+        Some(value) => format!("Default {}{unit}", written(row, value)),
+        None => "Left out by default".to_owned(),
+    };
+    match (&row.shape, row.allowed) {
+        (Shape::Choice(words), _) => format!("{default}; one of {}.", words.join(", ")),
+        (_, Allowed::Any) => format!("{default}."),
+        (_, Allowed::Range(..)) if row.unit == OCTAL => format!("{default}."),
+        (_, allowed) => format!("{default}; {allowed}{}.", if row.required { unit } else { String::new() }),
+    }
+}
+
+/// Unit of permission bits, which are written in octal.
+pub const OCTAL: &str = "octal";
+
+fn written(row: &Row, value: &Value) -> String {
+    match value {
+        Value::Integer(bits) if row.unit == OCTAL => format!("{bits:#o}"),
+        value => value.to_string(),
+    }
+}
