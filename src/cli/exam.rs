@@ -6,7 +6,6 @@ use crate::diagnosis::exam::mark::{Method, Row, Sheet, mark};
 use crate::diagnosis::exam::question::{Question, paper};
 use crate::diagnosis::exam::{Answer, sit};
 use crate::model::effects::catalogue;
-use comfy_table::{CellAlignment, Table, presets};
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -86,31 +85,23 @@ fn share(c: &crate::diagnosis::exam::mark::Count) -> String {
 }
 
 fn summary(s: &Sheet) -> String {
-    let mut table = Table::new();
-    table.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    table.set_header(["", "lab", "field"]);
-    let mut row = |name: &str, r: &Row| {
-        table.add_row([name.to_owned(), share(&r.lab), share(&r.field)]);
-    };
-    row("single effect named", &s.diagnosis.single);
-    row("stage of the largest share", &s.stage);
-    row("both of two named, nothing else", &s.diagnosis.pair);
-    row("effect-free logs with a claim", &s.diagnosis.alarm);
-    row("outside the catalogue: unknown", &s.outside);
-    row("struck from the catalogue: unknown", &s.left_out);
-    row("stated intervals that hold", &s.coverage);
-    table.add_row([
-        "gap closed on a fresh log, median".to_owned(),
-        format!("{:.0} %", s.fresh_closed[0] * 100.0),
-        format!("{:.0} %", s.fresh_closed[1] * 100.0),
-    ]);
-    let mut others = Table::new();
-    others.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    others.set_header(["method", "single lab", "single field", "pair lab", "pair field", "false alarms", "macro F1"]);
-    let mut add = |name: &str, m: &Method| {
+    let row = |name: &str, r: &Row| [name.to_owned(), share(&r.lab), share(&r.field)];
+    let closed = s.fresh_closed.map(|c| format!("{:.0} %", c * 100.0));
+    let results = [
+        row("single effect named", &s.diagnosis.single),
+        row("stage of the largest share", &s.stage),
+        row("both of two named, nothing else", &s.diagnosis.pair),
+        row("effect-free logs with a claim", &s.diagnosis.alarm),
+        row("outside the catalogue: unknown", &s.outside),
+        row("removed from the catalogue: unknown", &s.left_out),
+        row("stated intervals that hold", &s.coverage),
+        ["gap closed on a fresh log, median".to_owned(), closed[0].clone(), closed[1].clone()],
+    ];
+    let table = output::table(&["", "lab", "field"], 1..3, results);
+    let method = |name: &str, m: &Method| {
         let alarms =
             crate::diagnosis::exam::mark::Count { right: m.alarm.lab.right + m.alarm.field.right, of: m.alarm.lab.of + m.alarm.field.of };
-        others.add_row([
+        [
             name.to_owned(),
             share(&m.single.lab),
             share(&m.single.field),
@@ -118,17 +109,16 @@ fn summary(s: &Sheet) -> String {
             share(&m.pair.field),
             share(&alarms),
             format!("{:.2}", m.macro_f1),
-        ]);
+        ]
     };
-    add("diagnosis", &s.diagnosis);
-    add("in-sample BIC", &s.bic);
-    add("sparse regression", &s.sparse);
-    add("nearest signature", &s.nearest);
-    for t in [&mut table, &mut others] {
-        for column in t.column_iter_mut().skip(1) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
+    let methods = [
+        method("diagnosis", &s.diagnosis),
+        method("in-sample BIC", &s.bic),
+        method("sparse regression", &s.sparse),
+        method("nearest signature", &s.nearest),
+    ];
+    let others =
+        output::table(&["method", "single lab", "single field", "pair lab", "pair field", "false alarms", "macro F1"], 1..7, methods);
     let wrong: Vec<String> = s
         .confusion
         .iter()

@@ -12,7 +12,6 @@ use crate::diagnosis::saved::SavedModel;
 use crate::model::effects::catalogue;
 use crate::report::gap::evidence::Evidence;
 use crate::report::gap::{page, words};
-use comfy_table::{CellAlignment, Table, presets};
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::{Path, PathBuf};
 
@@ -112,11 +111,8 @@ fn shown(d: &Diagnosis) -> usize {
 }
 
 fn summary(d: &Diagnosis) -> String {
-    let mut table = Table::new();
-    table.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    table.set_header(["effect", "stage", "probability", "gap before", "after", "closed", "95 %"]);
-    for e in d.effects.iter().take(shown(d)) {
-        table.add_row([
+    let rows = d.effects.iter().take(shown(d)).map(|e| {
+        [
             e.name.to_owned(),
             e.stage.to_owned(),
             format!("{:.2}", e.probability),
@@ -124,11 +120,9 @@ fn summary(d: &Diagnosis) -> String {
             format!("{:.2}°", e.gap_after_deg),
             format!("{:.0} %", e.closed * 100.0),
             format!("{:.0} to {:.0} %", e.closed_ci95[0] * 100.0, e.closed_ci95[1] * 100.0),
-        ]);
-    }
-    for column in table.column_iter_mut().skip(2) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
+        ]
+    });
+    let table = output::table(&["effect", "stage", "probability", "gap before", "after", "closed", "95 %"], 2..7, rows);
     let names = if d.verdict.names.is_empty() { String::new() } else { format!(": {}", d.verdict.names.join(" and ")) };
     let mut out = vec![format!("verdict {}{names}", d.verdict.kind), words::headline(d), words::place(d)];
     for e in d.effects.iter().filter(|e| d.verdict.names.contains(&e.name)) {

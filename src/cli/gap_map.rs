@@ -6,7 +6,6 @@ use crate::config::source;
 use crate::diagnosis::map::document::Document;
 use crate::diagnosis::map::file::MapFile;
 use crate::diagnosis::map::{diagnose, table};
-use comfy_table::{CellAlignment, Table, presets};
 use miette::{IntoDiagnostic, Result};
 use std::path::{Path, PathBuf};
 
@@ -26,23 +25,18 @@ pub fn run(log: &Path, map: &Path, fresh: &[PathBuf], json: Option<&Path>, seed:
 }
 
 fn summary(d: &Document) -> String {
-    let mut table = Table::new();
-    table.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    table.set_header(["effect", "before", "after", "closed", "95 %", ""]);
-    for e in d.set.iter().filter(|s| s.name.contains('+')).chain(d.effects.iter().take(6)) {
+    let rows = d.set.iter().filter(|s| s.name.contains('+')).chain(d.effects.iter().take(6)).map(|e| {
         let params: Vec<String> = e.params.iter().map(|p| format!("{} {:.4}", p.name, p.value)).collect();
-        table.add_row([
+        [
             e.name.clone(),
             format!("{:.4}", e.rmse_before),
             format!("{:.4}", e.rmse_after),
             format!("{:.0} %", e.closed * 100.0),
             format!("{:.0} to {:.0} %", e.closed_ci95[0] * 100.0, e.closed_ci95[1] * 100.0),
             params.join(", "),
-        ]);
-    }
-    for column in table.column_iter_mut().skip(1).take(4) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
+        ]
+    });
+    let table = output::table(&["effect", "before", "after", "closed", "95 %", ""], 1..5, rows);
     let names = if d.verdict.names.is_empty() { String::new() } else { format!(": {}", d.verdict.names.join(" and ")) };
     let mut out = vec![
         format!("verdict {}{names}", d.verdict.kind),
