@@ -256,7 +256,7 @@ fn the_service_closes_its_loop_through_the_device_files() {
         let pulses = rig.world().chip.pulses;
         std::thread::sleep(std::time::Duration::from_millis(500));
         assert!(rig.world().chip.pulses == pulses && rig.world().chip.energised(), "it does not hold");
-        service.until("feeling again", 10.0, |s| s["senses"]["held"] == false);
+        service.until("feeling again", 10.0, |s| s["sensor"]["held"] == false);
         service.ask(&Request::ResetFault {});
         service.ask(&Request::Arm {});
         service.bend(60.0, -60.0);

@@ -1,6 +1,6 @@
-//! Whatever is put into a parser, it answers and does not panic. `RETROFLEX_FUZZ=1000000` sets how many
-//! inputs each parser gets; without it a short run. The seeds in `tests/corpus` were found by coverage-guided
-//! fuzzing of the same functions (`fuzz/`); what once broke a parser belongs there too.
+//! No parser panics on any input. `RETROFLEX_FUZZ=1000000` sets the number of inputs per parser; the default is a short
+//! run. The seeds in `tests/corpus` come from coverage-guided fuzzing of the same functions (`fuzz/`). An input that once
+//! broke a parser belongs there too.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -11,21 +11,20 @@ use parsers::PARSERS;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::primitives::units::{Seconds, Steps};
-use retroflex::service::memory;
-use retroflex::service::tape;
+use retroflex::service::{memory, store, tape};
 use std::path::PathBuf;
 
-/// How many inputs a parser gets.
-fn times() -> u64 {
+/// Number of mutated inputs per parser.
+fn inputs() -> u64 {
     std::env::var("RETROFLEX_FUZZ").ok().and_then(|n| n.parse().ok()).unwrap_or(4_000)
 }
 
-/// An index below `n`; 0 when there is none.
+/// A random index below `n`, or 0 if `n` is 0.
 fn below(dice: &mut StdRng, n: usize) -> usize {
     if n == 0 { 0 } else { dice.random_range(0..n) }
 }
 
-/// Pieces that parsers trip over.
+/// Text fragments that often break parsers.
 const PIECES: [&str; 28] = [
     "nan",
     "-inf",
@@ -57,7 +56,7 @@ const PIECES: [&str; 28] = [
     "  ",
 ];
 
-/// A seed with some of it changed, cut, doubled or crossed with another.
+/// A seed with random changes, cuts, repetitions and parts of another seed.
 fn mutate(dice: &mut StdRng, seeds: &[Vec<u8>]) -> Vec<u8> {
     let mut text = seeds[below(dice, seeds.len())].clone();
     for _ in 0..1 + below(dice, 6) {
@@ -102,7 +101,7 @@ fn mutate(dice: &mut StdRng, seeds: &[Vec<u8>]) -> Vec<u8> {
     text
 }
 
-/// The corpus of a parser: what is kept in the repository, and seeds of our own.
+/// The seeds of a parser: the corpus in the repository and `own`.
 fn corpus(name: &str, own: &[&str]) -> Vec<Vec<u8>> {
     let folder: PathBuf = repo("tests/corpus").join(name);
     let mut seeds: Vec<Vec<u8>> = own.iter().map(|s| s.as_bytes().to_vec()).collect();
@@ -112,62 +111,62 @@ fn corpus(name: &str, own: &[&str]) -> Vec<Vec<u8>> {
     seeds
 }
 
-/// Every seed as it is, then mutations; how many were taken and refused. Both must occur, or nothing was tried.
-fn beset(name: &str, seeds: &[Vec<u8>]) {
+/// Parses every seed and then mutations. Some must be accepted and some refused, otherwise the test has no effect.
+fn fuzz(name: &str, seeds: &[Vec<u8>]) {
     let (_, parse) = PARSERS.iter().find(|(n, _)| *n == name).unwrap();
-    let (mut taken, mut refused) = (0, 0);
+    let (mut accepted, mut refused) = (0, 0);
     let mut dice = StdRng::seed_from_u64(name.len() as u64);
     let mut feed = |text: &[u8]| match std::panic::catch_unwind(|| parse(text)) {
-        Ok(true) => taken += 1,
+        Ok(true) => accepted += 1,
         Ok(false) => refused += 1,
         Err(_) => {
-            let kept = std::env::temp_dir().join(format!("retroflex-fuzz-{name}"));
-            std::fs::write(&kept, text).unwrap();
-            panic!("{name} panicked; the input is kept as {}: put it into tests/corpus/{name}", kept.display());
+            let saved = std::env::temp_dir().join(format!("retroflex-fuzz-{name}"));
+            std::fs::write(&saved, text).unwrap();
+            panic!("{name} panicked; the input was saved as {}: add it to tests/corpus/{name}", saved.display());
         }
     };
     seeds.iter().for_each(|s| feed(s));
-    for _ in 0..times() {
+    for _ in 0..inputs() {
         feed(&mutate(&mut dice, seeds));
     }
-    eprintln!("{name}: {} seeds, {taken} taken, {refused} refused", seeds.len());
-    assert!(taken > 0 && refused > 0, "{name}: {taken} taken, {refused} refused");
+    eprintln!("{name}: {} seeds, {accepted} accepted, {refused} refused", seeds.len());
+    assert!(accepted > 0 && refused > 0, "{name}: {accepted} accepted, {refused} refused");
 }
 
 #[test]
-fn toml_files() {
+fn toml_files_do_not_panic() {
     let small_board =
         "[limits]\ntravel_mm = 25.0\n[safety.on]\nlate = \"relax\"\n[service]\npriority = 5\n[plant.line]\nk_epsilon = [1.0, 2.0, 3.0]\n";
     let small_gains = "[loop]\ntau_c_s = 0.2\n[fuse.align]\nwindow_s = 1.0\n";
     let paper = std::fs::read_to_string(repo("calib/paper.toml")).unwrap();
     let whole = std::fs::read_to_string(repo("boards/sim.toml")).unwrap();
-    beset("board", &corpus("board", &[small_board, &whole[..whole.floor_char_boundary(1500)]]));
-    beset("gains", &corpus("gains", &[small_gains]));
-    beset("calib", &corpus("calib", &[&paper]));
+    fuzz("board", &corpus("board", &[small_board, &whole[..whole.floor_char_boundary(1500)]]));
+    fuzz("gains", &corpus("gains", &[small_gains]));
+    fuzz("calib", &corpus("calib", &[&paper]));
 }
 
 #[test]
-fn socket_lines() {
+fn socket_lines_do_not_panic() {
     let lines = [
         r#"{"v":1,"id":7,"cmd":"bend","bend_deg":40,"dir_deg":30,"length_mm":20.5,"speed_deg_s":10}"#,
         r#"{"v":1,"id":"x","cmd":"status"}"#,
         r#"{"v":1,"id":1,"cmd":"record","action":"start","name":"a"}"#,
         r#"{"v":1,"cmd":"calibrate","action":"short"}"#,
     ];
-    beset("socket", &corpus("socket", &lines));
+    fuzz("socket", &corpus("socket", &lines));
 }
 
 #[test]
-fn bend_logs() {
+fn bend_logs_do_not_panic() {
     let head = "time_s,cmd_bend_deg,cmd_dir_deg,cmd_len_mm,piston1_mm,piston2_mm,piston3_mm,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s,mag_x_ut,mag_y_ut,mag_z_ut\n";
     let rows = "0.001,0,0,20,0,0,0,0.1,0.2,9.81,0.001,0,0,20,1,-40\n0.003,10,30,20,1,-0.5,-0.5,0.1,0.2,9.8,0.001,0,0,,,\n0.005,10,30,20,2,-1,-1,0.1,,,0.001,0,0,20,1,-40\n";
     let lab = "time_s,piston1_mm,piston2_mm,piston3_mm,ref_qw,ref_qx,ref_qy,ref_qz,extra\n0,0,0,0,1,0,0,0,x\n1,1,1,1,0.9,0.1,0,0,y\n";
-    beset("bend_log", &corpus("bend_log", &[&(head.to_owned() + rows), lab]));
+    fuzz("bend_log", &corpus("bend_log", &[&(head.to_owned() + rows), lab]));
 }
 
-/// A memory with something in every field.
-fn remembered() -> memory::Memory {
-    let kept = retroflex::control::tick::RestartState {
+/// A memory with every field set.
+fn full_memory() -> memory::Memory {
+    let restart = retroflex::control::tick::RestartState {
         steps: Steps([5, -7, 100]),
         bend_rad: [0.1, -0.2],
         play_output_mm: [0.1, 0.2, 0.3],
@@ -177,32 +176,32 @@ fn remembered() -> memory::Memory {
         delay_s: 0.01,
         rest: None,
     };
-    let mut whole = memory::Memory { kept: Some(kept), tip: "A".to_owned(), armed: true, ..memory::Memory::default() };
-    whole.fault(memory::RecordedFault { unix_s: 1.0, cause: "late".to_owned(), words: "é".to_owned() });
+    let mut whole = memory::Memory { restart: Some(restart), tip: "A".to_owned(), armed: true, ..memory::Memory::default() };
+    whole.record_fault(memory::RecordedFault { unix_s: 1.0, cause: "late".to_owned(), message: "é".to_owned() });
     whole
 }
 
 #[test]
-fn persisted_state() {
-    let body = serde_json::to_string(&remembered()).unwrap();
-    beset("memory", &corpus("memory", &[&memory::sealed(3, &body), &body, ""]));
+fn memory_slots_do_not_panic() {
+    let body = serde_json::to_string(&full_memory()).unwrap();
+    fuzz("memory", &corpus("memory", &[&store::seal(3, &body), &body, ""]));
 }
 
-/// Whatever happens to a slot, nothing but what was written passes its checksum.
+/// After any change to a slot, only the original content passes the checksum.
 #[test]
-fn a_damaged_slot_is_never_believed() {
-    let whole = remembered();
-    let slot = memory::sealed(3, &serde_json::to_string(&whole).unwrap()).into_bytes();
+fn a_damaged_slot_never_passes_its_checksum() {
+    let whole = full_memory();
+    let slot = store::seal(3, &serde_json::to_string(&whole).unwrap()).into_bytes();
     let mut dice = StdRng::seed_from_u64(4);
-    for _ in 0..times() {
-        if let Ok(Some((_, read))) = memory::parse(&mutate(&mut dice, std::slice::from_ref(&slot))) {
+    for _ in 0..inputs() {
+        if let Ok(Some((_, read))) = store::parse(&mutate(&mut dice, std::slice::from_ref(&slot))) {
             assert_eq!(read, whole);
         }
     }
 }
 
 #[test]
-fn tapes() {
+fn tapes_do_not_panic() {
     let mut seed = Vec::new();
     let order = retroflex::supervisor::cycle::order::Order::Arm;
     for k in 0..4 {
@@ -220,5 +219,5 @@ fn tapes() {
     }
     let mut seeds = corpus("tape", &[]);
     seeds.push(seed);
-    beset("tape", &seeds);
+    fuzz("tape", &seeds);
 }

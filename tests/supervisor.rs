@@ -12,7 +12,7 @@ use retroflex::config::source;
 use retroflex::config::supervisor::assemble;
 use retroflex::control::saturation::Saturation;
 use retroflex::control::tick::{Command, RestartState};
-use retroflex::drill::bench::{Bench, Make};
+use retroflex::drill::bench::{Bench, BenchConfig};
 use retroflex::model::bend::Bend;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::service::status;
@@ -158,12 +158,12 @@ fn saturation_of_the_feedback_is_reported_and_withdrawn() {
     f.runner.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.7 });
     let t = f.run(5.0);
     assert_eq!((t.frame.saturation, t.mode), (Saturation::Feedback, Mode::Holding), "{:?}", t.tripped);
-    let words = status::short(&t.frame).unwrap();
+    let words = status::shortfall(&t.frame).unwrap();
     assert!(status::blocked(&t.frame) && words.contains("integral_max_deg"), "{words}");
     // a reachable target withdraws it
     f.bend(10.0, 70.0);
     let t = f.run(4.0);
-    assert!(!status::blocked(&t.frame) && status::short(&t.frame).is_none(), "{:?}", t.frame.saturation);
+    assert!(!status::blocked(&t.frame) && status::shortfall(&t.frame).is_none(), "{:?}", t.frame.saturation);
 }
 
 #[test]
@@ -291,7 +291,7 @@ fn a_tip_found_energised_stays_so_until_the_check() {
 /// A bent tip whose step thread has stopped with this alarm.
 fn stopped_by(alarm: Alarm) -> Bench {
     let calibration = source::read(&repo("calib/paper.toml")).unwrap();
-    let make = Make { board: twin(), calibration, gains: Gains::default() };
+    let make = BenchConfig { board: twin(), calibration, gains: Gains::default() };
     let mut bench = make.bench(0, 1).unwrap();
     assert!(bench.until(10.0, |t| t.mode == Mode::Disarmed).unwrap());
     bench.turn(Some(Order::Arm)).unwrap();
@@ -328,7 +328,7 @@ fn a_recurring_alarm_ends_the_return() {
 #[test]
 fn no_return_begins_while_the_emergency_stop_is_pressed() {
     let mut bench = stopped_by(Alarm::Underrun);
-    bench.runner.machine.pressed = true;
+    bench.runner.machine.emergency_stop = true;
     bench.run(0.1).unwrap();
     assert_eq!(bench.turn(Some(Order::Relax)).unwrap().answer, Some(Err(Refusal::StillThere)));
 }

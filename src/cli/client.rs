@@ -1,30 +1,16 @@
-//! The commands that talk to a running service: thin, one request each.
+//! The commands that talk to a running service, one request each.
 
-use crate::cli::{CommandOutcome, Unreachable};
-use crate::service::client::Client as Connection;
-use crate::service::protocol::{Failure, RecordAction, Request};
+use crate::cli::CommandOutcome;
+use crate::service::protocol::{RecordAction, Request};
 use args::{Action, BendArgs, PlayArgs, RecordArgs, StatusArgs, SubscribeArgs};
-use miette::{Report, Result, miette};
-use serde_json::Value;
-use std::io::Write;
-use std::path::PathBuf;
+use connection::{At, ask_and_print, connect};
+use miette::Result;
 
 pub mod args;
+pub mod connection;
 pub mod follow;
 pub mod play;
 pub mod status;
-
-/// Where the service is.
-#[derive(Debug, Clone, clap::Args)]
-pub struct At {
-    /// Socket of the service; without it RETROFLEX_SOCKET or /run/retroflex/control.sock.
-    #[arg(long, default_value_os_t = default_socket())]
-    socket: PathBuf,
-}
-
-fn default_socket() -> PathBuf {
-    std::env::var_os("RETROFLEX_SOCKET").map_or_else(|| "/run/retroflex/control.sock".into(), PathBuf::from)
-}
 
 /// Commands to a running service.
 #[derive(Debug, clap::Subcommand)]
@@ -32,35 +18,35 @@ pub enum Client {
     /// Bend the tip.
     #[command(allow_negative_numbers = true)]
     Bend(BendArgs),
-    /// Come to rest smoothly where the set-point is, and hold.
+    /// Decelerate smoothly and hold.
     Hold(Plain),
-    /// Halt now, and hold.
+    /// Brake at once and hold; motion is refused until `arm`.
     Stop(Plain),
-    /// Back to rest at a safe rate, then de-energise.
+    /// Return to rest slowly, then de-energise.
     Relax(Plain),
-    /// Energise the drivers and hold the pose that is.
+    /// Energise the drivers and hold the present pose.
     Arm(Plain),
-    /// Take no more motion.
+    /// Accept no more motion.
     Disarm(Plain),
-    /// Take what is now for the rest.
+    /// Define the present pose as zero bend.
     Zero(Plain),
-    /// What the service is doing.
+    /// Show the state of the service.
     Status(StatusArgs),
-    /// Forget a fault whose cause is mended.
+    /// Clear a fault whose cause has been removed.
     ResetFault(Plain),
-    /// Read the gains file again, without a bump.
+    /// Read the gains file again and apply it without a jump.
     Reload(Plain),
-    /// Begin or end a recording.
+    /// Start or stop a recording.
     Record(RecordArgs),
     /// Run a schedule of `gap excite`: its poses, speeds and holds.
     Play(PlayArgs),
-    /// Set-points from stdin, `BEND DIR` a line; when they stop, the tip stops.
+    /// Stream set-points from standard input, `BEND DIR` per line; the tip stops when the stream pauses.
     Stream(Plain),
-    /// Frames as JSON lines.
+    /// Print frames as JSON lines.
     Subscribe(SubscribeArgs),
 }
 
-/// No arguments of its own.
+/// A command without arguments of its own.
 #[derive(Debug, clap::Args)]
 pub struct Plain {
     #[command(flatten)]
@@ -70,25 +56,25 @@ pub struct Plain {
 /// Runs a command.
 ///
 /// # Errors
-/// A report with the service's words.
+/// A report with the service's message.
 pub fn run(command: &Client) -> Result<CommandOutcome> {
     match command {
         Client::Bend(args) => follow::bend(args),
-        Client::Hold(p) => plain(&p.at, &Request::Hold {}),
-        Client::Stop(p) => plain(&p.at, &Request::Stop {}),
-        Client::Relax(p) => plain(&p.at, &Request::Relax {}),
-        Client::Arm(p) => plain(&p.at, &Request::Arm {}),
-        Client::Disarm(p) => plain(&p.at, &Request::Disarm {}),
-        Client::Zero(p) => then_aligned(&p.at, &Request::Zero {}),
-        Client::ResetFault(p) => plain(&p.at, &Request::ResetFault {}),
-        Client::Reload(p) => plain(&p.at, &Request::Reload {}),
+        Client::Hold(p) => send(&p.at, &Request::Hold {}),
+        Client::Stop(p) => send(&p.at, &Request::Stop {}),
+        Client::Relax(p) => send(&p.at, &Request::Relax {}),
+        Client::Arm(p) => send(&p.at, &Request::Arm {}),
+        Client::Disarm(p) => send(&p.at, &Request::Disarm {}),
+        Client::Zero(p) => send_and_align(&p.at, &Request::Zero {}),
+        Client::ResetFault(p) => send(&p.at, &Request::ResetFault {}),
+        Client::Reload(p) => send(&p.at, &Request::Reload {}),
         Client::Status(args) => status::status(args),
         Client::Record(args) => {
             let request = |action| Request::Record { action, name: args.name.clone() };
             match args.action {
-                // at rest the service finds the rest anew, so that the recording can be replayed from it
-                Action::Start => then_aligned(&args.at, &request(RecordAction::Start)),
-                Action::Stop => plain(&args.at, &request(RecordAction::Stop)),
+                // a recording that starts at rest starts with a new alignment
+                Action::Start => send_and_align(&args.at, &request(RecordAction::Start)),
+                Action::Stop => send(&args.at, &request(RecordAction::Stop)),
             }
         }
         Client::Play(args) => play::play(args),
@@ -97,67 +83,15 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
     }
 }
 
-/// The end of a request that was not carried out.
-enum Ended {
-    Refused(String),
-    Report(Report),
+fn send(at: &At, request: &Request) -> Result<CommandOutcome> {
+    ask_and_print(&mut connect(at)?, request)
 }
 
-fn ask(connection: &mut Connection, request: &Request) -> std::result::Result<Value, Ended> {
-    connection.ask(request).map_err(|f| match f.code {
-        1 => Ended::Refused(f.words),
-        _ => Ended::Report(report(f)),
-    })
-}
-
-fn report(f: Failure) -> Report {
-    if f.code == 3 { Unreachable { what: "the service".to_owned(), why: f.words }.into() } else { miette!("{}", f.words) }
-}
-
-fn connect(at: &At) -> Result<Connection> {
-    Connection::connect(&at.socket).map_err(report)
-}
-
-/// Refusals are an answer: said on stderr, exit code 1.
-fn settle(answer: std::result::Result<Value, Ended>) -> Result<Option<Value>> {
-    match answer {
-        Ok(value) => Ok(Some(value)),
-        Err(Ended::Refused(words)) => {
-            eprintln!("refused: {words}");
-            Ok(None)
-        }
-        Err(Ended::Report(report)) => Err(report),
-    }
-}
-
-fn outcome(value: Option<&Value>) -> CommandOutcome {
-    if value.is_some() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough }
-}
-
-fn plain(at: &At, request: &Request) -> Result<CommandOutcome> {
-    said(&mut connect(at)?, request)
-}
-
-/// A request after which the service looks for the rest.
-fn then_aligned(at: &At, request: &Request) -> Result<CommandOutcome> {
+/// Sends a request that starts an alignment, and waits for its end.
+fn send_and_align(at: &At, request: &Request) -> Result<CommandOutcome> {
     let mut connection = connect(at)?;
-    let outcome = said(&mut connection, request)?;
-    if outcome == CommandOutcome::Good { follow::aligned(&mut connection) } else { Ok(outcome) }
-}
-
-/// One request and its result as a line.
-fn said(connection: &mut Connection, request: &Request) -> Result<CommandOutcome> {
-    let value = settle(ask(connection, request))?;
-    if let Some(Value::Object(map)) = &value
-        && !map.is_empty()
-    {
-        say(&format!("{}\n", Value::Object(map.clone())));
+    match ask_and_print(&mut connection, request)? {
+        CommandOutcome::Good => follow::aligned(&mut connection),
+        refused => Ok(refused),
     }
-    Ok(outcome(value.as_ref()))
-}
-
-/// A reader that has gone away is no failure of ours.
-fn say(text: &str) {
-    let mut out = std::io::stdout();
-    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }

@@ -1,50 +1,49 @@
-//! `retroflex drill`: every fault, in mid-motion; `--soak HOURS`: all of them, at random, for long.
+//! `retroflex drill`: injects every fault; `--soak HOURS` injects them at random for a long time.
 
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::config::board::Board;
-use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
-use crate::drill::bench::Make;
-use crate::drill::process::Harm;
+use crate::drill::bench::BenchConfig;
+use crate::drill::process::{self, Harm};
+use crate::drill::row::Row;
 use crate::drill::run::{Allowance, fly};
-use crate::drill::{Row, list, process, soak};
-use crate::service::memory::Store;
-use comfy_table::{CellAlignment, ColumnConstraint, Table, Width, presets};
+use crate::drill::{list, soak};
+use crate::service::store::Store;
+use comfy_table::{ColumnConstraint, Width};
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `drill`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Write the rows as JSON.
+    /// Write the rows as JSON; `-` is standard output.
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Only the faults whose name contains this.
+    /// Inject only faults whose name contains this text.
     #[arg(long)]
     only: Option<String>,
-    /// How often the process is killed.
+    /// Number of kills of the process.
     #[arg(long, default_value_t = 200)]
     kills: u32,
-    /// Leave out the faults of the process, which take real time.
+    /// Leave out the faults of the process, which run in real time.
     #[arg(long)]
     in_flight: bool,
-    /// Only the faults of the process.
+    /// Inject only the faults of the process.
     #[arg(long, conflicts_with = "in_flight")]
     process: bool,
-    /// In place of the drill, hours of random commands and faults.
+    /// Instead of the drill, run random commands and faults for this many simulated hours.
     #[arg(long)]
     soak: Option<f64>,
     /// Seed of the soak.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Work with the memory in this folder, to be killed at it.
+    /// Work with the memory in this folder; the drill kills such a child.
     #[arg(long, hide = true)]
     exercise: Option<PathBuf>,
-    /// What an exercise does to its own disk.
+    /// Damage that the exercise does to its own disk.
     #[arg(long, hide = true, requires = "exercise")]
     harm: Option<Harm>,
-    /// Say what the memory in this folder holds.
+    /// Print the content of the memory in this folder.
     #[arg(long, hide = true)]
     recall: Option<PathBuf>,
 }
@@ -52,11 +51,11 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A report that says what was wrong with the input.
+/// A report about the input.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let make = twin()?;
+    let config = simulation()?;
     if let Some(folder) = &args.exercise {
-        process::exercise(&make, folder, args.harm).into_diagnostic()?;
+        process::exercise(&config, folder, args.harm).into_diagnostic()?;
         return Ok(CommandOutcome::Good);
     }
     if let Some(folder) = &args.recall {
@@ -64,45 +63,47 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     output::check(&[("--json", args.json.as_deref())], &[])?;
     if let Some(hours) = args.soak {
-        return soak_for(args, &make, hours);
+        return run_soak(args, &config, hours);
     }
-    let rows = rows(args, &make)?;
+    let rows = rows(args, &config)?;
     if rows.is_empty() {
-        return Err(miette!("--only {}: no fault has that in its name", args.only.as_deref().unwrap_or("")));
+        return Err(miette!("--only {}: no fault has a name that contains this text", args.only.as_deref().unwrap_or("")));
     }
     output::json(args.json.as_deref(), &json!({ "rows": rows }))?;
     show(&rows, args.json.as_deref());
-    Ok(if rows.iter().all(|r| r.ok) { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
+    Ok(outcome(rows.iter().all(|r| r.ok)))
 }
 
-/// The paper twin with the paper's calibration.
-fn twin() -> Result<Make> {
-    let board: Board = inputs::board(None)?;
-    let calibration: Calibration = inputs::calibration(None)?;
-    Ok(Make { board, calibration, gains: Gains::default() })
+fn outcome(good: bool) -> CommandOutcome {
+    if good { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough }
 }
 
-fn rows(args: &Args, make: &Make) -> Result<Vec<Row>> {
-    let wanted = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
+/// The simulated machine of the paper with the paper's calibration.
+fn simulation() -> Result<BenchConfig> {
+    Ok(BenchConfig { board: inputs::board(None)?, calibration: inputs::calibration(None)?, gains: Gains::default() })
+}
+
+fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
+    let selected = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
     let mut rows = Vec::new();
-    let allowance = Allowance::new(make).into_diagnostic()?;
-    let specs = list::specs();
+    let allowance = Allowance::new(config).into_diagnostic()?;
+    let specs: Vec<_> = list::specs().into_iter().filter(|s| selected(s.name) && !args.process).collect();
     let bar = output::bar(specs.len() as u64, "fault {pos} of {len}");
-    for spec in specs.iter().filter(|s| wanted(s.name) && !args.process) {
-        rows.push(fly(make, spec, &allowance).into_diagnostic()?);
+    for spec in &specs {
+        rows.push(fly(config, spec, &allowance).into_diagnostic()?);
         bar.inc(1);
     }
     bar.finish_and_clear();
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {
         let program = std::env::current_exe().into_diagnostic()?;
         let scratch = Scratch::new()?;
-        let process = process::rows(make, &program, &scratch.0, args.kills).into_diagnostic()?;
-        rows.extend(process.into_iter().filter(|r| wanted(&r.fault)));
+        let process = process::rows(config, &program, &scratch.0, args.kills).into_diagnostic()?;
+        rows.extend(process.into_iter().filter(|r| selected(&r.fault)));
     }
     Ok(rows)
 }
 
-/// A folder of our own that goes away.
+/// A temporary folder.
 struct Scratch(PathBuf);
 
 impl Scratch {
@@ -115,61 +116,54 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // whatever is left of it is the system's to clear away
+        // the operating system removes what is left
         let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 
-fn recall(folder: &std::path::Path) -> Result<CommandOutcome> {
+fn recall(folder: &Path) -> Result<CommandOutcome> {
     let (_, recall) = Store::open(folder).into_diagnostic()?;
-    let Some((memory, kept)) = recall.memory.and_then(|m| m.kept.map(|k| (m.armed, k))) else {
+    let Some((armed, restart)) = recall.memory.and_then(|m| m.restart.map(|r| (m.armed, r))) else {
         println!("recalled nothing");
         return Ok(CommandOutcome::NotGoodEnough);
     };
-    let [a, b, c] = kept.steps.0;
-    println!("recalled {} {a} {b} {c} .", i32::from(memory));
+    let [a, b, c] = restart.steps.0;
+    println!("recalled {} {a} {b} {c} .", i32::from(armed));
     Ok(CommandOutcome::Good)
 }
 
-fn soak_for(args: &Args, make: &Make, hours: f64) -> Result<CommandOutcome> {
+fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<CommandOutcome> {
     if !(0.001..=10_000.0).contains(&hours) {
         return Err(miette!("--soak {hours}: give 0.001 to 10000 simulated hours"));
     }
     eprintln!("seed {}", args.seed);
     let bar = output::bar(1000, "soak {percent} %");
-    let result = soak::run(make, hours, args.seed, &mut |h| bar.set_position((1000.0 * h / hours) as u64));
+    let result = soak::run(config, hours, args.seed, &mut |h| bar.set_position((1000.0 * h / hours) as u64));
     bar.finish_and_clear();
     let soak = result.into_diagnostic()?;
-    output::json(args.json.as_deref().or(Some(std::path::Path::new("-"))), &soak)?;
-    Ok(if soak.ok { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
+    output::json(args.json.as_deref().or(Some(Path::new("-"))), &soak)?;
+    Ok(outcome(soak.ok))
 }
 
-fn show(rows: &[Row], json: Option<&std::path::Path>) {
-    let mut table = Table::new();
-    table.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    table.set_header(["fault", "noticed", "steps after", "state", "error during", "after", "ok", "said"]);
-    for r in rows {
-        let noticed =
-            r.detected_s.map_or_else(|| "–".to_owned(), |s| if s < 1.0 { format!("{:.0} ms", s * 1e3) } else { format!("{s:.1} s") });
-        let said = if r.ok { r.message.clone() } else { format!("{} · {}", r.why, r.message) };
-        table.add_row([
+fn show(rows: &[Row], json: Option<&Path>) {
+    let time = |s: f64| if s < 1.0 { format!("{:.0} ms", s * 1e3) } else { format!("{s:.1} s") };
+    let cells = rows.iter().map(|r| {
+        [
             r.fault.clone(),
-            noticed,
+            r.detected_s.map_or_else(|| "–".to_owned(), time),
             format!("{} of {}", r.steps_after, r.steps_allowed),
             r.state.clone(),
             format!("{:.1}°", r.error_deg_during),
             format!("{:.1}°", r.error_deg_after),
             if r.ok { "yes" } else { "NO" }.to_owned(),
-            said,
-        ]);
-    }
-    for column in table.column_iter_mut().skip(1).take(5) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
+            if r.ok { r.message.clone() } else { format!("{} · {}", r.why, r.message) },
+        ]
+    });
+    let header = ["fault", "detected", "steps after", "state", "error during", "after", "ok", "message"];
+    let mut table = output::table(&header, 1..6, cells);
     if let Some(column) = table.column_mut(7) {
         column.set_constraint(ColumnConstraint::UpperBoundary(Width::Fixed(80)));
     }
-    let bad = rows.iter().filter(|r| !r.ok).count();
-    let text = format!("{table}\n{} faults, {bad} not survived as promised\n", rows.len());
-    output::show(&text, json);
+    let failed = rows.iter().filter(|r| !r.ok).count();
+    output::show(&format!("{table}\n{} faults, {failed} failed\n", rows.len()), json);
 }

@@ -1,5 +1,4 @@
-//! `retroflex replay LOG`: what was recorded, through the pilot of today. Every decision must come out
-//! again bit for bit; if not, the software has changed.
+//! `retroflex replay LOG`: runs a recorded input through the present software and compares every decision bit for bit.
 
 use crate::cli::CommandOutcome;
 use crate::config::board::Board;
@@ -9,7 +8,8 @@ use crate::config::source;
 use crate::config::supervisor::assemble;
 use crate::control::pi::Dynamics;
 use crate::model::transmission::Line;
-use crate::service::record::tape_of;
+use crate::service::record::tape_path;
+use crate::service::start::Start;
 use crate::service::tape::{Header, Reader, digest};
 use crate::supervisor::cycle::Supervisor;
 use crate::supervisor::machine::MachineInfo;
@@ -26,61 +26,51 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A report that names what is wrong with the tape.
+/// A report that names the defect of the tape.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let path = tape_of(&args.log);
     if !args.log.exists() {
         return Err(miette!("{}: no such bend log", args.log.display()));
     }
-    let bytes = std::fs::read(&path).map_err(|e| {
-        miette!("{}: {e}; only a log that was recorded from rest has a tape: `retroflex run --record LOG`, or `retroflex record start` while disarmed", path.display())
+    let tape = tape_path(&args.log);
+    let path = tape.display();
+    let bytes = std::fs::read(&tape).map_err(|e| {
+        miette!("{path}: {e}; a log has a tape only if it was recorded with `retroflex run --record LOG`, or with `retroflex record start` while disarmed at rest")
     })?;
-    let end = bytes.iter().position(|b| *b == b'\n').ok_or_else(|| miette!("{}: has no header line", path.display()))?;
-    let header: Header = serde_json::from_slice(&bytes[..end]).map_err(|e| miette!("{}, line 1: {e}", path.display()))?;
+    let end = bytes.iter().position(|b| *b == b'\n').ok_or_else(|| miette!("{path}: has no header line"))?;
+    let header: Header = serde_json::from_slice(&bytes[..end]).map_err(|e| miette!("{path}, line 1: {e}"))?;
     if header.tape != 1 {
-        return Err(miette!("{}, line 1: tape version {}, this program reads 1", path.display(), header.tape));
+        return Err(miette!("{path}, line 1: tape version {}; this program reads version 1", header.tape));
     }
-    let mut supervisor = supervisor_of(&header)?;
+    let program = header.program.clone();
+    let mut supervisor = supervisor(header)?;
     let mut reader = Reader::new(&bytes[end + 1..]);
-    let (mut turns, mut first_off, mut off) = (0u64, None, 0u64);
-    while let Some(record) = reader.turn() {
-        let turned = supervisor.turn(&record.sensed, record.order);
-        turns += 1;
-        if digest(&turned) != record.digest {
-            off += 1;
-            first_off.get_or_insert((turns, record.sensed.t.0));
+    let (mut cycles, mut different, mut first) = (0u64, 0u64, None);
+    for record in &mut reader {
+        let output = supervisor.turn(&record.sensed, record.order);
+        cycles += 1;
+        if digest(&output) != record.digest {
+            different += 1;
+            first.get_or_insert((cycles, record.sensed.t.0));
         }
     }
-    if turns == 0 {
-        return Err(miette!("{}: has no turns", path.display()));
+    if cycles == 0 {
+        return Err(miette!("{path}: has no records"));
     }
-    let cut = if reader.is_done() { "" } else { "; the tape is cut short" };
-    println!("{turns} turns replayed, {off} differ{cut}");
-    match first_off {
-        None => Ok(CommandOutcome::Good),
-        Some((n, t)) => {
-            eprintln!("the first is turn {n} at {t:.3} s: the software has changed since {} wrote it", header.program);
-            Ok(CommandOutcome::NotGoodEnough)
-        }
-    }
+    let cut = if reader.is_done() { "" } else { "; the tape is truncated" };
+    println!("{cycles} cycles replayed, {different} differ{cut}");
+    let Some((n, t)) = first else { return Ok(CommandOutcome::Good) };
+    eprintln!("the first difference is in cycle {n} at {t:.3} s: the software has changed since version {program} wrote the tape");
+    Ok(CommandOutcome::NotGoodEnough)
 }
 
-fn supervisor_of(header: &Header) -> Result<Supervisor> {
+fn supervisor(header: Header) -> Result<Supervisor> {
     let board: Board = source::parse("board of the tape", &header.texts[0])?;
     let gains: Gains = source::parse("gains of the tape", &header.texts[1])?;
     let calibration: Calibration = source::parse("calibration of the tape", &header.texts[2])?;
-    let info = MachineInfo {
-        name: header.machine.clone(),
-        period_s: header.period_s,
-        step_mm: header.step_mm,
-        rest_length_mm: header.rest_length_mm,
-    };
+    let info =
+        MachineInfo { name: header.machine, period_s: header.period_s, step_mm: header.step_mm, rest_length_mm: header.rest_length_mm };
     let mut config = assemble(&board, &calibration, &gains, &info);
     config.tick.lines = header.lines.map(|[k_epsilon, k_lambda_mm]| Line { k_epsilon, k_lambda_mm });
     config.tick.dynamics = Dynamics { lag_s: header.dynamics[0], delay_s: header.dynamics[1] };
-    let mut supervisor = Supervisor::new(config, header.kept);
-    if header.doubted {
-        supervisor.doubt();
-    }
-    Ok(supervisor)
+    Ok(Start { config, restart: header.restart, unreadable: header.unreadable }.supervisor())
 }

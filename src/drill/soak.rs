@@ -1,7 +1,9 @@
-//! Hours of random commands and faults at full speed, with memory and gains watched.
+//! Hours of random commands and faults, with memory use and learned gains monitored.
 
-use crate::drill::bench::{Make, bend};
-use crate::drill::list::{Strike, specs};
+use crate::drill::bench::{Bench, BenchConfig, bend};
+use crate::drill::list::specs;
+use crate::drill::spec::{Injection, Spec};
+use crate::model::bend::Bend;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::machine::MachineError;
 use crate::supervisor::mode::Mode;
@@ -9,100 +11,60 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use serde::Serialize;
 
-/// What a soak came to.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// Result of a soak.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Soak {
     /// Simulated time, h.
     pub hours: f64,
-    /// Poses commanded.
+    /// Commanded poses.
     pub poses: u64,
-    /// Faults put in.
+    /// Injected faults.
     pub faults: u64,
-    /// Times the gate tripped.
+    /// Trips of the gate.
     pub trips: u64,
     /// Resident memory after a tenth of the time and at the end, KiB.
     pub rss_kib: [u64; 2],
-    /// Range that every refined gain kept to, as a share of 1 + k_ε around its start.
+    /// Largest change of a learned gain, as a share of 1 + k_ε at its start.
     pub gain_range: f64,
-    /// … of which so much is allowed.
+    /// Allowed change.
     pub gain_allowed: f64,
-    /// Error of the held poses without a fault, median and largest, degrees.
+    /// Error of the held poses without a fault, median and maximum, degrees.
     pub error_deg: [f64; 2],
-    /// All that was promised held.
+    /// Every requirement was met.
     pub ok: bool,
-    /// What did not.
+    /// The requirements that were not met.
     pub why: Vec<String>,
 }
 
-/// Runs for so many simulated hours.
+/// Length of a session with one unit, s.
+const SESSION_S: f64 = 600.0;
+/// Share of the moves with a fault.
+const FAULT_SHARE: f64 = 0.15;
+
+/// Runs for a number of simulated hours; `progress` receives the hours that have passed.
 ///
 /// # Errors
-/// The plant's.
-pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) -> Result<Soak, MachineError> {
-    let mut dice = StdRng::seed_from_u64(seed);
+/// [`MachineError`].
+pub fn run(config: &BenchConfig, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) -> Result<Soak, MachineError> {
+    let mut rng = StdRng::seed_from_u64(seed);
     let specs = specs();
-    let refine = make.gains.refine;
-    let prior = make.calibration.transmission.k_epsilon;
-    let mut soak = Soak {
-        hours,
-        poses: 0,
-        faults: 0,
-        trips: 0,
-        rss_kib: [0; 2],
-        gain_range: 0.0,
-        gain_allowed: refine.range,
-        error_deg: [0.0; 2],
-        ok: true,
-        why: Vec::new(),
-    };
+    let prior = config.calibration.transmission.k_epsilon;
+    let mut soak = Soak { gain_allowed: config.gains.refine.range, ..Soak::default() };
     let mut errors: Vec<f64> = Vec::new();
-    let mut elapsed_s = 0.0;
-    let mut session = 0;
+    let (mut elapsed_s, mut session) = (0.0, 0);
     while elapsed_s < hours * 3600.0 {
-        // a session is one tip: bent for some minutes, with a fault now and then
         session += 1;
-        let mut bench = make.bench(1 + session % 5, session)?;
-        let session_s = 600.0;
-        let begun = |b: &crate::drill::bench::Bench| b.now_s;
-        while begun(&bench) < session_s {
+        let mut bench = config.bench(1 + session % 5, session)?;
+        while bench.now_s < SESSION_S {
             if !to_armed(&mut bench)? {
-                soak.why.push(format!("session {session}: stuck in {}", bench.runner.supervisor.mode()));
+                soak.why.push(format!("session {session}: stuck in mode {}", bench.runner.supervisor.mode()));
                 break;
             }
-            let (angle, dir) = (75.0 * dice.random::<f64>().sqrt(), 360.0 * dice.random::<f64>());
-            let wanted = crate::model::bend::Bend::from_deg(angle, dir);
-            bench.turn(Some(bend(angle, dir)))?;
             soak.poses += 1;
-            let strikes = dice.random::<f64>() < 0.15;
-            if strikes {
-                let spec = &specs[dice.random_range(0..specs.len())];
-                bench.run(0.05 + 0.4 * dice.random::<f64>())?;
-                soak.faults += 1;
-                let (first, second) = spec.strike.strike(&mut bench);
-                bench.turn(first)?;
-                bench.turn(second)?;
-                let turned = bench.run(1.0 + 3.0 * dice.random::<f64>())?;
-                soak.trips += u64::from(turned.latched.is_some());
-                bench.runner.machine.mend();
-                if matches!(spec.strike, Strike::Plant(..)) {
-                    // what broke in the plant leaves traces: back to rest and begin there
-                    if bench.runner.supervisor.mode().moves() || bench.runner.supervisor.mode() == Mode::Faulted {
-                        bench.turn(Some(Order::Reset))?;
-                        bench.turn(Some(Order::Relax))?;
-                        bench.until(15.0, |t| t.mode != Mode::Relaxing)?;
-                    }
-                    begin_at_rest(&mut bench)?;
-                }
-            } else {
-                let turned = bench.run(2.0 + 3.0 * dice.random::<f64>())?;
-                soak.trips += u64::from(turned.tripped.is_some());
-                if turned.mode == Mode::Holding && !turned.frame.blocked {
-                    errors.push((bench.true_bend().0 - wanted.0).norm().to_degrees());
-                }
-            }
-            let k = bench.runner.supervisor.state().lines().map(|l| l.k_epsilon);
-            for (k, prior) in k.iter().zip(&prior) {
-                soak.gain_range = soak.gain_range.max((k - prior).abs() / (1.0 + prior));
+            errors.extend(one_move(&mut bench, &specs, &mut rng, &mut soak)?);
+            let lines = bench.runner.supervisor.state().lines();
+            for (line, prior) in lines.iter().zip(&prior) {
+                soak.gain_range = soak.gain_range.max((line.k_epsilon - prior).abs() / (1.0 + prior));
             }
         }
         let before = elapsed_s;
@@ -117,13 +79,45 @@ pub fn run(make: &Make, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) ->
     soak.rss_kib[1] = rss_kib();
     errors.sort_by(f64::total_cmp);
     soak.error_deg = [errors.get(errors.len() / 2).copied().unwrap_or(0.0), errors.last().copied().unwrap_or(0.0)];
-    judge(&mut soak);
+    assess(&mut soak);
     Ok(soak)
 }
 
-fn judge(soak: &mut Soak) {
+/// One random move, sometimes with a fault. Returns the error of the held pose where it can be assessed, degrees.
+fn one_move(bench: &mut Bench, specs: &[Spec], rng: &mut StdRng, soak: &mut Soak) -> Result<Option<f64>, MachineError> {
+    let (angle, dir) = (75.0 * rng.random::<f64>().sqrt(), 360.0 * rng.random::<f64>());
+    bench.turn(Some(bend(angle, dir)))?;
+    if rng.random::<f64>() >= FAULT_SHARE {
+        let output = bench.run(2.0 + 3.0 * rng.random::<f64>())?;
+        soak.trips += u64::from(output.tripped.is_some());
+        let error_deg = (bench.true_bend().0 - Bend::from_deg(angle, dir).0).norm().to_degrees();
+        return Ok((output.mode == Mode::Holding && !output.frame.blocked).then_some(error_deg));
+    }
+    let spec = &specs[rng.random_range(0..specs.len())];
+    bench.run(0.05 + 0.4 * rng.random::<f64>())?;
+    soak.faults += 1;
+    for order in spec.injection.apply(bench) {
+        bench.turn(order)?;
+    }
+    let output = bench.run(1.0 + 3.0 * rng.random::<f64>())?;
+    soak.trips += u64::from(output.latched.is_some());
+    bench.runner.machine.clear_faults();
+    if matches!(spec.injection, Injection::Plant(..)) {
+        // faults of the plant leave traces: return to rest and start again there
+        let mode = bench.runner.supervisor.mode();
+        if mode.moves() || mode == Mode::Faulted {
+            bench.turn(Some(Order::Reset))?;
+            bench.turn(Some(Order::Relax))?;
+            bench.until(15.0, |t| t.mode != Mode::Relaxing)?;
+        }
+        restore_and_align(bench)?;
+    }
+    Ok(None)
+}
+
+fn assess(soak: &mut Soak) {
     if soak.gain_range > soak.gain_allowed + 1e-9 {
-        soak.why.push(format!("a gain left its guard: {:.2} of {:.2}", soak.gain_range, soak.gain_allowed));
+        soak.why.push(format!("a learned gain changed by {:.2}, allowed is {:.2}", soak.gain_range, soak.gain_allowed));
     }
     if soak.rss_kib[1] > soak.rss_kib[0] + soak.rss_kib[0] / 10 + 2048 {
         soak.why.push(format!("memory grew from {} to {} KiB", soak.rss_kib[0], soak.rss_kib[1]));
@@ -131,28 +125,28 @@ fn judge(soak: &mut Soak) {
     soak.ok = soak.why.is_empty();
 }
 
-/// Racks back to their marks by hand, lines vented, and the rest found again.
-fn begin_at_rest(bench: &mut crate::drill::bench::Bench) -> Result<(), MachineError> {
-    // what was mended shows first, then what is left is put back
+/// Puts the racks back by hand, vents the lines and aligns again.
+fn restore_and_align(bench: &mut Bench) -> Result<(), MachineError> {
+    // the effect of the repair appears before the racks are restored
     bench.run(2.0)?;
-    bench.runner.machine.put_back();
+    bench.runner.machine.restore_racks();
     bench.run(10.0)?;
     bench.turn(Some(Order::Reset))?;
     bench.turn(Some(Order::Zero))?;
     bench.until(8.0, |t| t.mode != Mode::Aligning)?;
-    bench.call_straight();
+    bench.set_straight();
     Ok(())
 }
 
-/// Whatever state it is in, as an operator would: to armed.
-fn to_armed(bench: &mut crate::drill::bench::Bench) -> Result<bool, MachineError> {
+/// Brings the machine from any state to an armed one, as an operator would.
+fn to_armed(bench: &mut Bench) -> Result<bool, MachineError> {
     for attempt in 0..10 {
         match bench.runner.supervisor.mode() {
             Mode::Holding | Mode::Tracking => return Ok(true),
             Mode::Boot | Mode::Aligning => {
                 bench.until(10.0, |t| t.mode != Mode::Aligning && t.mode != Mode::Boot)?;
             }
-            // what comes back after a reset needs the rest found again
+            // a fault that returns after a reset needs a new alignment
             Mode::Disarmed if attempt > 4 && bench.runner.supervisor.keep().steps.0 == [0; 3] => {
                 bench.turn(Some(Order::Reset))?;
                 bench.turn(Some(Order::Zero))?;
@@ -175,7 +169,7 @@ fn to_armed(bench: &mut crate::drill::bench::Bench) -> Result<bool, MachineError
                 bench.run(0.5)?;
                 bench.turn(Some(Order::Reset))?;
             }
-            Mode::Lost => begin_at_rest(bench)?,
+            Mode::Lost => restore_and_align(bench)?,
             Mode::Calibrating => {
                 bench.turn(Some(Order::Stop))?;
             }

@@ -1,9 +1,8 @@
-//! A calibration of the transmission while the service runs: poses out, frames in, gains at the end.
+//! Calibration of the transmission while the service runs: poses out, frames in, gains at the end.
 //!
-//! The same measurement as [`crate::experiment::identify`], turned inside out: there the experiment
-//! drives the world, here the loop goes on and this follows its frames. Algorithm 1 (paper, §IV-C)
-//! repeats all poses with the gains found so far until they change by less than 2 %; the short form is
-//! one pass with the calibration in use as prior.
+//! The measurement is that of [`crate::experiment::identify`], but driven by the frames of the running loop. Algorithm 1
+//! (paper, §IV-C) repeats all poses with the latest gains until these change by less than 2 %. The short form is one
+//! pass with the present calibration as prior.
 
 use crate::control::learning::batch::{Prior, relative_step, solve};
 use crate::control::pi::Dynamics;
@@ -17,29 +16,29 @@ use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::mode::Mode;
 use nalgebra::Vector3;
 
-/// What the loop is to do next.
+/// Next step of a calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Next {
-    /// Nothing yet.
+    /// Wait for the next cycle.
     Wait,
-    /// Drive to this pose.
+    /// Move to this pose.
     Drive(Command),
-    /// Go on with these gains.
+    /// Use these gains.
     Lines([Line; 3]),
-    /// Over.
+    /// The calibration has ended.
     Done(Result<Found, String>),
 }
 
-/// What was found.
+/// Transmission parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Found {
-    /// Gains.
+    /// Gains of channels 1 to 3.
     pub lines: [Line; 3],
-    /// Lag and dead time.
+    /// Lag and dead time, s.
     pub dynamics: Dynamics,
 }
 
-/// A calibration that runs.
+/// A calibration in progress.
 #[derive(Debug, Clone)]
 pub struct Session {
     step_mm: f64,
@@ -51,19 +50,19 @@ pub struct Session {
     state: State,
 }
 
-/// What the session waits for.
+/// What the session is waiting for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
-    /// The mode.
+    /// Mode `calibrating`.
     Mode,
-    /// A turn with the gains of this pass, to order a pose.
+    /// A cycle with the gains of this pass, to command a pose.
     Pose,
-    /// The pose to be held.
+    /// The pose to be held for long enough.
     Hold,
 }
 
 impl Session {
-    /// Algorithm 1 from zero.
+    /// Algorithm 1 from zero gains.
     #[must_use]
     pub fn full(geometry: Geometry, step_mm: f64, before: Found) -> Self {
         let none = Line { k_epsilon: 0.0, k_lambda_mm: 0.0 };
@@ -80,26 +79,26 @@ impl Session {
         Self { step_mm, prior, lines, before, pass: 1, round, state: State::Mode }
     }
 
-    /// What was in use before, to go back to.
+    /// The parameters in use before the calibration.
     #[must_use]
     pub fn before(&self) -> Found {
         self.before
     }
 
-    /// How far it is, in words.
+    /// Progress, for the status.
     #[must_use]
     pub fn progress(&self) -> String {
         let (at, of) = self.round.at();
         format!("pass {}, pose {} of {of}", self.pass, at + 1)
     }
 
-    /// One turn of the loop.
-    pub fn step(&mut self, turned: &CycleOutput) -> Next {
-        if turned.mode != Mode::Calibrating {
-            let begun = self.state != State::Mode;
-            return if begun { Next::Done(Err(format!("the calibration was ended by mode {}", turned.mode))) } else { Next::Wait };
+    /// Processes the output of one cycle.
+    pub fn step(&mut self, output: &CycleOutput) -> Next {
+        if output.mode != Mode::Calibrating {
+            let started = self.state != State::Mode;
+            return if started { Next::Done(Err(format!("mode {} ended the calibration", output.mode))) } else { Next::Wait };
         }
-        let piston_mm = Vector3::from(turned.counted.0.map(|n| f64::from(n) * self.step_mm));
+        let piston_mm = Vector3::from(output.counted.0.map(|n| f64::from(n) * self.step_mm));
         match self.state {
             State::Mode => {
                 self.state = State::Pose;
@@ -110,7 +109,7 @@ impl Session {
                 self.state = State::Hold;
                 Next::Drive(self.round.command())
             }
-            State::Hold => match self.round.step(&turned.frame, &piston_mm, turned.dt_s) {
+            State::Hold => match self.round.step(&output.frame, &piston_mm, output.dt_s) {
                 Step::Waiting => Next::Wait,
                 Step::Next => Next::Drive(self.round.command()),
                 Step::Over => self.conclude(),
@@ -122,7 +121,7 @@ impl Session {
         let found = solve(&self.round.data, self.prior.as_ref()).map_err(IdentifyError::from);
         let next = match found.and_then(|channels| plausible(&channels)) {
             Ok(next) => next,
-            Err(why) => return Next::Done(Err(why.to_string())),
+            Err(e) => return Next::Done(Err(e.to_string())),
         };
         let converged = self.prior.is_some() || relative_step(&next, &self.lines) < CONVERGED;
         self.lines = next;
@@ -130,7 +129,9 @@ impl Session {
             return Next::Done(Ok(Found { lines: next, dynamics: self.round.dynamics(&self.before.dynamics) }));
         }
         if self.pass >= PASSES_MAX {
-            return Next::Done(Err(format!("Algorithm 1 did not converge in {PASSES_MAX} passes; use the short form, or look for a leak")));
+            return Next::Done(Err(format!(
+                "Algorithm 1 did not converge in {PASSES_MAX} passes; use the short form, or check for a leak"
+            )));
         }
         self.pass += 1;
         self.round.again();

@@ -1,4 +1,4 @@
-//! A client of the service: what the command line is.
+//! A client of the service, as the command line uses it.
 
 use crate::service::protocol::{Failure, Request, request_line};
 use serde_json::Value;
@@ -7,44 +7,48 @@ use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::time::Duration;
 
-/// Longest wait for an answer.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Longest wait for a reply.
+const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A connection.
+/// A connection to a service.
 #[derive(Debug)]
 pub struct Client {
     reader: BufReader<UnixStream>,
     writer: UnixStream,
-    next: u64,
+    next_id: u64,
+}
+
+fn unreachable(message: String) -> Failure {
+    Failure { code: 3, message }
 }
 
 impl Client {
-    /// Connects.
+    /// Connects to a socket.
     ///
     /// # Errors
-    /// [`Failure`] with code 3: nothing answers there.
+    /// [`Failure`] with code 3 if no service listens there.
     pub fn connect(path: &Path) -> Result<Self, Failure> {
-        let gone = |e: std::io::Error| Failure {
-            code: 3,
-            words: format!("{}: {e}; is `retroflex run` running, and are you in the socket's group?", path.display()),
+        let connect = || -> std::io::Result<Self> {
+            let writer = UnixStream::connect(path)?;
+            writer.set_read_timeout(Some(TIMEOUT))?;
+            writer.set_write_timeout(Some(TIMEOUT))?;
+            Ok(Self { reader: BufReader::new(writer.try_clone()?), writer, next_id: 1 })
         };
-        let writer = UnixStream::connect(path).map_err(gone)?;
-        writer.set_read_timeout(Some(PATIENCE)).map_err(gone)?;
-        writer.set_write_timeout(Some(PATIENCE)).map_err(gone)?;
-        let reader = BufReader::new(writer.try_clone().map_err(gone)?);
-        Ok(Self { reader, writer, next: 1 })
+        connect().map_err(|e| {
+            unreachable(format!("{}: {e}; is `retroflex run` running, and are you in the group of the socket?", path.display()))
+        })
     }
 
-    /// Asks and waits for the answer; events that come in between are skipped.
+    /// Sends a request and waits for its reply. Events that arrive in between are skipped.
     ///
     /// # Errors
     /// [`Failure`].
-    pub fn ask(&mut self, request: &Request) -> Result<Value, Failure> {
-        let id = self.next;
-        self.next += 1;
-        self.writer.write_all(request_line(id, request).as_bytes()).map_err(|e| lost(&e))?;
+    pub fn request(&mut self, request: &Request) -> Result<Value, Failure> {
+        let id = self.next_id;
+        self.next_id += 1;
+        self.writer.write_all(request_line(id, request).as_bytes()).map_err(|e| no_reply(&e))?;
         loop {
-            let value = self.line()?;
+            let value = self.read()?;
             if value["id"] != id {
                 continue;
             }
@@ -52,26 +56,24 @@ impl Client {
                 return Ok(value["result"].clone());
             }
             let code = value["code"].as_u64().and_then(|c| u8::try_from(c).ok()).unwrap_or(2);
-            return Err(Failure { code, words: value["error"].as_str().unwrap_or("refused without a reason").to_owned() });
+            return Err(Failure { code, message: value["error"].as_str().unwrap_or("no reason given").to_owned() });
         }
     }
 
-    /// The next line, whatever it is.
+    /// Reads the next line, reply or event.
     ///
     /// # Errors
-    /// [`Failure`] with code 3 when the service is gone or silent.
-    pub fn line(&mut self) -> Result<Value, Failure> {
+    /// [`Failure`] with code 3 if the service is gone or silent.
+    pub fn read(&mut self) -> Result<Value, Failure> {
         let mut line = String::new();
         match self.reader.read_line(&mut line) {
-            Ok(0) => Err(Failure { code: 3, words: "the service closed the connection".to_owned() }),
-            Ok(_) => {
-                serde_json::from_str(&line).map_err(|e| Failure { code: 3, words: format!("the service said `{}`: {e}", line.trim()) })
-            }
-            Err(e) => Err(lost(&e)),
+            Ok(0) => Err(unreachable("the service closed the connection".to_owned())),
+            Ok(_) => serde_json::from_str(&line).map_err(|e| unreachable(format!("the service sent `{}`: {e}", line.trim()))),
+            Err(e) => Err(no_reply(&e)),
         }
     }
 }
 
-fn lost(e: &std::io::Error) -> Failure {
-    Failure { code: 3, words: format!("the service does not answer: {e}") }
+fn no_reply(e: &std::io::Error) -> Failure {
+    unreachable(format!("the service does not reply: {e}"))
 }

@@ -1,64 +1,62 @@
-//! systemd's notify socket (`sd_notify(3)`): READY, STATUS, STOPPING, and the watchdog's feed.
-//!
-//! The feed is a datagram that the loop thread sends by itself, without waiting, so a loop that hangs
-//! is noticed whatever the other threads do.
+//! systemd's notify socket (`sd_notify(3)`): READY, STATUS, STOPPING and the watchdog heartbeat.
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::Duration;
 
-/// The service manager, if there is one.
+/// Connection to the service manager, if there is one.
 #[derive(Debug, Default)]
 pub struct Notifier {
     socket: Option<UnixDatagram>,
-    every: Option<Duration>,
+    watchdog: Option<Duration>,
 }
 
-/// Feeds the watchdog.
+/// Sends the watchdog heartbeat. The loop thread sends it itself, so a stalled loop is detected whatever the other
+/// threads do.
 #[derive(Debug)]
-pub struct Feed {
+pub struct Heartbeat {
     socket: UnixDatagram,
-    /// How often it must be fed, s: half of what the manager waits.
-    pub every_s: f64,
+    /// Period, s: half of the manager's time-out.
+    pub period_s: f64,
 }
 
 impl Notifier {
-    /// From NOTIFY_SOCKET and WATCHDOG_USEC.
+    /// Reads NOTIFY_SOCKET and WATCHDOG_USEC.
     #[must_use]
     pub fn from_env() -> Self {
-        let socket = std::env::var_os("NOTIFY_SOCKET").and_then(|path| {
-            let bytes = path.as_bytes();
-            let address = match bytes.strip_prefix(b"@") {
+        let connect = |path: std::ffi::OsString| -> std::io::Result<UnixDatagram> {
+            let address = match path.as_bytes().strip_prefix(b"@") {
                 Some(name) => SocketAddr::from_abstract_name(name),
                 None => SocketAddr::from_pathname(&path),
-            };
-            let socket = UnixDatagram::unbound().ok()?;
-            socket.connect_addr(&address.ok()?).ok()?;
-            socket.set_nonblocking(true).ok()?;
-            Some(socket)
-        });
-        Self { socket, every: sd_notify::watchdog_enabled() }
+            }?;
+            let socket = UnixDatagram::unbound()?;
+            socket.connect_addr(&address)?;
+            socket.set_nonblocking(true)?;
+            Ok(socket)
+        };
+        let socket = std::env::var_os("NOTIFY_SOCKET").and_then(|path| connect(path).ok());
+        Self { socket, watchdog: sd_notify::watchdog_enabled() }
     }
 
-    /// Tells the manager; a manager that does not listen is no trouble of ours.
-    pub fn say(&self, line: &str) {
+    /// Sends a line. Errors are ignored: the service also runs without a manager.
+    pub fn notify(&self, line: &str) {
         if let Some(socket) = &self.socket {
             let _ = socket.send(line.as_bytes());
         }
     }
 
-    /// The loop's own line to the watchdog, where one watches.
+    /// The heartbeat, where the manager has a watchdog for this service.
     #[must_use]
-    pub fn watchdog(&self) -> Option<Feed> {
-        let (socket, every) = (self.socket.as_ref()?, self.every?);
-        Some(Feed { socket: socket.try_clone().ok()?, every_s: every.as_secs_f64() / 2.0 })
+    pub fn heartbeat(&self) -> Option<Heartbeat> {
+        let (socket, timeout) = (self.socket.as_ref()?, self.watchdog?);
+        Some(Heartbeat { socket: socket.try_clone().ok()?, period_s: timeout.as_secs_f64() / 2.0 })
     }
 }
 
-impl Feed {
-    /// One meal: one system call that does not wait.
-    pub fn feed(&self) {
+impl Heartbeat {
+    /// Sends one heartbeat: a single non-blocking system call.
+    pub fn send(&self) {
         let _ = self.socket.send(b"WATCHDOG=1");
     }
 }

@@ -1,4 +1,4 @@
-//! What goes over the sockets: one JSON object a line, version-stamped both ways.
+//! Line protocol of the sockets: one JSON object per line, with a version number in both directions.
 //!
 //! ```text
 //! → {"v":1,"id":7,"cmd":"bend","bend_deg":40,"dir_deg":30}
@@ -7,174 +7,159 @@
 //! ← {"v":1,"event":"frame", …}                     after `subscribe`
 //! ```
 //!
-//! `code` is the exit code a command line should end with: 1 refused, 2 not understood, 3 not reachable.
+//! `code` is the exit code for the command line: 1 refused, 2 not understood, 3 not reachable.
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 /// Version of the protocol.
 pub const VERSION: u64 = 1;
-/// Longest line of a client, bytes.
+/// Longest accepted line, bytes.
 pub const LINE_MAX: usize = 16 * 1024;
 
-/// A command.
+/// A request of a client. Angles are in degrees, lengths in mm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "cmd", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Request {
-    /// Energise and hold.
+    /// Energise the drivers and hold the present pose.
     Arm {},
-    /// Take no more motion.
+    /// Accept no more motion.
     Disarm {},
-    /// Bend.
+    /// Move to a pose.
     Bend {
         /// Bend angle β, degrees.
         bend_deg: f64,
         /// Bend direction δ, degrees.
         #[serde(default)]
         dir_deg: f64,
-        /// Centre length, mm; left out: at rest.
+        /// Length of the centre line, mm; defaults to the rest length.
         #[serde(default)]
         length_mm: Option<f64>,
-        /// Speed of the set-point, °/s; left out: that of the gains file.
+        /// Speed of the set-point, °/s; defaults to that of the gains file.
         #[serde(default)]
         speed_deg_s: Option<f64>,
     },
-    /// One of a stream of set-points; when it falls silent the tip stops.
+    /// One set-point of a stream. The tip stops when the stream pauses for longer than `service.dead_man_s`.
     Stream {
         /// Bend angle β, degrees.
         bend_deg: f64,
         /// Bend direction δ, degrees.
         #[serde(default)]
         dir_deg: f64,
-        /// Centre length, mm; left out: at rest.
+        /// Length of the centre line, mm; defaults to the rest length.
         #[serde(default)]
         length_mm: Option<f64>,
     },
-    /// Come to rest smoothly, hold.
+    /// Decelerate smoothly and hold.
     Hold {},
-    /// Halt now, hold.
+    /// Brake at once and hold. Latched until `arm`.
     Stop {},
-    /// Back to rest, then de-energise.
+    /// Return the pistons to zero slowly, then de-energise.
     Relax {},
-    /// What is now is the rest.
+    /// Define the present pose as zero bend.
     Zero {},
-    /// Everything worth knowing.
+    /// Report the state of the service.
     Status {},
-    /// Forget the fault.
+    /// Clear a latched fault whose cause has been removed.
     ResetFault {},
-    /// Read the gains file again.
+    /// Read the gains file again and apply it.
     Reload {},
-    /// Begin or end a recording.
+    /// Start or stop a recording.
     Record {
-        /// What to do.
+        /// Start or stop.
         action: RecordAction,
-        /// Name of the recording, without folder or ending; left out: the date.
+        /// Name of the recording without folder and extension; defaults to the time in seconds since 1970.
         #[serde(default)]
         name: Option<String>,
     },
-    /// Find, accept or forget transmission gains.
+    /// Identify, accept or discard transmission gains.
     Calibrate {
-        /// What to do.
+        /// Which of the three.
         action: CalibrateAction,
     },
-    /// Frames at a rate, until the connection ends.
+    /// Send frames at a fixed rate until the connection closes.
     Subscribe {
-        /// How many a second, 0.1 to 1000.
+        /// Frames per second, 0.1 to 1000.
         rate_hz: f64,
     },
 }
 
-/// `record …`.
+/// Argument of `record`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordAction {
-    /// Begin.
+    /// Start a recording.
     Start,
-    /// End.
+    /// Stop it.
     Stop,
 }
 
-/// `calibrate transmission …`.
+/// Argument of `calibrate transmission`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CalibrateAction {
-    /// Algorithm 1 from zero: 120 states a pass.
+    /// Algorithm 1 from zero gains: 120 poses per pass.
     Full,
-    /// Twenty-four poses with the calibration in use as prior.
+    /// One pass of 24 poses with the present calibration as prior.
     Short,
-    /// Use what was found, from now on and after a restart.
+    /// Apply the proposed gains, now and after every restart.
     Accept,
-    /// Forget what was found.
+    /// Discard the proposed gains.
     Discard,
 }
 
 impl Request {
-    /// Reading it needs no right to command.
+    /// True for requests that the status socket accepts.
     #[must_use]
     pub fn only_reads(&self) -> bool {
         matches!(self, Self::Status {} | Self::Subscribe { .. })
     }
 
-    /// Name, for the log.
+    /// Name of the command, for the log.
     #[must_use]
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Arm {} => "arm",
-            Self::Disarm {} => "disarm",
-            Self::Bend { .. } => "bend",
-            Self::Stream { .. } => "stream",
-            Self::Hold {} => "hold",
-            Self::Stop {} => "stop",
-            Self::Relax {} => "relax",
-            Self::Zero {} => "zero",
-            Self::Status {} => "status",
-            Self::ResetFault {} => "reset-fault",
-            Self::Reload {} => "reload",
-            Self::Record { .. } => "record",
-            Self::Calibrate { .. } => "calibrate",
-            Self::Subscribe { .. } => "subscribe",
-        }
+    pub fn name(&self) -> String {
+        json!(self)["cmd"].as_str().unwrap_or_default().replace('_', "-")
     }
 }
 
-/// Why a request failed: exit code and words.
+/// Why a request failed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Failure {
     /// 1 refused, 2 not understood, 3 not reachable.
     pub code: u8,
-    /// In words.
-    pub words: String,
+    /// Explanation for the operator.
+    pub message: String,
 }
 
 impl Failure {
-    /// Refused.
-    pub fn refused(words: impl Into<String>) -> Self {
-        Self { code: 1, words: words.into() }
+    /// The request is valid but not possible now.
+    pub fn refused(message: impl Into<String>) -> Self {
+        Self { code: 1, message: message.into() }
     }
-    /// Not understood.
-    pub fn bad(words: impl Into<String>) -> Self {
-        Self { code: 2, words: words.into() }
+    /// The request is invalid.
+    pub fn bad(message: impl Into<String>) -> Self {
+        Self { code: 2, message: message.into() }
     }
 }
 
-/// Reads one line: the number to answer under, and the request or why it is none.
+/// Parses one line into its `id` and the request.
 pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
     let mut object = match serde_json::from_str::<Value>(line) {
         Ok(Value::Object(object)) => object,
-        Ok(_) => return (Value::Null, Err(Failure::bad("a request is one JSON object a line"))),
+        Ok(_) => return (Value::Null, Err(Failure::bad("a request is one JSON object per line"))),
         Err(e) => return (Value::Null, Err(Failure::bad(format!("not JSON: {e}")))),
     };
     let id = object.remove("id").filter(|v| v.is_number() || v.is_string()).unwrap_or(Value::Null);
     let version = object.remove("v");
     if version.as_ref().and_then(Value::as_u64) != Some(VERSION) {
-        let said = version.map_or_else(|| "none".to_owned(), |v| v.to_string());
-        return (id, Err(Failure::bad(format!("protocol version {said}: this service speaks \"v\":{VERSION}"))));
+        let found = version.map_or_else(|| "none".to_owned(), |v| v.to_string());
+        return (id, Err(Failure::bad(format!("protocol version {found}: this service uses \"v\":{VERSION}"))));
     }
     let request = serde_json::from_value(Value::Object(object)).map_err(|e| Failure::bad(format!("not understood: {e}")));
     (id, request)
 }
 
-/// The line of a request.
+/// Formats a request as a line.
 #[must_use]
 pub fn request_line(id: u64, request: &Request) -> String {
     let mut value = json!(request);
@@ -183,12 +168,12 @@ pub fn request_line(id: u64, request: &Request) -> String {
     value.to_string() + "\n"
 }
 
-/// The line of an answer.
+/// Formats a reply as a line.
 #[must_use]
-pub fn answer_line(id: &Value, answer: &Result<Value, Failure>) -> String {
-    let value = match answer {
+pub fn reply_line(id: &Value, reply: &Result<Value, Failure>) -> String {
+    let value = match reply {
         Ok(result) => json!({"v": VERSION, "id": id, "ok": true, "result": result}),
-        Err(f) => json!({"v": VERSION, "id": id, "ok": false, "code": f.code, "error": f.words}),
+        Err(f) => json!({"v": VERSION, "id": id, "ok": false, "code": f.code, "error": f.message}),
     };
     value.to_string() + "\n"
 }
@@ -198,17 +183,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn requests_come_back_as_they_were() {
+    fn a_request_survives_the_round_trip() {
         let bend = Request::Bend { bend_deg: 40.5, dir_deg: -30.0, length_mm: None, speed_deg_s: Some(10.0) };
         for request in [Request::Arm {}, bend, Request::Calibrate { action: CalibrateAction::Short }] {
-            let (id, back) = parse(request_line(7, &request).trim());
-            assert_eq!((id, back), (json!(7), Ok(request)));
+            let (id, parsed) = parse(request_line(7, &request).trim());
+            assert_eq!((id, parsed), (json!(7), Ok(request)));
         }
     }
 
     #[test]
-    fn what_is_not_understood_is_answered_in_words() {
-        for (line, word) in [
+    fn an_invalid_line_is_refused_with_a_reason() {
+        for (line, part) in [
             ("garbage", "not JSON"),
             ("[1]", "one JSON object"),
             (r#"{"cmd":"arm"}"#, "version none"),
@@ -219,9 +204,9 @@ mod tests {
             (r#"{"v":1,"cmd":"bend","bend_deg":"NaN"}"#, "NaN"),
             (r#"{"v":1,"cmd":"bend","bend_deg":1e999}"#, "out of range"),
         ] {
-            let (_, answer) = parse(line);
-            let failure = answer.unwrap_err();
-            assert!(failure.words.contains(word) && failure.code == 2, "{line}: {}", failure.words);
+            let (_, request) = parse(line);
+            let failure = request.unwrap_err();
+            assert!(failure.message.contains(part) && failure.code == 2, "{line}: {}", failure.message);
         }
     }
 }

@@ -1,15 +1,15 @@
-//! The loop's thread: wait for the instant, turn, hand over. Nothing here locks, allocates or waits for
-//! anything but the clock.
+//! The real-time thread: one control cycle per period. It never locks, never allocates and waits for nothing but the
+//! clock.
 
 use crate::control::tick::RestartState;
 use crate::hardware::rt::{monotonic_ns, sleep_until_ns};
 use crate::primitives::units::Seconds;
-use crate::service::notify::Feed;
-use crate::supervisor::cycle::order::{Order, Refusal};
+use crate::service::notify::Heartbeat;
+use crate::service::stop::{Rejection, StopLatch, StopSignal};
+use crate::supervisor::cycle::order::Order;
 use crate::supervisor::cycle::runner::Runner;
 use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
-use crate::supervisor::machine::Machine;
-use crate::supervisor::machine::MachineError;
+use crate::supervisor::machine::{Machine, MachineError};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
@@ -17,208 +17,256 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 /// A message to the loop.
 #[derive(Debug)]
 pub enum Message {
-    /// An order, with the number its answer carries.
-    Order(u64, Order),
-    /// Another configuration; the old one comes back through the ring of the spent.
+    /// An order.
+    Order {
+        /// Identifies the answer.
+        id: u64,
+        /// What to do.
+        order: Order,
+        /// Number of stops requested when the order was received, see [`StopLatch`].
+        stops: u64,
+    },
+    /// Replaces the configuration. The old one comes back as [`Retired::Config`].
     Reload(Box<SupervisorConfig>),
-    /// Another pilot, at rest: so that a recording begins with one that remembers nothing else.
-    Relieve(Box<Supervisor>),
+    /// Replaces the supervisor with a freshly reset one, so that a recording starts from a known state.
+    ReplaceSupervisor(Box<Supervisor>),
 }
 
-/// What the loop has no use for any more; freed by the hub.
+/// Objects retired by the loop. The hub drops them so that the loop never frees memory.
 #[derive(Debug)]
 pub enum Retired {
-    /// An old configuration.
+    /// A replaced configuration.
     Config(Box<SupervisorConfig>),
-    /// A pilot that was relieved.
+    /// A replaced supervisor.
     Supervisor(Box<Supervisor>),
 }
 
-/// Where the pistons were, worth keeping.
+/// What a restart needs, sampled by the loop.
 #[derive(Debug, Clone, Copy)]
-pub struct KeepNote {
-    /// For a restart.
-    pub kept: RestartState,
-    /// Nothing needs proof: pistons at zero.
+pub struct RestartNote {
+    /// Position and learned parameters.
+    pub state: RestartState,
+    /// The pistons are at zero, so a restart has nothing to verify.
     pub at_rest: bool,
 }
 
-/// The loop's ends of the rings.
-pub struct Wires {
+/// Result of an order, with the id of its message.
+pub type Answer = (u64, Result<(), Rejection>);
+
+/// The loop's ends of the rings. All rings are wait-free.
+pub struct LoopRings {
     orders: Consumer<Message>,
-    answers: Producer<(u64, Result<(), Refusal>)>,
+    answers: Producer<Answer>,
     frames: Producer<CycleOutput>,
-    keeps: Producer<KeepNote>,
-    spent: Producer<Retired>,
+    notes: Producer<RestartNote>,
+    retired: Producer<Retired>,
 }
 
 /// The hub's ends of the rings.
-pub struct OtherEnd {
+pub struct HubRings {
     /// Orders to the loop.
     pub orders: Producer<Message>,
-    /// Answers from it.
-    pub answers: Consumer<(u64, Result<(), Refusal>)>,
-    /// Every turn.
+    /// Answers to orders.
+    pub answers: Consumer<Answer>,
+    /// The output of every cycle.
     pub frames: Consumer<CycleOutput>,
-    /// Where the pistons are, now and then.
-    pub keeps: Consumer<KeepNote>,
-    /// What is to be disposed of.
-    pub spent: Consumer<Retired>,
+    /// Restart data, every [`NOTE_EVERY`] cycles.
+    pub notes: Consumer<RestartNote>,
+    /// Objects to drop.
+    pub retired: Consumer<Retired>,
 }
 
-/// Turns the ring of frames holds: at 1 kHz four seconds of a hub that is away.
+/// Capacity of the frame ring, cycles: the hub may be late by 4 s at 1 kHz.
 const FRAMES: usize = 4096;
-/// Turns from one note for the keeper to the next.
-const KEEP_EVERY: u64 = 20;
-/// A hub that has not been round for this long does not deserve the watchdog's meal, s.
-const HUB_MAX_S: f64 = 10.0;
+/// Cycles between two restart notes.
+const NOTE_EVERY: u64 = 20;
+/// The heartbeat stops if the hub stalls for longer than this, s.
+const HUB_STALL_MAX_S: f64 = 10.0;
 
-/// Both ends of all rings.
+/// Creates the rings.
 #[must_use]
-pub fn wires() -> (Wires, OtherEnd) {
-    let (orders_in, orders) = RingBuffer::new(64);
-    let (answers, answers_out) = RingBuffer::new(64);
-    let (frames, frames_out) = RingBuffer::new(FRAMES);
-    let (keeps, keeps_out) = RingBuffer::new(256);
-    let (spent, spent_out) = RingBuffer::new(16);
+pub fn rings() -> (LoopRings, HubRings) {
+    let (orders, loop_orders) = RingBuffer::new(64);
+    let (loop_answers, answers) = RingBuffer::new(64);
+    let (loop_frames, frames) = RingBuffer::new(FRAMES);
+    let (loop_notes, notes) = RingBuffer::new(256);
+    let (loop_retired, retired) = RingBuffer::new(16);
     (
-        Wires { orders, answers, frames, keeps, spent },
-        OtherEnd { orders: orders_in, answers: answers_out, frames: frames_out, keeps: keeps_out, spent: spent_out },
+        LoopRings { orders: loop_orders, answers: loop_answers, frames: loop_frames, notes: loop_notes, retired: loop_retired },
+        HubRings { orders, answers, frames, notes, retired },
     )
 }
 
-/// What both sides read and write without a lock.
+/// State shared by the threads without locks.
 #[derive(Debug, Default)]
 pub struct Shared {
     quit: AtomicBool,
-    /// Counts the hub's rounds.
+    /// Requests and completed stops.
+    pub stop: StopSignal,
+    /// Rounds of the hub.
     pub hub_rounds: AtomicU64,
-    /// Counts the turns.
-    pub turns: AtomicU64,
-    /// Turns that began more than half a period late.
+    /// Cycles of the loop.
+    pub cycles: AtomicU64,
+    /// Cycles that began more than half a period late.
     pub late: AtomicU64,
-    /// The latest that one began, µs.
-    pub latest_us: AtomicU64,
-    /// Frames lost to a slow hub.
+    /// Largest delay of a cycle, µs.
+    pub max_lateness_us: AtomicU64,
+    /// Frames and answers lost because a ring was full.
     pub lost: AtomicU64,
 }
 
 impl Shared {
-    /// Ends the loop after its present turn.
+    /// Ends the loop and the command thread after their present round.
     pub fn quit(&self) {
         self.quit.store(true, Relaxed);
     }
+
+    /// True once [`Shared::quit`] was called.
+    #[must_use]
+    pub fn is_quitting(&self) -> bool {
+        self.quit.load(Relaxed)
+    }
 }
 
-/// Everything the thread owns.
+/// Everything the real-time thread owns.
 pub struct Loop {
-    /// Pilot and machine.
+    /// Supervisor and machine.
     pub runner: Runner<Box<dyn Machine>>,
-    /// Its ends of the rings.
-    pub wires: Wires,
+    /// The loop's ends of the rings.
+    pub rings: LoopRings,
     /// Counters.
     pub shared: Arc<Shared>,
-    /// Time of a turn, s.
+    /// Period of a cycle, s.
     pub period_s: f64,
-    /// Do not wait.
+    /// Run a simulation as fast as possible instead of in real time.
     pub fast: bool,
-    /// The watchdog's line.
-    pub feed: Option<Feed>,
+    /// The watchdog heartbeat.
+    pub heartbeat: HeartbeatMonitor,
+    /// Refuses motion after a stop.
+    pub latch: StopLatch,
 }
 
 impl Loop {
-    /// Turns until told to quit.
+    /// Runs cycles until [`Shared::quit`].
     ///
     /// # Errors
-    /// The machine's.
+    /// [`MachineError`].
     pub fn run(mut self) -> Result<(), MachineError> {
         let simulated = self.runner.machine.is_simulated();
         let period_ns = (self.period_s * 1e9) as u64;
-        let begun_ns = monotonic_ns();
-        let mut due_ns = begun_ns;
+        let start_ns = monotonic_ns();
+        let mut due_ns = start_ns;
         let mut periods = 0u64;
-        let mut watch = Watch::default();
-        while !self.shared.quit.load(Relaxed) {
+        while !self.shared.is_quitting() {
             let elapsed = if self.fast {
                 periods + 1
             } else {
                 due_ns += period_ns;
                 sleep_until_ns(due_ns);
                 let now_ns = monotonic_ns();
-                self.note_lateness(now_ns.saturating_sub(due_ns), period_ns);
+                self.record_lateness(now_ns.saturating_sub(due_ns), period_ns);
                 if now_ns > due_ns + period_ns {
-                    // what was missed is not made up for: the next turn is a period from here
+                    // missed cycles are skipped, not caught up
                     due_ns = now_ns;
                 }
-                if simulated { ((now_ns - begun_ns) / period_ns).max(periods + 1) } else { now_ns - begun_ns }
+                if simulated { ((now_ns - start_ns) / period_ns).max(periods + 1) } else { now_ns - start_ns }
             };
             periods = elapsed;
             let now_s = if simulated || self.fast { elapsed as f64 * self.period_s } else { elapsed as f64 * 1e-9 };
-            self.turn(Seconds(now_s))?;
-            watch.step(&self.shared, self.feed.as_ref(), now_s);
+            self.cycle(Seconds(now_s))?;
+            self.heartbeat.update(&self.shared, now_s);
         }
         Ok(())
     }
 
-    fn turn(&mut self, now: Seconds) -> Result<(), MachineError> {
-        let mut order = None;
-        match self.wires.orders.pop() {
-            Ok(Message::Order(id, o)) => order = Some((id, o)),
+    fn cycle(&mut self, now: Seconds) -> Result<(), MachineError> {
+        // a stop comes before every queued message
+        let stop = self.latch.take_request(&self.shared.stop);
+        let (id, order) = match stop {
+            Some(_) => (None, Some(Order::Stop)),
+            None => self.next_order(),
+        };
+        let output = self.runner.turn(now, order)?;
+        if let Some(number) = stop {
+            self.shared.stop.complete(number);
+        }
+        if let (Some(id), Some(answer)) = (id, output.answer) {
+            self.answer(id, answer.map_err(Rejection::Supervisor));
+        }
+        if self.rings.frames.push(output).is_err() {
+            self.shared.lost.fetch_add(1, Relaxed);
+        }
+        if self.shared.cycles.fetch_add(1, Relaxed).is_multiple_of(NOTE_EVERY) {
+            let supervisor = &self.runner.supervisor;
+            // if the ring is full the hub is late, and a newer note will replace this one
+            let _ = self.rings.notes.push(RestartNote { state: supervisor.keep(), at_rest: supervisor.is_at_rest() });
+        }
+        Ok(())
+    }
+
+    /// Takes one message; returns the order for this cycle with its id.
+    fn next_order(&mut self) -> (Option<u64>, Option<Order>) {
+        match self.rings.orders.pop() {
+            Ok(Message::Order { id, order, stops }) => match self.latch.admit(&order, stops) {
+                Ok(()) => return (Some(id), Some(order)),
+                Err(rejection) => self.answer(id, Err(rejection)),
+            },
             Ok(Message::Reload(mut config)) => {
                 self.runner.supervisor.reload(&mut config);
-                // sixteen old ones waiting: better to free one here than to leak it
-                drop(self.wires.spent.push(Retired::Config(config)));
+                self.retire(Retired::Config(config));
             }
-            Ok(Message::Relieve(mut supervisor)) => {
+            Ok(Message::ReplaceSupervisor(mut supervisor)) => {
                 std::mem::swap(&mut self.runner.supervisor, &mut supervisor);
-                drop(self.wires.spent.push(Retired::Supervisor(supervisor)));
+                self.retire(Retired::Supervisor(supervisor));
             }
             Err(_) => {}
         }
-        let turned = self.runner.turn(now, order.map(|(_, o)| o))?;
-        if let (Some((id, _)), Some(answer)) = (order, turned.answer)
-            && self.wires.answers.push((id, answer)).is_err()
-        {
-            self.shared.lost.fetch_add(1, Relaxed);
-        }
-        if self.wires.frames.push(turned).is_err() {
-            self.shared.lost.fetch_add(1, Relaxed);
-        }
-        let n = self.shared.turns.fetch_add(1, Relaxed);
-        if n.is_multiple_of(KEEP_EVERY) {
-            let supervisor = &self.runner.supervisor;
-            // a full ring means a hub that is behind; the next note says the same and more
-            let _ = self.wires.keeps.push(KeepNote { kept: supervisor.keep(), at_rest: supervisor.is_at_rest() });
-        }
-        Ok(())
+        (None, None)
     }
 
-    fn note_lateness(&self, late_ns: u64, period_ns: u64) {
+    fn answer(&mut self, id: u64, result: Result<(), Rejection>) {
+        if self.rings.answers.push((id, result)).is_err() {
+            self.shared.lost.fetch_add(1, Relaxed);
+        }
+    }
+
+    fn retire(&mut self, object: Retired) {
+        // with sixteen objects waiting, freeing one here is better than leaking it
+        drop(self.rings.retired.push(object));
+    }
+
+    fn record_lateness(&self, late_ns: u64, period_ns: u64) {
         if late_ns > period_ns / 2 {
             self.shared.late.fetch_add(1, Relaxed);
         }
-        self.shared.latest_us.fetch_max(late_ns / 1000, Relaxed);
+        self.shared.max_lateness_us.fetch_max(late_ns / 1000, Relaxed);
     }
 }
 
-/// Feeds the watchdog as long as both the loop and the hub go round.
-#[derive(Default)]
-struct Watch {
-    fed_s: f64,
+/// Sends the heartbeat while both the loop and the hub make progress.
+pub struct HeartbeatMonitor {
+    heartbeat: Option<Heartbeat>,
+    sent_s: f64,
     hub_rounds: u64,
-    hub_s: f64,
+    hub_progress_s: f64,
 }
 
-impl Watch {
-    fn step(&mut self, shared: &Shared, feed: Option<&Feed>, now_s: f64) {
-        let Some(feed) = feed else { return };
+impl HeartbeatMonitor {
+    /// `heartbeat` is `None` without a watchdog.
+    #[must_use]
+    pub fn new(heartbeat: Option<Heartbeat>) -> Self {
+        Self { heartbeat, sent_s: 0.0, hub_rounds: 0, hub_progress_s: 0.0 }
+    }
+
+    fn update(&mut self, shared: &Shared, now_s: f64) {
+        let Some(heartbeat) = &self.heartbeat else { return };
         let rounds = shared.hub_rounds.load(Relaxed);
         if rounds != self.hub_rounds {
-            (self.hub_rounds, self.hub_s) = (rounds, now_s);
+            (self.hub_rounds, self.hub_progress_s) = (rounds, now_s);
         }
-        if now_s - self.fed_s >= feed.every_s && now_s - self.hub_s < HUB_MAX_S {
-            self.fed_s = now_s;
-            feed.feed();
+        if now_s - self.sent_s >= heartbeat.period_s && now_s - self.hub_progress_s < HUB_STALL_MAX_S {
+            self.sent_s = now_s;
+            heartbeat.send();
         }
     }
 }

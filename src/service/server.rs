@@ -1,13 +1,13 @@
-//! The sockets: many clients, none of whom can hold anybody up.
+//! One listening socket and its clients.
 //!
-//! Everything is non-blocking and bounded: a line, what waits to be written, how many clients there
-//! are, how many lines of one client are taken in a round. A client that floods is read no faster than
-//! the hub goes round, and its own socket buffer makes it wait; one that does not read is dropped.
+//! Every operation is non-blocking and every resource is bounded: the length of a line, the bytes queued for a client,
+//! the number of clients, the lines of one client per round and its unanswered requests. A client that sends too fast is
+//! slowed down by its own socket buffer; one that does not read is disconnected. The command socket and the status
+//! socket are separate servers, so clients that only read cannot take the places of clients that command.
 
 #![allow(unsafe_code)]
 
-use crate::config::service::ServiceSection;
-use crate::service::ServiceError;
+use crate::service::error::ServiceError;
 use crate::service::protocol::LINE_MAX;
 use std::io::{ErrorKind, Read, Write};
 use std::os::fd::AsRawFd;
@@ -16,164 +16,192 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Clients at a time.
-const CLIENTS_MAX: usize = 64;
-/// Lines of one client in one round.
+/// Clients at a time on one socket.
+const CLIENTS_MAX: usize = 32;
+/// Lines accepted from one client per round.
 const LINES_PER_ROUND: usize = 16;
-/// Most that waits to be written to one client, bytes.
-const OUT_MAX: usize = 512 * 1024;
-/// A line that was begun must be ended within this time, s.
+/// Requests of one client that may be unanswered at a time. Further lines wait in its socket buffer.
+const UNANSWERED_MAX: usize = 16;
+/// Largest amount of data queued for one client, bytes.
+const OUTPUT_MAX: usize = 512 * 1024;
+/// Longest time between the first byte of a line and its end, s.
 const LINE_MAX_S: f64 = 3.0;
-
-/// A client.
-#[derive(Debug)]
-struct Client {
-    number: u64,
-    stream: UnixStream,
-    commands: bool,
-    inward: Vec<u8>,
-    begun: Instant,
-    outward: Vec<u8>,
-    closing: bool,
-}
 
 /// One line of a client.
 #[derive(Debug)]
 pub struct Line {
-    /// Whose.
+    /// Number of the client.
     pub client: u64,
-    /// It came by the command socket.
-    pub commands: bool,
-    /// The line, or what is wrong with it.
+    /// The line without its end, or why it was not accepted.
     pub text: Result<String, &'static str>,
 }
 
-/// Both sockets and everybody on them.
+/// Ends the wait of a [`Server::round`] from another thread.
+#[derive(Debug)]
+pub struct Waker(UnixStream);
+
+impl Waker {
+    /// Wakes the server. A full pipe means that it is about to wake anyway.
+    pub fn wake(&self) {
+        let _ = (&self.0).write(&[0]);
+    }
+}
+
+/// A listening socket and its clients.
 #[derive(Debug)]
 pub struct Server {
-    listeners: [(UnixListener, bool, PathBuf); 2],
+    listener: UnixListener,
+    path: PathBuf,
+    wake: UnixStream,
     clients: Vec<Client>,
     next: u64,
-    /// Clients dropped, with the reason, since last asked.
+    /// Clients disconnected since this list was last taken, with the reason.
     pub dropped: Vec<(u64, &'static str)>,
 }
 
 impl Server {
-    /// Makes both sockets with their permissions; a stale one is replaced, a live one is an error.
+    /// Creates the socket with the given permission bits. A stale socket file is replaced; a live one is an error.
+    /// Clients are numbered `first`, `first` + 2, …, so that two servers never share a number.
     ///
     /// # Errors
     /// [`ServiceError::Socket`].
-    pub fn bind(service: &ServiceSection) -> Result<Self, ServiceError> {
-        let command = bind(&service.socket, service.socket_mode)?;
-        let status = bind(&service.status_socket, service.status_mode)?;
-        let listeners = [(command, true, service.socket.clone()), (status, false, service.status_socket.clone())];
-        Ok(Self { listeners, clients: Vec::new(), next: 1, dropped: Vec::new() })
+    pub fn bind(path: &Path, mode: u32, first: u64) -> Result<(Self, Waker), ServiceError> {
+        let fail = |source| ServiceError::Socket { path: path.display().to_string(), source };
+        if path.exists() {
+            if UnixStream::connect(path).is_ok() {
+                return Err(fail(std::io::Error::other("another service already answers on this socket")));
+            }
+            std::fs::remove_file(path).map_err(fail)?;
+        }
+        let listener = UnixListener::bind(path).map_err(fail)?;
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).map_err(fail)?;
+        listener.set_nonblocking(true).map_err(fail)?;
+        let (wake, waker) = UnixStream::pair().map_err(fail)?;
+        wake.set_nonblocking(true).map_err(fail)?;
+        waker.set_nonblocking(true).map_err(fail)?;
+        let server = Self { listener, path: path.to_owned(), wake, clients: Vec::new(), next: first, dropped: Vec::new() };
+        Ok((server, Waker(waker)))
     }
 
-    /// How many are connected.
+    /// Number of connected clients.
     #[must_use]
     pub fn clients(&self) -> usize {
         self.clients.len()
     }
 
-    /// Waits for something to do, at most this long, then takes in what there is.
+    /// Waits at most `wait` for input, then returns the complete lines of all clients.
     pub fn round(&mut self, wait: Duration) -> Vec<Line> {
-        self.wait(wait);
+        self.poll(wait);
         self.accept();
         let mut lines = Vec::new();
         for client in &mut self.clients {
             client.read();
-            client.lines(&mut lines);
+            client.take_lines(&mut lines);
             client.write();
         }
         let dropped = &mut self.dropped;
         self.clients.retain(|c| {
-            let why = c.verdict();
-            if let Some(why) = why {
-                dropped.push((c.number, why));
-            }
-            why.is_none()
+            let reason = c.reason_to_drop();
+            dropped.extend(reason.map(|why| (c.number, why)));
+            reason.is_none()
         });
         lines
     }
 
-    /// Queues a line for a client; one that is gone does not get it.
-    pub fn send(&mut self, number: u64, line: &str) {
-        if let Some(client) = self.clients.iter_mut().find(|c| c.number == number) {
-            client.outward.extend_from_slice(line.as_bytes());
-            client.write();
+    /// Queues the reply to one line of a client.
+    pub fn reply(&mut self, number: u64, line: &str) {
+        if let Some(client) = self.client(number) {
+            client.unanswered = client.unanswered.saturating_sub(1);
+            client.send(line);
         }
     }
 
-    /// Takes no further line of a client; it is dropped once it has read its answer.
+    /// Queues a line that is not a reply.
+    pub fn send(&mut self, number: u64, line: &str) {
+        if let Some(client) = self.client(number) {
+            client.send(line);
+        }
+    }
+
+    /// Accepts no further line of a client and disconnects it once it has read its replies.
     pub fn close(&mut self, number: u64) {
-        if let Some(client) = self.clients.iter_mut().find(|c| c.number == number) {
+        if let Some(client) = self.client(number) {
             client.closing = true;
         }
     }
 
-    /// True for a client that is still there.
-    #[must_use]
-    pub fn knows(&self, number: u64) -> bool {
-        self.clients.iter().any(|c| c.number == number)
+    fn client(&mut self, number: u64) -> Option<&mut Client> {
+        self.clients.iter_mut().find(|c| c.number == number)
     }
 
-    fn wait(&self, wait: Duration) {
-        let of = |fd, events| libc::pollfd { fd, events, revents: 0 };
-        let mut set: Vec<libc::pollfd> = self.listeners.iter().map(|(l, ..)| of(l.as_raw_fd(), libc::POLLIN)).collect();
+    fn poll(&mut self, wait: Duration) {
+        let entry = |fd, events| libc::pollfd { fd, events, revents: 0 };
+        let mut set = vec![entry(self.listener.as_raw_fd(), libc::POLLIN), entry(self.wake.as_raw_fd(), libc::POLLIN)];
         for c in &self.clients {
-            let reads = if !c.closing && c.inward.len() < LINE_MAX { libc::POLLIN } else { 0 };
-            let writes = if c.outward.is_empty() { 0 } else { libc::POLLOUT };
-            set.push(of(c.stream.as_raw_fd(), reads | writes));
+            let reads = if c.wants_input() { libc::POLLIN } else { 0 };
+            let writes = if c.output.is_empty() { 0 } else { libc::POLLOUT };
+            set.push(entry(c.stream.as_raw_fd(), reads | writes));
         }
         let ms = i32::try_from(wait.as_millis()).unwrap_or(i32::MAX);
-        // SAFETY: `set` is a live array of as many pollfd as is said; a failure leaves nothing but an early return
+        // SAFETY: `set` is a live array of the given length; after a failure the round merely starts early
         unsafe { libc::poll(set.as_mut_ptr(), set.len() as libc::nfds_t, ms) };
+        while self.wake.read(&mut [0; 64]).is_ok_and(|n| n > 0) {}
     }
 
     fn accept(&mut self) {
-        for (listener, commands, _) in &self.listeners {
-            while let Ok((stream, _)) = listener.accept() {
-                if self.clients.len() >= CLIENTS_MAX || stream.set_nonblocking(true).is_err() {
-                    self.dropped.push((0, "too many clients"));
-                    continue;
-                }
-                let number = self.next;
-                self.next += 1;
-                let (inward, outward) = (Vec::new(), Vec::new());
-                self.clients.push(Client { number, stream, commands: *commands, inward, begun: Instant::now(), outward, closing: false });
+        while let Ok((stream, _)) = self.listener.accept() {
+            if self.clients.len() >= CLIENTS_MAX || stream.set_nonblocking(true).is_err() {
+                self.dropped.push((0, "too many clients"));
+                continue;
             }
+            self.clients.push(Client::new(self.next, stream));
+            self.next += 2;
         }
     }
 }
 
 impl Drop for Server {
     fn drop(&mut self) {
-        for (.., path) in &self.listeners {
-            // another service may have taken its place; then there is nothing of ours to remove
-            let _ = std::fs::remove_file(path);
-        }
+        // the file may be gone already
+        let _ = std::fs::remove_file(&self.path);
     }
 }
 
+#[derive(Debug)]
+struct Client {
+    number: u64,
+    stream: UnixStream,
+    input: Vec<u8>,
+    line_started: Instant,
+    output: Vec<u8>,
+    unanswered: usize,
+    closing: bool,
+}
+
 impl Client {
+    fn new(number: u64, stream: UnixStream) -> Self {
+        Self { number, stream, input: Vec::new(), line_started: Instant::now(), output: Vec::new(), unanswered: 0, closing: false }
+    }
+
+    fn wants_input(&self) -> bool {
+        !self.closing && self.input.len() <= LINE_MAX && self.unanswered < UNANSWERED_MAX
+    }
+
     fn read(&mut self) {
         let mut chunk = [0u8; 8192];
-        while !self.closing && self.inward.len() <= LINE_MAX {
+        while self.wants_input() {
             match self.stream.read(&mut chunk) {
                 Ok(0) => {
                     self.closing = true;
-                    // what is not ended by now never will be
-                    if !self.inward.ends_with(b"\n") {
-                        let whole = self.inward.iter().rposition(|b| *b == b'\n').map_or(0, |n| n + 1);
-                        self.inward.truncate(whole);
-                    }
+                    // a line without an end is discarded
+                    let complete = self.input.iter().rposition(|b| *b == b'\n').map_or(0, |n| n + 1);
+                    self.input.truncate(complete);
                 }
                 Ok(n) => {
-                    if self.inward.is_empty() {
-                        self.begun = Instant::now();
+                    if self.input.is_empty() {
+                        self.line_started = Instant::now();
                     }
-                    self.inward.extend_from_slice(&chunk[..n]);
+                    self.input.extend_from_slice(&chunk[..n]);
                 }
                 Err(e) if e.kind() == ErrorKind::WouldBlock => return,
                 Err(e) if e.kind() == ErrorKind::Interrupted => {}
@@ -182,71 +210,64 @@ impl Client {
         }
     }
 
-    fn lines(&mut self, into: &mut Vec<Line>) {
+    fn take_lines(&mut self, lines: &mut Vec<Line>) {
         let mut taken = 0;
-        for _ in 0..LINES_PER_ROUND {
-            let Some(end) = self.inward[taken..].iter().position(|b| *b == b'\n') else { break };
-            let bytes = &self.inward[taken..taken + end];
-            taken += end + 1;
-            let text = match std::str::from_utf8(bytes) {
-                Ok(text) if text.trim().is_empty() => continue,
+        for _ in 0..LINES_PER_ROUND.min(UNANSWERED_MAX.saturating_sub(self.unanswered)) {
+            let Some(end) = self.input[taken..].iter().position(|b| *b == b'\n') else { break };
+            let text = match std::str::from_utf8(&self.input[taken..taken + end]) {
                 Ok(text) => Ok(text.trim().to_owned()),
-                Err(_) => Err("a line is UTF-8 text"),
+                Err(_) => Err("a line must be UTF-8 text"),
             };
-            into.push(Line { client: self.number, commands: self.commands, text });
+            taken += end + 1;
+            if text.as_ref().is_ok_and(String::is_empty) {
+                continue;
+            }
+            self.unanswered += 1;
+            lines.push(Line { client: self.number, text });
         }
-        self.inward.drain(..taken);
+        self.input.drain(..taken);
         if taken > 0 {
-            self.begun = Instant::now();
+            self.line_started = Instant::now();
         }
-        if self.inward.len() > LINE_MAX && !self.inward.contains(&b'\n') {
-            into.push(Line { client: self.number, commands: self.commands, text: Err("a line is at most 16 KiB long") });
-            self.inward.clear();
+        if self.input.len() > LINE_MAX && !self.input.contains(&b'\n') {
+            lines.push(Line { client: self.number, text: Err("a line must not be longer than 16 KiB") });
+            self.input.clear();
             self.closing = true;
         }
     }
 
+    fn send(&mut self, line: &str) {
+        self.output.extend_from_slice(line.as_bytes());
+        self.write();
+    }
+
     fn write(&mut self) {
-        while !self.outward.is_empty() {
-            match self.stream.write(&self.outward) {
+        while !self.output.is_empty() {
+            match self.stream.write(&self.output) {
                 Ok(0) => break,
                 Ok(n) => {
-                    self.outward.drain(..n);
+                    self.output.drain(..n);
                 }
                 Err(e) if e.kind() == ErrorKind::Interrupted => {}
                 Err(e) if e.kind() == ErrorKind::WouldBlock => break,
                 Err(_) => {
                     self.closing = true;
-                    self.outward.clear();
+                    self.output.clear();
                 }
             }
         }
     }
 
-    /// Why it must go, if it must.
-    fn verdict(&self) -> Option<&'static str> {
-        if self.closing && self.outward.is_empty() && self.inward.is_empty() {
-            Some("gone")
-        } else if self.outward.len() > OUT_MAX {
-            Some("does not read")
-        } else if !self.inward.is_empty() && !self.inward.contains(&b'\n') && self.begun.elapsed().as_secs_f64() > LINE_MAX_S {
-            Some("does not end its line")
+    fn reason_to_drop(&self) -> Option<&'static str> {
+        let complete = self.input.contains(&b'\n');
+        if self.closing && self.output.is_empty() && self.input.is_empty() && self.unanswered == 0 {
+            Some("disconnected")
+        } else if self.output.len() > OUTPUT_MAX {
+            Some("it does not read")
+        } else if !self.input.is_empty() && !complete && self.line_started.elapsed().as_secs_f64() > LINE_MAX_S {
+            Some("it did not end its line")
         } else {
             None
         }
     }
-}
-
-fn bind(path: &Path, mode: u32) -> Result<UnixListener, ServiceError> {
-    let fail = |source| ServiceError::Socket { path: path.display().to_string(), source };
-    if path.exists() {
-        if UnixStream::connect(path).is_ok() {
-            return Err(fail(std::io::Error::other("a service answers there already")));
-        }
-        std::fs::remove_file(path).map_err(fail)?;
-    }
-    let listener = UnixListener::bind(path).map_err(fail)?;
-    std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).map_err(fail)?;
-    listener.set_nonblocking(true).map_err(fail)?;
-    Ok(listener)
 }

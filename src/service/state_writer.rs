@@ -1,89 +1,68 @@
-//! The keeper: the one thread that forces memory to the disk.
+//! The state writer: the only thread that writes the memory and waits for the disk.
 
-use crate::service::memory::{Memory, MemoryError, Store};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
+use crate::service::memory::Memory;
+use crate::service::store::{MemoryError, Store};
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 
-/// Something to keep; who waits for it gives a number.
-#[derive(Debug)]
-struct Job {
-    memory: Box<Memory>,
-    waiting: Option<u64>,
-}
+/// Id of the last write of a service that ends.
+const FINAL: u64 = u64::MAX;
 
-/// The hub's handle.
+/// A memory to write, and the id under which its completion is reported.
+type Job = (Box<Memory>, Option<u64>);
+
+/// Handle of the thread.
 #[derive(Debug)]
 pub struct StateWriter {
-    jobs: Option<SyncSender<Job>>,
-    done: Receiver<Done>,
-    thread: Option<std::thread::JoinHandle<()>>,
+    jobs: SyncSender<Job>,
+    completed: Receiver<Completed>,
+    thread: std::thread::JoinHandle<()>,
 }
 
-/// What became of a job.
+/// The result of one write.
 #[derive(Debug)]
-pub struct Done {
-    /// The number of who waits.
-    pub waiting: Option<u64>,
-    /// The number of the write, or why there was none.
+pub struct Completed {
+    /// The id given with it.
+    pub id: Option<u64>,
+    /// Sequence number of the write.
     pub result: Result<u64, MemoryError>,
 }
 
-/// Starts the thread.
-///
-/// # Errors
-/// The system's.
-pub fn start(mut store: Store) -> std::io::Result<StateWriter> {
-    let (jobs, work) = sync_channel::<Job>(4);
-    let (tell, done): (Sender<Done>, Receiver<Done>) = channel();
-    let thread = std::thread::Builder::new().name("keeper".into()).spawn(move || {
-        for job in work {
-            let result = store.write(&job.memory);
-            if tell.send(Done { waiting: job.waiting, result }).is_err() {
-                return;
-            }
-        }
-    })?;
-    Ok(StateWriter { jobs: Some(jobs), done, thread: Some(thread) })
-}
-
 impl StateWriter {
-    /// Hands over a checkpoint; false when the disk is still busy with the ones before.
-    pub fn checkpoint(&self, memory: &Memory) -> bool {
-        self.put(memory, None)
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn start(mut store: Store) -> std::io::Result<Self> {
+        let (jobs, work) = sync_channel::<Job>(4);
+        let (report, completed) = channel();
+        let thread = std::thread::Builder::new().name("state".into()).spawn(move || {
+            for (memory, id) in work {
+                if report.send(Completed { id, result: store.write(&memory) }).is_err() {
+                    return;
+                }
+            }
+        })?;
+        Ok(Self { jobs, completed, thread })
     }
 
-    /// Hands over what somebody waits for.
-    pub fn keep(&self, memory: &Memory, waiting: u64) -> bool {
-        self.put(memory, Some(waiting))
+    /// Queues a write; false if the queue is full because the disk is slow.
+    pub fn write(&self, memory: &Memory, id: Option<u64>) -> bool {
+        self.jobs.try_send((Box::new(memory.clone()), id)).is_ok()
     }
 
-    fn put(&self, memory: &Memory, waiting: Option<u64>) -> bool {
-        let Some(jobs) = &self.jobs else { return false };
-        match jobs.try_send(Job { memory: Box::new(memory.clone()), waiting }) {
-            Ok(()) => true,
-            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => false,
-        }
-    }
-
-    /// The next thing that is done, if any.
+    /// The next completed write, if any.
     #[must_use]
-    pub fn done(&self) -> Option<Done> {
-        self.done.try_recv().ok()
+    pub fn completed(&self) -> Option<Completed> {
+        self.completed.try_recv().ok()
     }
 
-    /// The last words of a service that ends: waits for the disk.
-    pub fn finish(mut self, memory: &Memory) -> Option<Done> {
-        let jobs = self.jobs.take()?;
-        // whoever ends has time; everything before it goes first
-        let sent = jobs.send(Job { memory: Box::new(memory.clone()), waiting: Some(u64::MAX) });
-        drop(jobs);
-        if sent.is_err() {
-            return None;
-        }
-        let last = self.done.iter().find(|d| d.waiting == Some(u64::MAX));
-        if let Some(thread) = self.thread.take() {
-            // it has ended: it told us its last word
-            let _ = thread.join();
-        }
+    /// Writes a last time after everything that is queued, waits for the disk and ends the thread.
+    pub fn finish(self, memory: &Memory) -> Option<Completed> {
+        let sent = self.jobs.send((Box::new(memory.clone()), Some(FINAL)));
+        drop(self.jobs);
+        let last = sent.ok().and_then(|()| self.completed.iter().find(|c| c.id == Some(FINAL)));
+        // it has nothing left to do and nothing to report
+        let _ = self.thread.join();
         last
     }
 }

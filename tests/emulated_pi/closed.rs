@@ -46,7 +46,7 @@ impl<'r> Service<'r> {
 
     /// Asks; a refusal fails the test.
     pub fn ask(&mut self, request: &Request) -> Value {
-        match self.client.ask(request) {
+        match self.client.request(request) {
             Ok(answer) => answer,
             Err(failure) => panic!("{request:?}: {failure:?}\n{}", said(self.rig)),
         }
@@ -96,10 +96,10 @@ impl<'r> Service<'r> {
     pub fn bend(&mut self, bend_deg: f64, dir_deg: f64) {
         self.target = Some((bend_deg, dir_deg));
         let request = Request::Bend { bend_deg, dir_deg, length_mm: None, speed_deg_s: None };
-        match self.client.ask(&request) {
+        match self.client.request(&request) {
             Ok(_) => {}
             // a stall just now; taking it back sends the tip to its target
-            Err(failure) if failure.words.contains("not while faulted") => {
+            Err(failure) if failure.message.contains("not while faulted") => {
                 self.until("recovered", 10.0, |s| s["latched"].is_null());
             }
             Err(failure) => panic!("{request:?}: {failure:?}\n{}", said(self.rig)),

@@ -53,9 +53,9 @@ pub fn controller(scene: &mut Scene) {
     let own = "mkdir -p /run/systemd/system/retroflex.service.d && printf '[Service]\\nExecStart=\\nExecStart=/usr/bin/retroflex run --board /run/static.toml\\n' >/run/systemd/system/retroflex.service.d/static.conf && systemctl daemon-reload && systemctl start retroflex";
     let started = scene.guest.run(own);
     scene.verdicts.hold("the service starts on the controller", started.code == 0, &format!("{} {}", started.code, started.text));
-    let status = scene.until(60.0, |s| s["senses"]["in_force"].to_string().contains("frozen"));
-    let found = format!("mode {}, in force {}", status["mode"], status["senses"]["in_force"]);
-    let holds = status["mode"] == "aligning" && status["senses"]["in_force"].to_string().contains("frozen");
+    let status = scene.until(60.0, |s| s["sensor"]["active"].to_string().contains("frozen"));
+    let found = format!("mode {}, in force {}", status["mode"], status["sensor"]["active"]);
+    let holds = status["mode"] == "aligning" && status["sensor"]["active"].to_string().contains("frozen");
     scene.verdicts.hold("a sensor whose numbers never change is called frozen, and nothing is aligned on it", holds, &found);
     scene.guest.run("systemctl stop retroflex; rm /run/systemd/system/retroflex.service.d/static.conf; systemctl daemon-reload");
 }

@@ -1,5 +1,5 @@
-//! What reads text or bytes from outside, as functions that answer whether the input was taken. Whatever is put in,
-//! they do not panic; what must hold of an accepted input is asserted here. Driven by `tests/fuzz.rs` and by `fuzz/`.
+//! The parsers of external input, as functions that return whether the input was accepted. They must not panic on any
+//! input; properties of accepted input are asserted here. Used by `tests/fuzz.rs` and by `fuzz/`.
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use retroflex::config::board::Board;
@@ -7,13 +7,12 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::log::bend_log;
-use retroflex::service::memory;
-use retroflex::service::{protocol, tape};
+use retroflex::service::{protocol, store, tape};
 
-/// A parser behind its name.
+/// A parser and its name.
 pub type Parser = (&'static str, fn(&[u8]) -> bool);
 
-/// All of them.
+/// All parsers.
 pub const PARSERS: [Parser; 7] =
     [("board", board), ("gains", gains), ("calib", calib), ("socket", socket), ("bend_log", bend_log), ("memory", memory), ("tape", tape)];
 
@@ -21,7 +20,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// A refusal is one message that names the file.
+/// Parses TOML. A refusal names the file.
 fn toml<T: serde::de::DeserializeOwned + retroflex::primitives::parameters::Check>(bytes: &[u8]) -> bool {
     match source::parse::<T>("fuzzed.toml", &text(bytes)) {
         Ok(_) => true,
@@ -47,14 +46,14 @@ pub fn calib(bytes: &[u8]) -> bool {
     toml::<Calibration>(bytes)
 }
 
-/// A line of the socket: its answer is one line.
+/// A line of the socket. The reply must be one line.
 pub fn socket(bytes: &[u8]) -> bool {
     let Ok(line) = std::str::from_utf8(bytes) else { return false };
     let (id, request) = protocol::parse(line);
-    let answer = request.map(|r| serde_json::json!(r.name()));
-    let said = protocol::answer_line(&id, &answer);
-    assert!(said.ends_with('\n') && said.matches('\n').count() == 1, "an answer is one line");
-    answer.is_ok()
+    let reply = request.map(|r| serde_json::json!(r.name()));
+    let text = protocol::reply_line(&id, &reply);
+    assert!(text.ends_with('\n') && text.matches('\n').count() == 1, "the reply is not one line: {text}");
+    reply.is_ok()
 }
 
 /// A bend log.
@@ -62,22 +61,22 @@ pub fn bend_log(bytes: &[u8]) -> bool {
     bend_log::parse("fuzzed.csv", bytes).is_ok()
 }
 
-/// A slot of the service's memory: as it is, and as the body of one whose checksum is right.
+/// A slot of the memory: the input itself, and the input as the body of a slot with a valid checksum.
 pub fn memory(bytes: &[u8]) -> bool {
-    let read = |slot: &[u8]| match memory::parse(slot) {
+    let read = |slot: &[u8]| match store::parse(slot) {
         Ok(_) => true,
         Err(why) => {
-            assert!(!why.is_empty());
+            assert!(!why.is_empty(), "a refusal without a reason");
             false
         }
     };
-    let body = std::str::from_utf8(bytes).is_ok_and(|body| read(memory::sealed(1, body).as_bytes()));
+    let body = std::str::from_utf8(bytes).is_ok_and(|body| read(store::seal(1, body).as_bytes()));
     read(bytes) || body
 }
 
 /// A tape.
 pub fn tape(bytes: &[u8]) -> bool {
     let mut reader = tape::Reader::new(bytes);
-    while reader.turn().is_some() {}
+    while reader.next().is_some() {}
     reader.is_done()
 }

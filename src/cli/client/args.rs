@@ -1,12 +1,11 @@
 //! Arguments of the commands to a running service.
 
-use super::At;
+use super::connection::At;
 use std::path::PathBuf;
 
 /// Arguments of `bend`.
 #[derive(Debug, clap::Args)]
 pub struct BendArgs {
-    /// Where the service is.
     #[command(flatten)]
     pub(super) at: At,
     /// Bend angle, degrees.
@@ -14,13 +13,13 @@ pub struct BendArgs {
     /// Bend direction, degrees.
     #[arg(long, default_value_t = 0.0)]
     pub(super) toward: f64,
-    /// Centre length, mm; without it that at rest.
+    /// Length of the centre line, mm. Default: the rest length.
     #[arg(long)]
     pub(super) length: Option<f64>,
-    /// Speed of the set-point, °/s; without it that of the gains file.
+    /// Speed of the set-point, °/s. Default: that of the gains file.
     #[arg(long)]
     pub(super) speed: Option<f64>,
-    /// Follow the move and end when it has settled.
+    /// Wait until the tip has settled.
     #[arg(long)]
     pub(super) wait: bool,
 }
@@ -28,13 +27,12 @@ pub struct BendArgs {
 /// Arguments of `status`.
 #[derive(Debug, clap::Args)]
 pub struct StatusArgs {
-    /// Where the service is.
     #[command(flatten)]
     pub(super) at: At,
-    /// As JSON.
+    /// Print JSON.
     #[arg(long)]
     pub(super) json: bool,
-    /// Again and again.
+    /// Repeat twice a second.
     #[arg(long)]
     pub(super) watch: bool,
 }
@@ -42,35 +40,33 @@ pub struct StatusArgs {
 /// Arguments of `record`.
 #[derive(Debug, clap::Args)]
 pub struct RecordArgs {
-    /// Where the service is.
     #[command(flatten)]
     pub(super) at: At,
-    /// Begin or end.
+    /// Start or stop.
     #[arg(value_enum)]
     pub(super) action: Action,
-    /// Name of the recording.
+    /// Name of the recording. Default: the time in seconds since 1970.
     pub(super) name: Option<String>,
 }
 
-/// Begin or end.
+/// What to do with a recording.
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 pub enum Action {
-    /// Begin.
+    /// Start a recording.
     Start,
-    /// End.
+    /// Stop it.
     Stop,
 }
 
 /// Arguments of `play`.
 #[derive(Debug, clap::Args)]
 pub struct PlayArgs {
-    /// Where the service is.
     #[command(flatten)]
     pub(super) at: At,
     /// Rows `bend_deg,dir_deg,len_mm,hold_s,speed_mm_s`.
     #[arg(value_name = "SCHEDULE.csv")]
     pub(super) schedule: PathBuf,
-    /// Record it under this name.
+    /// Record the schedule under this name.
     #[arg(long)]
     pub(super) record: Option<String>,
 }
@@ -78,10 +74,9 @@ pub struct PlayArgs {
 /// Arguments of `subscribe`.
 #[derive(Debug, clap::Args)]
 pub struct SubscribeArgs {
-    /// Where the service is.
     #[command(flatten)]
     pub(super) at: At,
-    /// Frames a second.
+    /// Frames per second.
     #[arg(long, default_value_t = 20.0)]
     pub(super) rate: f64,
 }
@@ -89,16 +84,15 @@ pub struct SubscribeArgs {
 /// Arguments of `calibrate transmission`.
 #[derive(Debug, clap::Args)]
 pub struct TransmissionArgs {
-    /// Where the service is.
     #[command(flatten)]
     pub(super) at: At,
-    /// Twenty-four poses with the calibration in use as prior, in place of Algorithm 1 from zero.
+    /// Use 24 poses and the present calibration as prior, instead of Algorithm 1 from zero gains.
     #[arg(long, conflicts_with_all = ["accept", "discard"])]
     pub(super) short: bool,
-    /// Put what was found in use.
+    /// Apply the proposed calibration.
     #[arg(long, conflicts_with = "discard")]
     pub(super) accept: bool,
-    /// Forget what was found.
+    /// Discard the proposed calibration.
     #[arg(long)]
     pub(super) discard: bool,
 }

@@ -1,91 +1,92 @@
-//! Commands that are followed to their end: a move, an alignment, a calibration.
+//! Commands that wait for their end: a move, an alignment, a calibration.
 
 use super::args::{BendArgs, TransmissionArgs};
-use super::{ask, connect, outcome, say, settle};
-use crate::cli::CommandOutcome;
+use super::connection::{ask, connect};
+use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{CalibrateAction, Request};
 use miette::Result;
-use std::io::IsTerminal;
+use serde_json::Value;
 use std::time::{Duration, Instant};
 
-/// How long an alignment is waited for: a tip that is not still by then is said to be so.
+/// Longest wait for an alignment.
 const ALIGNED_MAX: Duration = Duration::from_secs(10);
-/// How long a move is waited for.
+/// Longest wait for a move.
 const MOVED_MAX: Duration = Duration::from_secs(60);
 
-/// `bend`, with `--wait` until it has settled or says why not.
+/// Polls the status until `done` returns a result, or until the service refuses.
+fn poll(connection: &mut Connection, period_ms: u64, mut done: impl FnMut(&Value) -> Option<CommandOutcome>) -> Result<CommandOutcome> {
+    loop {
+        std::thread::sleep(Duration::from_millis(period_ms));
+        let Some(status) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
+        if let Some(outcome) = done(&status) {
+            return Ok(outcome);
+        }
+    }
+}
+
+/// `bend`, with `--wait` until the tip has settled.
 ///
 /// # Errors
-/// A report with the service's words.
+/// A report with the service's message.
 pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
     let request = Request::Bend { bend_deg: args.bend, dir_deg: args.toward, length_mm: args.length, speed_deg_s: args.speed };
-    let value = settle(ask(&mut connection, &request))?;
-    if value.is_none() || !args.wait {
-        return Ok(outcome(value.as_ref()));
+    if ask(&mut connection, &request)?.is_none() {
+        return Ok(NotGoodEnough);
     }
-    let (begun, live) = (Instant::now(), std::io::stderr().is_terminal());
-    loop {
-        std::thread::sleep(Duration::from_millis(50));
-        let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
-        let estimate = s["felt"]["bend_deg"].as_f64().unwrap_or(0.0);
-        let line = format!(
-            "{:>5.1} s  {}  felt {estimate:.1}° of {:.1}°",
-            begun.elapsed().as_secs_f64(),
-            s["mode"].as_str().unwrap_or(""),
-            args.bend
-        );
-        if live {
-            eprint!("\r{line}   ");
-        }
-        let why = match s["mode"].as_str().unwrap_or("") {
+    if !args.wait {
+        return Ok(Good);
+    }
+    let (started, bar) = (Instant::now(), output::bar(0, "{msg}"));
+    let outcome = poll(&mut connection, 50, |s| {
+        let mode = s["mode"].as_str().unwrap_or("");
+        let estimate = s["estimate"]["bend_deg"].as_f64().unwrap_or(0.0);
+        let line = format!("{mode}  estimate {estimate:.1}° of {:.1}°", args.bend);
+        let why = match mode {
             "holding" if s["settled"] == true => {
-                eprintln!(
-                    "{}{line}{}",
-                    if live { "\r" } else { "" },
-                    s["short"].as_str().map_or_else(|| ": settled".to_owned(), |why| format!(": {why}"))
-                );
-                return Ok(if s["blocked"] == true { CommandOutcome::NotGoodEnough } else { CommandOutcome::Good });
+                bar.finish_and_clear();
+                eprintln!("{line}: {}", s["shortfall"].as_str().unwrap_or("settled"));
+                return Some(if s["blocked"] == true { NotGoodEnough } else { Good });
             }
-            "tracking" | "holding" if begun.elapsed() < MOVED_MAX => continue,
+            "tracking" | "holding" if started.elapsed() < MOVED_MAX => {
+                bar.set_message(line);
+                return None;
+            }
             "faulted" => s["fault"].as_str().unwrap_or("a fault").to_owned(),
             other => format!("mode {other}"),
         };
-        eprintln!(
-            "{}not settled: {why}{}",
-            if live { "\n" } else { "" },
-            s["suspicion"].as_str().map_or_else(String::new, |x| format!("; {x}"))
-        );
-        return Ok(CommandOutcome::NotGoodEnough);
-    }
+        bar.finish_and_clear();
+        let suspicion = s["suspicion"].as_str().map_or_else(String::new, |x| format!("; {x}"));
+        eprintln!("not settled: {why}{suspicion}");
+        Some(NotGoodEnough)
+    });
+    bar.finish_and_clear();
+    outcome
 }
 
-/// Waits until a rest that is being looked for is found.
+/// Waits for the end of an alignment.
 ///
 /// # Errors
-/// A report with the service's words.
+/// A report with the service's message.
 pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
-    let begun = Instant::now();
-    loop {
-        // the loop takes the order up in one of its next turns
-        std::thread::sleep(Duration::from_millis(100));
-        let Some(s) = settle(ask(connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
+    let started = Instant::now();
+    poll(connection, 100, |s| {
         if s["mode"] != "aligning" {
-            return Ok(CommandOutcome::Good);
+            return Some(Good);
         }
-        if begun.elapsed() > ALIGNED_MAX {
-            eprintln!("the tip is not still, or the base is not: no rest was found in {} s, and it goes on looking", ALIGNED_MAX.as_secs());
-            return Ok(CommandOutcome::NotGoodEnough);
-        }
-    }
+        (started.elapsed() > ALIGNED_MAX).then(|| {
+            eprintln!("not aligned after {} s because the tip or the base is not still; the service keeps trying", ALIGNED_MAX.as_secs());
+            NotGoodEnough
+        })
+    })
 }
 
-/// `calibrate transmission`: begins it and follows it to its end.
+/// `calibrate transmission`, until the gains are identified.
 ///
 /// # Errors
-/// A report with the service's words.
+/// A report with the service's message.
 pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
     let action = match (args.accept, args.discard, args.short) {
@@ -94,25 +95,27 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
         (.., true) => CalibrateAction::Short,
         _ => CalibrateAction::Full,
     };
-    let begun = settle(ask(&mut connection, &Request::Calibrate { action }))?;
-    if begun.is_none() || args.accept || args.discard {
-        return Ok(outcome(begun.as_ref()));
+    if ask(&mut connection, &Request::Calibrate { action })?.is_none() {
+        return Ok(NotGoodEnough);
     }
-    let line = output::bar(0, "{msg}");
-    loop {
-        std::thread::sleep(Duration::from_millis(200));
-        let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
+    if args.accept || args.discard {
+        return Ok(Good);
+    }
+    let bar = output::bar(0, "{msg}");
+    let outcome = poll(&mut connection, 200, |s| {
         if let Some(progress) = s["calibrating"].as_str() {
-            line.set_message(progress.to_owned());
-            continue;
+            bar.set_message(progress.to_owned());
+            return None;
         }
-        line.finish_and_clear();
+        bar.finish_and_clear();
         if let Some(why) = s["calibration_failed"].as_str() {
-            eprintln!("nothing was found: {why}");
-            return Ok(CommandOutcome::NotGoodEnough);
+            eprintln!("no gains were identified: {why}");
+            return Some(NotGoodEnough);
         }
-        say(&format!("{}\n", s["proposed"]));
-        eprintln!("`retroflex calibrate transmission --accept` puts it in use, `--discard` forgets it");
-        return Ok(CommandOutcome::Good);
-    }
+        output::print(&format!("{}\n", s["proposed"]));
+        eprintln!("apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`");
+        Some(Good)
+    });
+    bar.finish_and_clear();
+    outcome
 }

@@ -1,29 +1,26 @@
-//! What the service is doing, once or again and again, and set-points that stream into it.
+//! `status`, `subscribe` and `stream`.
 
 use super::args::{StatusArgs, SubscribeArgs};
-use super::{At, ask, connect, report, say, settle};
-use crate::cli::CommandOutcome;
+use super::connection::{At, ask, connect, report};
+use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
+use crate::cli::output::print;
 use crate::service::protocol::Request;
 use miette::{Result, miette};
 use serde_json::Value;
 use std::io::{BufRead, Write};
 use std::time::Duration;
 
-/// `status`, in words or as JSON.
+/// `status`, for people or as JSON.
 ///
 /// # Errors
-/// A report with the service's words.
+/// A report with the service's message.
 pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
     loop {
-        let Some(s) = settle(ask(&mut connection, &Request::Status {}))? else { return Ok(CommandOutcome::NotGoodEnough) };
-        if args.json {
-            say(&format!("{s}\n"));
-        } else {
-            say(&readable(&s));
-        }
+        let Some(s) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
+        print(&if args.json { format!("{s}\n") } else { readable(&s) });
         if !args.watch {
-            return Ok(CommandOutcome::Good);
+            return Ok(Good);
         }
         std::thread::sleep(Duration::from_millis(500));
     }
@@ -31,76 +28,72 @@ pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
 
 fn readable(s: &Value) -> String {
     let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
-    let pose = |v: &Value| {
-        v["bend_deg"].as_f64().map_or_else(|| "–".to_owned(), |b| format!("{b:.1}° at {:.0}°", v["dir_deg"].as_f64().unwrap_or(0.0)))
+    let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
+    let degrees = |v: &Value| v.as_f64().unwrap_or(0.0);
+    let pose = |v: &Value| match v.is_null() {
+        true => "–".to_owned(),
+        false => format!("{:.1}° at {:.0}°", degrees(&v["bend_deg"]), degrees(&v["dir_deg"])),
     };
-    let pistons: Vec<String> =
-        s["piston_mm"].as_array().into_iter().flatten().map(|p| format!("{:.2}", p.as_f64().unwrap_or(0.0))).collect();
-    let mut lines = vec![
-        format!("mode      {}{}", text(&s["mode"]), if s["energised"] == true { ", energised" } else { "" }),
-        format!("felt      {}   target {}", pose(&s["felt"]), pose(&s["target"])),
-        format!("pistons   {} mm", pistons.join("  ")),
-        format!("tip       {}   calibration {}", text(&s["tip"]), text(&s["calibration"])),
-        format!(
-            "loop      {} turns, {} late, the latest {} µs, {} frames lost",
-            s["turns"], s["late_turns"], s["latest_us"], s["lost_frames"]
-        ),
+    let pistons: Vec<String> = list(&s["piston_mm"]).iter().map(|p| format!("{:.2}", degrees(p))).collect();
+    let energised = if s["energised"] == true { ", energised" } else { "" };
+    let stopped = if s["stopped"] == true { ", stopped until `retroflex arm`" } else { "" };
+    let loop_line =
+        format!("{} cycles, {} late, at most {} µs, {} frames lost", s["cycles"], s["late_cycles"], s["max_lateness_us"], s["lost_frames"]);
+    let mut rows = vec![
+        ("mode", text(&s["mode"]) + energised + stopped),
+        ("estimate", format!("{}   target {}", pose(&s["estimate"]), pose(&s["target"]))),
+        ("pistons", pistons.join("  ") + " mm"),
+        ("tip", format!("{}   calibration {}", text(&s["tip"]), text(&s["calibration"]))),
+        ("loop", loop_line),
     ];
-    for (name, key) in [
-        ("fault", "fault"),
-        ("short", "short"),
-        ("base", "base"),
-        ("suspected", "suspicion"),
-        ("alarm", "alarm"),
-        ("running", "calibrating"),
-    ] {
-        if !s[key].is_null() {
-            lines.push(format!("{name:<9} {}", text(&s[key])));
-        }
-    }
-    for advice in s["senses"]["advice"].as_array().into_iter().flatten() {
-        lines.push(format!("sensor    {}", text(advice)));
-    }
-    for grant in s["real_time"].as_array().into_iter().flatten() {
-        lines.push(format!("real time {}: {}", text(&grant["what"]), text(&grant["grant"])));
-    }
-    if !s["memory"]["error"].is_null() {
-        lines.push(format!("memory    {}", text(&s["memory"]["error"])));
-    }
-    lines.join("\n") + "\n"
+    let optional = [
+        ("fault", &s["fault"]),
+        ("limit", &s["shortfall"]),
+        ("base", &s["base"]),
+        ("suspected", &s["suspicion"]),
+        ("alarm", &s["alarm"]),
+        ("running", &s["calibrating"]),
+        ("memory", &s["memory"]["error"]),
+    ];
+    rows.extend(optional.iter().filter(|(_, v)| !v.is_null()).map(|(name, v)| (*name, text(v))));
+    rows.extend(list(&s["sensor"]["advice"]).iter().map(|advice| ("sensor", text(advice))));
+    rows.extend(list(&s["real_time"]).iter().map(|g| ("real time", format!("{}: {}", text(&g["what"]), text(&g["grant"])))));
+    rows.iter().map(|(name, value)| format!("{name:<9} {value}\n")).collect()
 }
 
-/// `stream`: `BEND DIR` a line from stdin.
+/// `stream`: set-points from standard input, `BEND DIR` per line.
 ///
 /// # Errors
-/// A report with the service's words.
+/// A report with the service's message.
 pub fn stream(at: &At) -> Result<CommandOutcome> {
     let mut connection = connect(at)?;
     for line in std::io::stdin().lock().lines() {
-        let line = line.map_err(|e| miette!("stdin: {e}"))?;
-        let numbers: Vec<f64> = line.split_whitespace().filter_map(|w| w.parse().ok()).collect();
-        let [bend_deg, dir_deg] = numbers[..] else { return Err(miette!("stdin: `{line}`: expected BEND DIR, two numbers in degrees")) };
-        if settle(ask(&mut connection, &Request::Stream { bend_deg, dir_deg, length_mm: None }))?.is_none() {
-            return Ok(CommandOutcome::NotGoodEnough);
+        let line = line.map_err(|e| miette!("standard input: {e}"))?;
+        let numbers: std::result::Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
+        let Ok(&[bend_deg, dir_deg]) = numbers.as_deref() else {
+            return Err(miette!("standard input: `{line}`: expected BEND DIR, two numbers in degrees"));
+        };
+        if ask(&mut connection, &Request::Stream { bend_deg, dir_deg, length_mm: None })?.is_none() {
+            return Ok(NotGoodEnough);
         }
     }
-    Ok(CommandOutcome::Good)
+    Ok(Good)
 }
 
-/// `subscribe`: frames as JSON lines.
+/// `subscribe`: frames as JSON lines, until the reader closes its end.
 ///
 /// # Errors
-/// A report with the service's words.
+/// A report with the service's message.
 pub fn subscribe(args: &SubscribeArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
-    if settle(ask(&mut connection, &Request::Subscribe { rate_hz: args.rate }))?.is_none() {
-        return Ok(CommandOutcome::NotGoodEnough);
+    if ask(&mut connection, &Request::Subscribe { rate_hz: args.rate })?.is_none() {
+        return Ok(NotGoodEnough);
     }
     let mut out = std::io::stdout();
     loop {
-        let value = connection.line().map_err(report)?;
+        let value = connection.read().map_err(report)?;
         if writeln!(out, "{value}").is_err() {
-            return Ok(CommandOutcome::Good);
+            return Ok(Good);
         }
     }
 }

@@ -1,0 +1,167 @@
+//! A service as a child process, with the test in the place of the service manager.
+
+use crate::service::client::Client;
+use crate::service::protocol::Request;
+use serde_json::Value;
+use std::io;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// A running service.
+pub struct Daemon {
+    child: Child,
+    notify: UnixDatagram,
+    socket: PathBuf,
+}
+
+/// Time-out of the watchdog, s.
+pub const WATCHDOG_S: f64 = 1.0;
+/// Longest time until the service is ready, s.
+const START_MAX_S: f64 = 20.0;
+
+impl Daemon {
+    /// Starts the service on the built-in plant, with its files in `folder`, and waits until it is ready.
+    ///
+    /// # Errors
+    /// The operating system's, or a service that did not become ready.
+    pub fn start(program: &Path, folder: &Path) -> io::Result<Self> {
+        std::fs::create_dir_all(folder)?;
+        let notify_path = folder.join("notify");
+        // left by a previous service in this folder
+        let _ = std::fs::remove_file(&notify_path);
+        let notify = UnixDatagram::bind(&notify_path)?;
+        notify.set_read_timeout(Some(Duration::from_millis(50)))?;
+        let socket = folder.join("control.sock");
+        let child = Command::new(program)
+            .args(["run", "--socket"])
+            .arg(&socket)
+            .arg("--state")
+            .arg(folder.join("state"))
+            .env("NOTIFY_SOCKET", &notify_path)
+            .env("WATCHDOG_USEC", format!("{:.0}", WATCHDOG_S * 1e6))
+            .env_remove("WATCHDOG_PID")
+            .env_remove("JOURNAL_STREAM")
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(std::fs::File::create(folder.join("log"))?)
+            .spawn()?;
+        let mut daemon = Self { child, notify, socket };
+        let started = Instant::now();
+        while started.elapsed().as_secs_f64() < START_MAX_S {
+            if daemon.notification().is_some_and(|text| text.contains("READY=1")) {
+                return Ok(daemon);
+            }
+            if let Some(status) = daemon.child.try_wait()? {
+                let log = std::fs::read_to_string(folder.join("log")).unwrap_or_default();
+                return Err(io::Error::other(format!("the service ended immediately ({status}): {}", log.trim())));
+            }
+        }
+        Err(io::Error::other("the service did not become ready"))
+    }
+
+    /// The next notification to the service manager within 50 ms.
+    pub fn notification(&self) -> Option<String> {
+        let mut buffer = [0u8; 1024];
+        let n = self.notify.recv(&mut buffer).ok()?;
+        Some(String::from_utf8_lossy(&buffer[..n]).into_owned())
+    }
+
+    /// A connection to its command socket.
+    ///
+    /// # Errors
+    /// A service that does not answer.
+    pub fn client(&self) -> io::Result<Client> {
+        Client::connect(&self.socket).map_err(|f| io::Error::other(f.message))
+    }
+
+    /// Path of its command socket.
+    #[must_use]
+    pub fn socket(&self) -> &Path {
+        &self.socket
+    }
+
+    /// Polls the status until `holds`, at most for a time, s. `what` names the condition in the error.
+    ///
+    /// # Errors
+    /// A service that does not answer, or a condition that does not come to hold.
+    pub fn until(&self, seconds: f64, what: &str, holds: impl Fn(&Value) -> bool) -> io::Result<Value> {
+        let mut client = self.client()?;
+        let started = Instant::now();
+        loop {
+            let status = ask(&mut client, &Request::Status {})?;
+            if holds(&status) {
+                return Ok(status);
+            }
+            if started.elapsed().as_secs_f64() > seconds {
+                return Err(io::Error::other(format!("{what}: not reached within {seconds} s; mode {}", status["mode"])));
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Waits for the alignment, arms and starts a move.
+    ///
+    /// # Errors
+    /// A command that is refused.
+    pub fn take_off(&self) -> io::Result<()> {
+        self.until(15.0, "alignment", |s| s["mode"] == "disarmed")?;
+        let mut client = self.client()?;
+        ask(&mut client, &Request::Arm {})?;
+        self.until(5.0, "energised drivers", |s| s["energised"] == true)?;
+        ask(&mut client, &Request::Bend { bend_deg: 40.0, dir_deg: 30.0, length_mm: None, speed_deg_s: None })?;
+        Ok(())
+    }
+
+    /// Sends a signal to the service.
+    pub fn signal(&self, signal: i32) {
+        signal_to(self.child.id(), signal);
+    }
+
+    /// Kills the service, as a power cut would.
+    pub fn kill(mut self) {
+        // it may have ended already
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    /// Ends the service with SIGTERM. Returns whether it succeeded, and the time it took, s.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn end(mut self) -> io::Result<(bool, f64)> {
+        self.signal(libc::SIGTERM);
+        let started = Instant::now();
+        while started.elapsed() < Duration::from_secs(40) {
+            if let Some(status) = self.child.try_wait()? {
+                return Ok((status.success(), started.elapsed().as_secs_f64()));
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        Ok((false, started.elapsed().as_secs_f64()))
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        // it has ended already unless the test failed
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Sends a request. A refusal is an error.
+///
+/// # Errors
+/// The failure, with the name of the command.
+pub fn ask(client: &mut Client, request: &Request) -> io::Result<Value> {
+    client.request(request).map_err(|f| io::Error::other(format!("{}: {}", request.name(), f.message)))
+}
+
+#[allow(unsafe_code)]
+fn signal_to(pid: u32, signal: i32) {
+    let Ok(pid) = libc::pid_t::try_from(pid) else { return };
+    // SAFETY: kill takes two integers; the child has not been waited for, so the number is still that of the child
+    unsafe { libc::kill(pid, signal) };
+}

@@ -1,0 +1,53 @@
+//! One row of the report.
+
+use serde::Serialize;
+
+/// One fault and its result.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct Row {
+    /// Name of the fault.
+    pub fault: String,
+    /// Time from the injection to the first detection, s; `null` without one.
+    pub detected_s: Option<f64>,
+    /// Microsteps of all channels after the detection, until everything is settled.
+    pub steps_after: i64,
+    /// Microsteps that are allowed.
+    pub steps_allowed: i64,
+    /// Final state.
+    pub state: String,
+    /// Largest distance of the true bend from the set-point during the fault, degrees.
+    pub error_deg_during: f64,
+    /// Error of the first pose after the repair, degrees.
+    pub error_deg_after: f64,
+    /// Message for the operator.
+    pub message: String,
+    /// Every requirement was met.
+    pub ok: bool,
+    /// The requirements that were not met.
+    pub why: String,
+}
+
+impl Row {
+    /// A row without a failure.
+    #[must_use]
+    pub fn new(fault: &str) -> Self {
+        Self { fault: fault.to_owned(), ok: true, ..Self::default() }
+    }
+
+    /// Adds a failure.
+    pub fn fail(&mut self, why: impl AsRef<str>) {
+        self.ok = false;
+        if !self.why.is_empty() {
+            self.why.push_str("; ");
+        }
+        self.why.push_str(why.as_ref());
+    }
+
+    /// Adds a failure unless `met`.
+    pub fn require(&mut self, met: bool, why: impl FnOnce(&Self) -> String) {
+        if !met {
+            let why = why(self);
+            self.fail(why);
+        }
+    }
+}

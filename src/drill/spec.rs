@@ -1,0 +1,174 @@
+//! One fault in flight: how it is injected, what must detect it, and what is allowed afterwards.
+
+use crate::drill::bench::Bench;
+use crate::estimation::fusion::health::{HealthCause, ReadFault};
+use crate::service::status::trip_message;
+use crate::simulation::plant::InjectedFault;
+use crate::supervisor::cycle::CycleOutput;
+use crate::supervisor::cycle::order::{Order, Refusal};
+use crate::supervisor::gate::TripCause;
+use crate::supervisor::machine::Alarm;
+use crate::supervisor::residual_monitor::SuspicionKind;
+
+/// What is injected.
+#[derive(Debug, Clone, Copy)]
+pub enum Injection {
+    /// Every transfer fails for this long, s.
+    Bus(ReadFault, f64),
+    /// A fault of the plant, for this long, s.
+    Plant(InjectedFault, f64),
+    /// The loop is delayed by this time, s.
+    Stall(f64),
+    /// Sensor time stamps jump by the first number, for as long as the second, s.
+    ClockJump(f64, f64),
+    /// The emergency stop is pressed.
+    EmergencyStop,
+    /// The step thread raises an alarm.
+    Alarm(Alarm),
+    /// An order.
+    Order(Order),
+    /// An order, and in the next cycle a contradictory one.
+    Orders(Order, Order),
+}
+
+/// What counts as detection.
+#[derive(Debug, Clone, Copy)]
+pub enum Detector {
+    /// One of these causes against the sensor.
+    Sensor(&'static [HealthCause]),
+    /// A suspicion of the residual monitor, a trip, or an acceleration of the tip. If there is a suspicion in the end,
+    /// it must be one of these.
+    Residual(&'static [SuspicionKind]),
+    /// One of these trips.
+    Trip(&'static [TripCause]),
+    /// A late cycle.
+    LateCycle,
+    /// The refusal of the order.
+    Refusal(fn(Refusal) -> bool),
+    /// A moved gyroscope bias, or any cause against the sensor.
+    Bias,
+    /// A moved base, a suspicion or a trip.
+    Base,
+}
+
+/// Bound on the microsteps after the detection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Bound {
+    /// The move continues: what it needs.
+    Continues,
+    /// The pistons are held: what braking needs.
+    Holds,
+    /// The pistons are held or the move continues with a correction.
+    Copes,
+    /// No microstep at all.
+    Freezes,
+}
+
+/// One fault in flight.
+#[derive(Debug, Clone, Copy)]
+pub struct Spec {
+    /// Name of the row.
+    pub name: &'static str,
+    /// The fault.
+    pub injection: Injection,
+    /// What must detect it.
+    pub detector: Detector,
+    /// Microsteps allowed after the detection.
+    pub bound: Bound,
+    /// Allowed final states.
+    pub states: &'static [&'static str],
+    /// The rest pose must be aligned again before the next pose.
+    pub zero: bool,
+    /// A rack must be put back to its mark by hand.
+    pub by_hand: bool,
+    /// Bend and direction of the move during which the fault is injected, degrees.
+    pub target: (f64, f64),
+    /// The fault is injected while the tip holds that pose, not on its way.
+    pub held: bool,
+}
+
+impl Spec {
+    /// A fault in the middle of the standard move.
+    #[must_use]
+    pub fn new(name: &'static str, injection: Injection, detector: Detector, bound: Bound, states: &'static [&'static str]) -> Self {
+        Self { name, injection, detector, bound, states, zero: false, by_hand: false, target: (68.0, 80.0), held: false }
+    }
+
+    /// With a new alignment before the next pose.
+    #[must_use]
+    pub fn then_zero(self) -> Self {
+        Self { zero: true, ..self }
+    }
+
+    /// With a rack put back by hand.
+    #[must_use]
+    pub fn by_hand(self) -> Self {
+        Self { by_hand: true, ..self }
+    }
+}
+
+impl Injection {
+    /// Injects the fault. Returns the orders for this cycle and the next.
+    pub fn apply(&self, bench: &mut Bench) -> [Option<Order>; 2] {
+        let machine = &mut bench.runner.machine;
+        match *self {
+            Self::Bus(fault, _) => machine.bus = Some(fault),
+            Self::Plant(fault, _) => machine.inject(fault),
+            Self::Stall(seconds) => bench.stall(seconds),
+            Self::ClockJump(seconds, _) => machine.stamp_offset_s = seconds,
+            Self::EmergencyStop => machine.emergency_stop = true,
+            Self::Alarm(alarm) => machine.alarm = Some(alarm),
+            Self::Order(order) => return [Some(order), None],
+            Self::Orders(first, second) => return [Some(first), Some(second)],
+        }
+        [None, None]
+    }
+
+    /// Time until the fault ends by itself, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        match *self {
+            Self::Bus(_, s) | Self::Plant(_, s) | Self::ClockJump(_, s) => s,
+            _ => f64::INFINITY,
+        }
+    }
+}
+
+impl Detector {
+    /// The message of a cycle that detects the fault.
+    #[must_use]
+    pub fn detects(&self, output: &CycleOutput) -> Option<String> {
+        let suspicion = || output.suspicion.filter(|_| output.suspects).map(|s| s.to_string());
+        let trip =
+            |causes: &[TripCause]| output.tripped.filter(|c| causes.is_empty() || causes.contains(c)).map(|c| trip_message(c).to_owned());
+        match self {
+            Self::Sensor(causes) => {
+                let found = causes.iter().find(|c| output.raised.contains(**c))?;
+                Some(format!("{found}: {}", found.advice()))
+            }
+            Self::Residual(_) => suspicion().or_else(|| trip(&[])).or_else(|| {
+                let shaken = HealthCause::AccelDisturbed;
+                output.raised.contains(shaken).then(|| shaken.advice().to_owned())
+            }),
+            Self::Trip(causes) => trip(causes),
+            Self::LateCycle => (output.dt_s > 0.0015).then(|| format!("a cycle came {:.0} ms late", (output.dt_s - 1e-3) * 1e3)),
+            Self::Refusal(expected) => output.answer?.err().filter(|refusal| expected(*refusal)).map(|refusal| refusal.to_string()),
+            Self::Bias if output.bias_moved => {
+                Some("the gyroscope bias has changed since the alignment: `zero` when convenient".to_owned())
+            }
+            Self::Bias if output.frame.senses.disagrees => Some("the two orientation filters disagree".to_owned()),
+            Self::Bias => (!output.raised.is_empty()).then(|| output.raised.to_string()),
+            Self::Base if output.frame.base_moved => Some("the base has turned: relax, then zero".to_owned()),
+            Self::Base => suspicion().or_else(|| trip(&[])),
+        }
+    }
+
+    /// True unless the final suspicion names something else.
+    #[must_use]
+    pub fn accepts(&self, output: &CycleOutput) -> bool {
+        match (self, &output.suspicion) {
+            (Self::Residual(kinds), Some(s)) => kinds.contains(&s.kind),
+            _ => true,
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! Errors of the service.
+
+use crate::service::store::MemoryError;
+use crate::supervisor::machine::MachineError;
+use thiserror::Error;
+
+/// Why the service could not start or ended by itself.
+#[derive(Debug, Error)]
+pub enum ServiceError {
+    /// The memory cannot be used.
+    #[error(transparent)]
+    Memory(#[from] MemoryError),
+    /// The machine failed.
+    #[error(transparent)]
+    Machine(#[from] MachineError),
+    /// A socket cannot be created.
+    #[error("{path}: {source}; RuntimeDirectory= in the unit creates the folder, `--socket` names another path")]
+    Socket {
+        /// Its path.
+        path: String,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// A thread, signal handler or recording could not be started.
+    #[error("{what}: {source}")]
+    System {
+        /// What could not be started.
+        what: String,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// The loop ended by a panic.
+    #[error("the control loop ended unexpectedly; this is a defect of the program, please report it with the log")]
+    LoopPanicked,
+}
+
+impl ServiceError {
+    /// Adds what could not be started to an I/O error.
+    pub fn system(what: impl std::fmt::Display) -> impl FnOnce(std::io::Error) -> Self {
+        let what = what.to_string();
+        move |source| Self::System { what, source }
+    }
+}

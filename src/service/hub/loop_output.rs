@@ -1,0 +1,169 @@
+//! What comes from the loop: frames and answers.
+
+use super::state::{Hub, Pending, commands, unix_s};
+use crate::service::calibrate::{Found, Next};
+use crate::service::memory::{LearnedGains, RecordedFault};
+use crate::service::protocol::Failure;
+use crate::service::status;
+use crate::supervisor::cycle::CycleOutput;
+use crate::supervisor::cycle::order::Order;
+use serde_json::json;
+use std::time::{Duration, Instant};
+
+/// The loop must answer an order within this time, s.
+const ANSWER_MAX_S: f64 = 2.0;
+
+impl Hub {
+    /// Reads everything that has come since the last round.
+    pub(super) fn take_loop_output(&mut self) {
+        while let Ok(output) = self.io.rings.frames.pop() {
+            self.process(&output);
+            self.last = Some(output);
+        }
+        while let Ok((id, result)) = self.io.rings.answers.pop() {
+            let Some(pending) = self.pending.remove(&id) else { continue };
+            let reply = result.map(|()| json!({})).map_err(|why| {
+                tracing::warn!(event = "refused", command = pending.caller.command, client = pending.caller.client, config = %self.config.config_hash, "{why}");
+                if pending.order == Order::Calibrate(true) {
+                    self.calibration = None;
+                }
+                Failure::refused(why.to_string())
+            });
+            self.reply(&pending.caller, &reply);
+        }
+        while let Ok(retired) = self.io.rings.retired.pop() {
+            drop(retired);
+        }
+        let stops = self.io.shared.stop.completed();
+        if stops != self.stops_logged {
+            self.stops_logged = stops;
+            tracing::info!(event = "command", command = "stop", config = %self.config.config_hash);
+        }
+        self.give_up_late_answers();
+    }
+
+    fn give_up_late_answers(&mut self) {
+        let late = |p: &Pending| p.caller.since.elapsed().as_secs_f64() > ANSWER_MAX_S;
+        let ids: Vec<u64> = self.pending.iter().filter(|(_, p)| late(p)).map(|(id, _)| *id).collect();
+        for pending in ids.iter().filter_map(|id| self.pending.remove(id)).collect::<Vec<_>>() {
+            if pending.held {
+                self.refuse_held(&pending, "the disk does not respond; try again in a moment");
+            } else {
+                self.reply(&pending.caller, &Err(Failure { code: 3, message: "the loop does not respond".to_owned() }));
+            }
+        }
+    }
+
+    fn process(&mut self, output: &CycleOutput) {
+        self.log(output);
+        if let Some(recording) = &mut self.recording
+            && let Err(e) = recording.write(output)
+        {
+            tracing::error!(event = "record", path = %recording.path().display(), "the recording has ended: {e}");
+            self.recording = None;
+        }
+        self.send_frames(output);
+        self.advance_calibration(output);
+    }
+
+    fn send_frames(&mut self, output: &CycleOutput) {
+        let t = output.sensed.t.0;
+        let mut line = None;
+        for s in self.subscriptions.iter_mut().filter(|s| t >= s.next_s) {
+            // on average the rate is exact even if it does not divide that of the loop
+            s.next_s = if s.next_s + s.period_s > t { s.next_s + s.period_s } else { t + s.period_s };
+            let line = line.get_or_insert_with(|| status::frame_line(output, self.config.supervisor.gate.step_mm));
+            if commands(s.client) {
+                self.io.control.send(s.client, line.clone());
+            } else {
+                self.io.status.send(s.client, line);
+            }
+        }
+    }
+
+    /// Logs every change of mode, fault and suspicion as one event.
+    fn log(&mut self, output: &CycleOutput) {
+        let config = &self.config.config_hash;
+        let before = self.last.as_ref();
+        if before.is_none_or(|b| b.mode != output.mode) {
+            let from = before.map_or("boot", |b| b.mode.name());
+            tracing::info!(event = "mode", from, to = output.mode.name(), config = %config, "{from} → {}", output.mode);
+        }
+        if let Some(cause) = output.tripped {
+            let suspicion = output.suspicion.map_or_else(String::new, |s| format!("; {s}"));
+            let (cause, message) = (status::trip_name(cause), status::trip_message(cause).to_owned() + &suspicion);
+            tracing::error!(event = "fault", cause, steps = ?output.steps.0, config = %config, "{message}");
+            self.memory.record_fault(RecordedFault { unix_s: unix_s(), cause, message });
+            self.persistence.write_soon();
+        }
+        if output.suspects
+            && let Some(s) = &output.suspicion
+        {
+            tracing::warn!(event = "suspicion", kind = ?s.kind, channel = s.channel, share = s.share, config = %config, "{s}");
+        }
+        if output.stream_ended {
+            tracing::warn!(event = "stream_ended", config = %config, "the stream of set-points paused for too long: stopped");
+        }
+        if !output.raised.is_empty()
+            && let Some(hidden) = self.log_limit.admit("sensor")
+        {
+            let advice = output.raised.iter().map(|c| c.advice()).collect::<Vec<_>>().join("; ");
+            tracing::warn!(event = "sensor", causes = %output.raised, hidden, config = %config, "{advice}");
+        }
+    }
+
+    fn advance_calibration(&mut self, output: &CycleOutput) {
+        let Some(session) = &mut self.calibration else { return };
+        match session.step(output) {
+            Next::Wait => {}
+            Next::Drive(command) => self.own_order(Order::Bend(command, None)),
+            Next::Lines(lines) => self.own_order(Order::Lines(lines)),
+            Next::Done(result) => {
+                let before = session.before();
+                self.calibration = None;
+                self.own_order(Order::Calibrate(false));
+                self.own_order(Order::Lines(before.lines));
+                self.conclude_calibration(result);
+            }
+        }
+    }
+
+    fn conclude_calibration(&mut self, result: Result<Found, String>) {
+        let config = &self.config.config_hash;
+        match result {
+            Err(why) => {
+                tracing::error!(event = "calibration", config = %config, "{why}");
+                self.calibration_failed = Some(why);
+            }
+            Ok(found) => {
+                let gains = LearnedGains {
+                    k_epsilon: found.lines.map(|l| l.k_epsilon),
+                    k_lambda_mm: found.lines.map(|l| l.k_lambda_mm),
+                    lag_s: found.dynamics.lag_s,
+                    delay_s: found.dynamics.delay_s,
+                    tip: self.config.tip.clone(),
+                    unix_s: unix_s(),
+                    source: "calibrate transmission".to_owned(),
+                };
+                tracing::info!(event = "calibration", k_epsilon = ?gains.k_epsilon, k_lambda_mm = ?gains.k_lambda_mm, config = %config,
+                    "gains identified; `retroflex calibrate transmission --accept` applies them");
+                self.memory.proposed = Some(gains);
+                self.persistence.write_soon();
+            }
+        }
+    }
+
+    /// Sends a changed STATUS line to the service manager, at most once a second.
+    pub(super) fn notify_manager(&mut self) {
+        let Some(last) = &self.last else { return };
+        let pose = |b: &crate::model::bend::Bend| format!(", {:.1}° at {:.0}°", b.beta().to_degrees(), b.delta().to_degrees());
+        let estimate = last.frame.estimate.map_or_else(String::new, |x| pose(&x.bend));
+        let fault = last.latched.map_or_else(String::new, |c| format!(": {}", status::trip_message(c)));
+        let line = format!("STATUS={}{estimate}{fault}", last.mode);
+        let (sent, when) = &self.last_status;
+        if *sent != line && when.elapsed() > Duration::from_secs(1) {
+            self.io.notifier.notify(&line);
+            self.last_status = (line, Instant::now());
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! What must survive a restart: checkpoints of the position, and orders that wait for the disk.
+
+use super::state::{Caller, Hub, Pending};
+use crate::service::memory::LearnedGains;
+use crate::service::protocol::Failure;
+use crate::service::state_writer::Completed;
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::mode::Mode;
+use std::time::{Duration, Instant};
+
+/// Longest time between two checkpoints.
+const CHECKPOINT_MAX: Duration = Duration::from_secs(60);
+
+impl Hub {
+    /// Writes the memory; the order goes out once it is on the disk.
+    pub(super) fn write_ahead(&mut self, order: Order, caller: Caller) {
+        let id = self.next_id();
+        let pending = Pending { caller, order, held: true };
+        if self.io.state_writer.write(&self.memory, Some(id)) {
+            self.pending.insert(id, pending);
+        } else {
+            self.refuse_held(&pending, "the disk is busy; try again in a moment");
+        }
+    }
+
+    /// Accepts proposed gains: they are applied once they are on the disk.
+    pub(super) fn write_accepted(&mut self, gains: LearnedGains, caller: Caller) {
+        let order = Order::Lines(gains.lines());
+        self.persistence.accepted_before = self.memory.accepted.replace(gains);
+        self.memory.proposed = None;
+        self.write_ahead(order, caller);
+    }
+
+    /// Refuses an order because the memory could not be written first.
+    pub(super) fn refuse_held(&mut self, pending: &Pending, message: &str) {
+        let (memory, caller) = (&mut self.memory, &pending.caller);
+        if matches!(pending.order, Order::Lines(_)) {
+            memory.proposed = std::mem::replace(&mut memory.accepted, self.persistence.accepted_before.take());
+        }
+        tracing::warn!(event = "refused", command = caller.command, client = caller.client, config = %self.config.config_hash, "{message}");
+        self.reply(caller, &Err(Failure::refused(message)));
+    }
+
+    /// Passes the latest position to the state writer when a checkpoint is due, and reads its results.
+    pub(super) fn persist(&mut self) {
+        let mut newest = None;
+        while let Ok(note) = self.io.rings.notes.pop() {
+            newest = Some(note);
+        }
+        if let Some(note) = newest {
+            let state = note.state;
+            let changed = self.memory.restart.is_none_or(|r| r.steps != state.steps || r.rest.is_some() != state.rest.is_some());
+            let still = !self.mode().moves() && self.mode() != Mode::Relaxing;
+            let at_rest = note.at_rest && still && !self.pending.values().any(|p| p.held);
+            let disarms = self.persistence.armed_on_disk && at_rest;
+            self.memory.restart = Some(state);
+            self.memory.armed = !at_rest;
+            let due = self.persistence.is_older_than(Duration::from_secs_f64(self.config.service.checkpoint_s));
+            if (due && (changed || disarms)) || self.persistence.is_older_than(CHECKPOINT_MAX) {
+                self.persistence.last_checkpoint = Some(Instant::now());
+                if self.io.state_writer.write(&self.memory, None) && disarms {
+                    self.persistence.armed_on_disk = false;
+                }
+            }
+        }
+        while let Some(completed) = self.io.state_writer.completed() {
+            self.process_write(completed);
+        }
+    }
+
+    fn process_write(&mut self, completed: Completed) {
+        let error = completed.result.err().map(|e| e.to_string());
+        if let Some(error) = &error
+            && self.persistence.error.as_ref() != Some(error)
+        {
+            tracing::error!(event = "memory", config = %self.config.config_hash, "{error}");
+        }
+        self.persistence.error.clone_from(&error);
+        let Some(pending) = completed.id.and_then(|id| self.pending.remove(&id)) else { return };
+        let order = pending.order;
+        match error {
+            None => {
+                match order {
+                    Order::Lines(lines) => self.config.supervisor.tick.lines = lines,
+                    _ => self.persistence.armed_on_disk = true,
+                }
+                self.order(order, pending.caller);
+            }
+            // the way back to rest is never denied
+            Some(_) if order == Order::Relax => self.order(order, pending.caller),
+            Some(error) => self.refuse_held(&pending, &format!("refused because the state could not be written first: {error}")),
+        }
+    }
+}

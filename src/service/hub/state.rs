@@ -1,0 +1,224 @@
+//! The state of the hub, and what all its parts use.
+
+use crate::hardware::rt::RtStatus;
+use crate::service::calibrate::Session;
+use crate::service::control_port::ControlPort;
+use crate::service::memory::{LearnedGains, Memory};
+use crate::service::notify::Notifier;
+use crate::service::protocol::{Failure, reply_line};
+use crate::service::record::Recording;
+use crate::service::rt_loop::{HubRings, Message, Shared};
+use crate::service::server::Server;
+use crate::service::start::RunConfig;
+use crate::service::state_writer::StateWriter;
+use crate::supervisor::cycle::CycleOutput;
+use crate::supervisor::cycle::order::Order;
+use crate::supervisor::mode::Mode;
+use serde_json::Value;
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// The connections of the hub.
+pub struct HubIo {
+    /// The thread of the command socket.
+    pub control: ControlPort,
+    /// The status socket.
+    pub status: Server,
+    /// The service manager.
+    pub notifier: Notifier,
+    /// The thread that writes the memory.
+    pub state_writer: StateWriter,
+    /// The rings to and from the loop.
+    pub rings: HubRings,
+    /// Counters of the loop, and the stop signal.
+    pub shared: Arc<Shared>,
+}
+
+/// What is known since the start, for the status.
+pub struct Facts {
+    /// Remarks of the machine about itself, name first.
+    pub remarks: Vec<String>,
+    /// What the kernel granted the loop.
+    pub grants: RtStatus,
+    /// Damaged files of the memory.
+    pub damaged: Vec<String>,
+    /// No intact memory was found.
+    pub unreadable: bool,
+}
+
+/// The reply address of a request, and when it came.
+#[derive(Debug, Clone)]
+pub(super) struct Caller {
+    pub(super) client: u64,
+    pub(super) id: Value,
+    pub(super) command: String,
+    pub(super) since: Instant,
+    /// Number of stops requested when the request was received.
+    pub(super) stops: u64,
+}
+
+/// A request whose order is on its way.
+pub(super) struct Pending {
+    pub(super) caller: Caller,
+    pub(super) order: Order,
+    /// The order waits until the memory is on the disk.
+    pub(super) held: bool,
+}
+
+pub(super) struct Subscription {
+    pub(super) client: u64,
+    pub(super) period_s: f64,
+    pub(super) next_s: f64,
+}
+
+/// The hub.
+pub struct Hub {
+    pub(super) io: HubIo,
+    pub(super) config: RunConfig,
+    pub(super) facts: Facts,
+    pub(super) memory: Memory,
+    pub(super) started: Instant,
+    pub(super) next_id: u64,
+    pub(super) pending: HashMap<u64, Pending>,
+    pub(super) subscriptions: Vec<Subscription>,
+    pub(super) last: Option<CycleOutput>,
+    pub(super) recording: Option<Recording>,
+    pub(super) calibration: Option<Session>,
+    /// Why the last calibration failed.
+    pub(super) calibration_failed: Option<String>,
+    pub(super) persistence: Persistence,
+    pub(super) stops_logged: u64,
+    pub(super) last_status: (String, Instant),
+    pub(super) ending: Option<Instant>,
+    pub(super) log_limit: LogLimit,
+}
+
+/// State of the memory on the disk.
+#[derive(Debug)]
+pub(super) struct Persistence {
+    /// The disk says that drivers may be armed.
+    pub(super) armed_on_disk: bool,
+    /// Why the last write failed.
+    pub(super) error: Option<String>,
+    /// The accepted gains before those that are being written.
+    pub(super) accepted_before: Option<LearnedGains>,
+    pub(super) last_checkpoint: Option<Instant>,
+}
+
+impl Persistence {
+    pub(super) fn new(now: Instant) -> Self {
+        Self { armed_on_disk: false, error: None, accepted_before: None, last_checkpoint: Some(now) }
+    }
+
+    /// Makes the next round write a checkpoint.
+    pub(super) fn write_soon(&mut self) {
+        self.last_checkpoint = None;
+    }
+
+    /// True if the last checkpoint is at least this old.
+    pub(super) fn is_older_than(&self, age: Duration) -> bool {
+        self.last_checkpoint.is_none_or(|t| t.elapsed() >= age)
+    }
+}
+
+impl Hub {
+    /// A hub before its first round.
+    #[must_use]
+    pub fn new(io: HubIo, config: RunConfig, memory: Memory, facts: Facts) -> Self {
+        let now = Instant::now();
+        Self {
+            io,
+            config,
+            facts,
+            memory,
+            started: now,
+            next_id: 1,
+            pending: HashMap::new(),
+            subscriptions: Vec::new(),
+            last: None,
+            recording: None,
+            calibration: None,
+            calibration_failed: None,
+            persistence: Persistence::new(now),
+            stops_logged: 0,
+            last_status: (String::new(), now),
+            ending: None,
+            log_limit: LogLimit::default(),
+        }
+    }
+
+    /// Sends an order of a client.
+    pub(super) fn order(&mut self, order: Order, caller: Caller) {
+        let id = self.next_id();
+        let stops = caller.stops;
+        self.pending.insert(id, Pending { caller, order, held: false });
+        self.push_order(id, order, stops);
+    }
+
+    /// Sends an order of the hub itself.
+    pub(super) fn own_order(&mut self, order: Order) {
+        let (id, stops) = (self.next_id(), self.io.shared.stop.requested());
+        self.push_order(id, order, stops);
+    }
+
+    fn push_order(&mut self, id: u64, order: Order, stops: u64) {
+        let pushed = self.io.rings.orders.push(Message::Order { id, order, stops }).is_ok();
+        if !pushed && let Some(pending) = self.pending.remove(&id) {
+            self.reply(&pending.caller, &Err(too_many()));
+        }
+    }
+
+    pub(super) fn next_id(&mut self) -> u64 {
+        self.next_id += 1;
+        self.next_id
+    }
+
+    pub(super) fn reply(&mut self, to: &Caller, reply: &Result<Value, Failure>) {
+        let line = reply_line(&to.id, reply);
+        if commands(to.client) {
+            self.io.control.reply(to.client, line);
+        } else {
+            self.io.status.reply(to.client, &line);
+        }
+    }
+
+    pub(super) fn mode(&self) -> Mode {
+        self.last.as_ref().map_or(Mode::Boot, |t| t.mode)
+    }
+
+    pub(super) fn is_at_zero(&self) -> bool {
+        self.last.as_ref().is_some_and(|t| t.counted.0 == [0; 3])
+    }
+}
+
+/// True for clients of the command socket, whose numbers are odd.
+pub(super) fn commands(client: u64) -> bool {
+    client % 2 == 1
+}
+
+pub(super) fn too_many() -> Failure {
+    Failure::refused("too many commands at once; try again in a moment")
+}
+
+/// Seconds since 1970.
+pub(super) fn unix_s() -> f64 {
+    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
+}
+
+/// Limits log lines that a client or a sensor can cause to one per second and kind.
+#[derive(Debug, Default)]
+pub(super) struct LogLimit(HashMap<&'static str, (Option<Instant>, u32)>);
+
+impl LogLimit {
+    /// The number of lines suppressed since the last one; `None` if this one must be suppressed too.
+    pub(super) fn admit(&mut self, kind: &'static str) -> Option<u32> {
+        let (last, hidden) = self.0.entry(kind).or_default();
+        if last.is_some_and(|t| t.elapsed() < Duration::from_secs(1)) {
+            *hidden += 1;
+            return None;
+        }
+        *last = Some(Instant::now());
+        Some(std::mem::take(hidden))
+    }
+}

@@ -1,0 +1,93 @@
+//! The configuration of a running service, and the state that a supervisor starts from.
+
+use crate::config::board::Board;
+use crate::config::calib::Calibration;
+use crate::config::service::ServiceSection;
+use crate::control::pi::Dynamics;
+use crate::control::tick::RestartState;
+use crate::service::memory::Memory;
+use crate::service::tape::Header;
+use crate::supervisor::cycle::{Supervisor, SupervisorConfig};
+use std::path::PathBuf;
+
+/// The configuration of a running service.
+pub struct RunConfig {
+    /// Configuration of the supervisor.
+    pub supervisor: SupervisorConfig,
+    /// Table `[service]`.
+    pub service: ServiceSection,
+    /// The board, for a reload.
+    pub board: Board,
+    /// The gains file, for a reload; `None` runs on the defaults.
+    pub gains: Option<PathBuf>,
+    /// The calibration.
+    pub calibration: Calibration,
+    /// Identity of the mounted tip; empty if none was given.
+    pub tip: String,
+    /// Hash of board, gains and calibration.
+    pub config_hash: String,
+    /// Texts of board, gains and calibration, for the tape.
+    pub texts: [String; 3],
+}
+
+/// What a supervisor starts from: the configuration with the accepted gains, and the remembered position.
+#[derive(Debug, Clone)]
+pub struct Start {
+    /// Configuration.
+    pub config: SupervisorConfig,
+    /// Position at the last write of the memory.
+    pub restart: Option<RestartState>,
+    /// The memory was unreadable: whatever it says, `zero` is required.
+    pub unreadable: bool,
+}
+
+impl Start {
+    /// Applies what the memory holds about the mounted tip.
+    #[must_use]
+    pub fn new(config: &RunConfig, memory: &Memory, unreadable: bool) -> Self {
+        let mut supervisor = config.supervisor.clone();
+        if let Some(gains) = memory.accepted.as_ref().filter(|g| g.tip == config.tip) {
+            supervisor.tick.lines = gains.lines();
+            supervisor.tick.dynamics = Dynamics { lag_s: gains.lag_s, delay_s: gains.delay_s };
+        }
+        let mut restart = memory.restart;
+        if let Some(restart) = &mut restart
+            && memory.tip != config.tip
+        {
+            // the position belongs to the machine, the gains and the rest pose to the tip
+            restart.k_epsilon = supervisor.tick.lines.map(|l| l.k_epsilon);
+            restart.k_lambda_mm = supervisor.tick.lines.map(|l| l.k_lambda_mm);
+            restart.rest = None;
+        }
+        Self { config: supervisor, restart, unreadable }
+    }
+
+    /// A supervisor in this state.
+    #[must_use]
+    pub fn supervisor(self) -> Supervisor {
+        let mut supervisor = Supervisor::new(self.config, self.restart);
+        if self.unreadable {
+            supervisor.doubt();
+        }
+        supervisor
+    }
+
+    /// The header of a tape that starts here.
+    #[must_use]
+    pub fn header(&self, texts: &[String; 3], machine: &str) -> Header {
+        let tick = &self.config.tick;
+        Header {
+            tape: 1,
+            program: env!("CARGO_PKG_VERSION").to_owned(),
+            texts: texts.clone(),
+            machine: machine.to_owned(),
+            period_s: self.config.gate.tick_s,
+            step_mm: self.config.gate.step_mm,
+            rest_length_mm: tick.geometry.rest_length_mm,
+            lines: tick.lines.map(|l| [l.k_epsilon, l.k_lambda_mm]),
+            dynamics: [tick.dynamics.lag_s, tick.dynamics.delay_s],
+            restart: self.restart,
+            unreadable: self.unreadable,
+        }
+    }
+}
