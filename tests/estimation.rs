@@ -1,7 +1,6 @@
-//! The tip is felt: the estimator in the closed loop against the generic filters, lying fields, a base
-//! that turns.
+//! Estimators in the closed loop: the bend filter against the generic filters, disturbed fields, motion of the base.
 //!
-//! `cargo test --release --test felt -- --nocapture` prints the tables of `docs/fusion.md`.
+//! `cargo test --release --test estimation -- --nocapture` prints the tables of `docs/fusion.md`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod fake_imu;
@@ -23,14 +22,14 @@ const DT_S: f64 = 0.005;
 
 fn config(plant: &TipPlant, filter: EstimatorName) -> LoopConfig {
     let mut config = assemble(&Board::default(), &Calibration::default(), &Gains::default());
-    // the calibration of the unit, as good as Algorithm 1 makes it
+    // the exact calibration of the unit
     config.lines = plant.lines;
     config.fuse.filter = filter;
     config
 }
 
-/// A loop on a plant.
-struct Life {
+/// A closed loop on a plant.
+struct Session {
     plant: TipPlant,
     config: LoopConfig,
     state: LoopState,
@@ -38,7 +37,7 @@ struct Life {
     with_base_imu: bool,
 }
 
-impl Life {
+impl Session {
     fn new(plant: TipPlant, filter: EstimatorName) -> Self {
         let config = config(&plant, filter);
         let state = LoopState::new(&config);
@@ -66,7 +65,7 @@ impl Life {
         while self.tick().estimate.is_none() {
             assert!(self.plant.t_s < 10.0, "{}", self.state.fusion.waiting_for());
         }
-        // a rest after it, as every session has one
+        // every session pauses after the alignment
         self.run(0.5, |_, _| ());
     }
     /// Bend RMSE over the last 0.3 s of each hold of the paper's schedule, degrees.
@@ -89,18 +88,18 @@ impl Life {
 fn rmse(seed: u64, tilt_deg: f64, field: Field, filter: EstimatorName) -> f64 {
     let mut plant = TipPlant::new(seed, tilt_deg, DT_S);
     plant.field = field;
-    let mut life = Life::new(plant, filter);
-    life.align();
-    life.paper_rmse_deg()
+    let mut session = Session::new(plant, filter);
+    session.align();
+    session.paper_rmse_deg()
 }
 
 fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// The table that decides the loop's default.
+/// The comparison behind the default estimator.
 #[test]
-fn the_bend_estimator_is_the_best_in_the_loop() {
+fn the_bend_filter_is_the_most_accurate_in_the_loop() {
     let cases = [
         ("clean", Field::Clean),
         ("no magnetometer", Field::Silent),
@@ -123,37 +122,37 @@ fn the_bend_estimator_is_the_best_in_the_loop() {
     let best_generic = table[0][1..].iter().map(|r| r.0).fold(f64::INFINITY, f64::min);
     assert!(table[0][0].0 <= 0.8 * best_generic, "{} against {best_generic}", table[0][0].0);
     for row in &table {
-        assert!(row[0].1 <= 1.0, "bend at its worst attitude: {}", row[0].1);
+        assert!(row[0].1 <= 1.0, "bend filter in its worst attitude: {}", row[0].1);
     }
 }
 
-/// Turns the base by 10° while a pose is held; returns the time until it was flagged and the frame.
-fn turned(life: &mut Life, axis: Vector3<f64>, over_s: f64) -> Option<f64> {
+/// Turns the base by 10° while a pose is held; returns the time after which the motion is flagged, s.
+fn turned(session: &mut Session, axis: Vector3<f64>, over_s: f64) -> Option<f64> {
     let mut at = None;
-    let start = life.plant.t_s;
-    life.plant.base_rate = axis.normalize() * (10f64.to_radians() / over_s);
-    life.run(over_s, |f, p| at = at.or(f.base_moved.then_some(p.t_s - start)));
-    life.plant.base_rate = Vector3::zeros();
-    life.run(1.0, |f, p| at = at.or(f.base_moved.then_some(p.t_s - start)));
+    let start = session.plant.t_s;
+    session.plant.base_rate = axis.normalize() * (10f64.to_radians() / over_s);
+    session.run(over_s, |f, p| at = at.or(f.base_moved.then_some(p.t_s - start)));
+    session.plant.base_rate = Vector3::zeros();
+    session.run(1.0, |f, p| at = at.or(f.base_moved.then_some(p.t_s - start)));
     at
 }
 
 const AXES: [[f64; 3]; 4] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, -0.7, 0.5]];
 
 #[test]
-fn a_base_imu_takes_the_turn_of_the_base_off() {
+fn a_base_imu_compensates_a_turn_of_the_base() {
     for (i, axis) in AXES.into_iter().enumerate() {
-        let mut life = Life::new(TipPlant::new(30 + i as u64, 50.0, DT_S), EstimatorName::Bend);
-        life.with_base_imu = true;
-        life.align();
-        life.command(40.0, 60.0);
-        life.run(2.0, |_, _| ());
-        assert_eq!(turned(&mut life, Vector3::from(axis), 0.5), None, "compensated, not flagged");
+        let mut session = Session::new(TipPlant::new(30 + i as u64, 50.0, DT_S), EstimatorName::Bend);
+        session.with_base_imu = true;
+        session.align();
+        session.command(40.0, 60.0);
+        session.run(2.0, |_, _| ());
+        assert_eq!(turned(&mut session, Vector3::from(axis), 0.5), None, "a compensated turn must not be flagged");
         let mut after = Vec::new();
         for (bend, dir) in [(40.0, 60.0), (60.0, 180.0), (20.0, 300.0)] {
-            life.command(bend, dir);
-            life.run(1.2, |_, _| ());
-            life.run(0.3, |_, p| after.push((p.bend().0 - Bend::from_deg(bend, dir).0).norm().to_degrees()));
+            session.command(bend, dir);
+            session.run(1.2, |_, _| ());
+            session.run(0.3, |_, p| after.push((p.bend().0 - Bend::from_deg(bend, dir).0).norm().to_degrees()));
         }
         println!("base turned by 10° about {axis:?}: bend vector off by {:.2}° afterwards", rms(&after));
         assert!(rms(&after) <= 1.5, "{}", rms(&after));
@@ -161,27 +160,27 @@ fn a_base_imu_takes_the_turn_of_the_base_off() {
 }
 
 #[test]
-fn without_a_base_imu_a_turn_is_flagged_and_mended_on_request() {
+fn without_a_base_imu_a_turn_is_flagged_and_realigned_on_request() {
     for (i, axis) in AXES.into_iter().enumerate() {
         for over_s in [0.2, 0.5, 0.9] {
-            let mut life = Life::new(TipPlant::new(40 + i as u64, 50.0, DT_S), EstimatorName::Bend);
-            life.align();
+            let mut session = Session::new(TipPlant::new(40 + i as u64, 50.0, DT_S), EstimatorName::Bend);
+            session.align();
             for (bend, dir) in [(30.0, 0.0), (40.0, 60.0)] {
-                life.command(bend, dir);
-                life.run(2.0, |f, _| assert!(!f.base_moved));
+                session.command(bend, dir);
+                session.run(2.0, |f, _| assert!(!f.base_moved));
             }
-            let at = turned(&mut life, Vector3::from(axis), over_s);
+            let at = turned(&mut session, Vector3::from(axis), over_s);
             assert!(at.is_some_and(|t| t <= 1.0), "10° about {axis:?} in {over_s} s: {at:?}");
-            let frozen = life.tick().feedback;
-            life.run(2.0, |f, _| assert_eq!(f.feedback, frozen, "the integrator stands"));
-            life.input.realign = true;
-            life.run(4.0, |_, _| ());
-            assert!(!life.tick().base_moved, "{}", life.state.fusion.waiting_for());
+            let frozen = session.tick().feedback;
+            session.run(2.0, |f, _| assert_eq!(f.feedback, frozen, "the feedback must be frozen"));
+            session.input.realign = true;
+            session.run(4.0, |_, _| ());
+            assert!(!session.tick().base_moved, "{}", session.state.fusion.waiting_for());
             let mut after = Vec::new();
             for (bend, dir) in [(40.0, 60.0), (60.0, 180.0), (20.0, 300.0)] {
-                life.command(bend, dir);
-                life.run(1.2, |_, _| ());
-                life.run(0.3, |f, p| {
+                session.command(bend, dir);
+                session.run(1.2, |_, _| ());
+                session.run(0.3, |f, p| {
                     assert!(!f.base_moved);
                     after.push((p.bend().0 - Bend::from_deg(bend, dir).0).norm().to_degrees());
                 });
@@ -193,25 +192,25 @@ fn without_a_base_imu_a_turn_is_flagged_and_mended_on_request() {
 }
 
 #[test]
-fn a_base_that_turns_slowly_earns_a_word_and_a_healthy_tip_none() {
+fn a_slow_turn_of_the_base_is_suspected_and_a_fixed_base_is_not() {
     let poses = [(60.0, 0.0), (50.0, 120.0), (60.0, 240.0), (40.0, 60.0), (65.0, 180.0), (55.0, 300.0)];
     for (i, axis) in [[0.0, 0.0, 1.0], [0.5, -0.7, 0.5], [0.3, 0.2, 1.0]].into_iter().enumerate() {
-        let mut life = Life::new(TipPlant::new(60 + i as u64, 50.0, DT_S), EstimatorName::Bend);
-        life.align();
-        let round = |life: &mut Life, seconds: f64| {
-            let mut doubted = false;
+        let mut session = Session::new(TipPlant::new(60 + i as u64, 50.0, DT_S), EstimatorName::Bend);
+        session.align();
+        let round = |session: &mut Session, seconds: f64| {
+            let mut suspected = false;
             for (bend, dir) in poses {
-                life.command(bend, dir);
-                life.run(seconds / 6.0, |f, _| doubted |= f.base_doubted);
+                session.command(bend, dir);
+                session.run(seconds / 6.0, |f, _| suspected |= f.base_doubted);
             }
-            doubted
+            suspected
         };
-        assert!(!round(&mut life, 12.0) && !round(&mut life, 12.0), "nothing has turned");
-        life.plant.base_rate = Vector3::from(axis).normalize() * (15f64.to_radians() / 12.0);
-        let during = round(&mut life, 12.0);
-        life.plant.base_rate = Vector3::zeros();
-        let after = round(&mut life, 12.0);
-        println!("15° about {axis:?} in 12 s: a word during it {during}, after it {after}");
+        assert!(!round(&mut session, 12.0) && !round(&mut session, 12.0), "false alarm on a fixed base");
+        session.plant.base_rate = Vector3::from(axis).normalize() * (15f64.to_radians() / 12.0);
+        let during = round(&mut session, 12.0);
+        session.plant.base_rate = Vector3::zeros();
+        let after = round(&mut session, 12.0);
+        println!("15° about {axis:?} in 12 s: suspected during it: {during}, after it: {after}");
         assert!(during || after, "{axis:?}");
     }
 }

@@ -1,8 +1,8 @@
-//! How the generic filters were set, repeatable: `cargo test --release --test fuse_cv -- --ignored --nocapture`.
+//! Cross-validation of the settings of the generic filters: `cargo test --release --test fuse_cv -- --ignored --nocapture`.
 //!
-//! Cross-validation on the nine recordings of `docs/fusion.md`: a coarse grid of settings is scored on
-//! all recordings but the held-out ones, the best of it on the held-out ones. And what a magnet on the
-//! body does, by strength, put into the undisturbed recordings. Slow, so it runs on request only.
+//! Every setting of a coarse grid is scored on the nine recordings of `docs/fusion.md` except the held-out ones, and the
+//! best setting on the held-out ones. A second test adds a magnet of several strengths to the undisturbed recordings.
+//! Both are slow and run on request only.
 
 #![allow(clippy::unwrap_used)] // helpers outside #[test] functions
 
@@ -18,13 +18,13 @@ use std::path::PathBuf;
 
 type Maker = Box<dyn Fn(&Recording) -> Filter + Sync>;
 
-/// One point of a grid, and the total error it has on each recording, degrees.
-struct Tried {
+/// One setting and its total error on each recording, degrees.
+struct Candidate {
     name: String,
     total_deg: Vec<f64>,
 }
 
-/// Kind of motion or disturbance, by which recordings are held out together.
+/// Kind of motion or disturbance; recordings of one kind are held out together.
 fn kind(name: &str) -> &'static str {
     ["rotation", "translation", "combined", "tapping", "vibration", "magnet"]
         .into_iter()
@@ -57,20 +57,20 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
     values.clone().sum::<f64>() / values.count() as f64
 }
 
-/// Mean over held-out recordings, each scored by the point that is best on those not held out with it.
-fn held_out(tried: &[Tried], together: impl Fn(usize, usize) -> bool) -> f64 {
+/// Mean over held-out recordings, each scored with the setting that is best on the others.
+fn held_out(tried: &[Candidate], together: impl Fn(usize, usize) -> bool) -> f64 {
     let count = tried[0].total_deg.len();
     mean((0..count).map(|out| {
-        let seen = |t: &Tried| mean((0..count).filter(|k| !together(*k, out)).map(|k| t.total_deg[k]));
-        let best = tried.iter().min_by(|a, b| seen(a).total_cmp(&seen(b))).unwrap();
+        let training = |t: &Candidate| mean((0..count).filter(|k| !together(*k, out)).map(|k| t.total_deg[k]));
+        let best = tried.iter().min_by(|a, b| training(a).total_cmp(&training(b))).unwrap();
         best.total_deg[out]
     }))
 }
 
 /// Prints the cross-validation of a grid; returns the mean over leave-one-kind-out.
 fn validate(title: &str, recordings: &[Recording], grid: Vec<(String, Maker)>) -> f64 {
-    let tried: Vec<Tried> = grid.into_iter().map(|(name, make)| Tried { name, total_deg: totals(recordings, &make) }).collect();
-    let overall = |t: &Tried| mean(t.total_deg.iter().copied());
+    let tried: Vec<Candidate> = grid.into_iter().map(|(name, make)| Candidate { name, total_deg: totals(recordings, &make) }).collect();
+    let overall = |t: &Candidate| mean(t.total_deg.iter().copied());
     let best = tried.iter().min_by(|a, b| overall(a).total_cmp(&overall(b))).unwrap();
     let worst = tried.iter().map(overall).fold(0.0, f64::max);
     let trial = held_out(&tried, |a, b| a == b);
@@ -135,7 +135,7 @@ fn mekf_grid() -> Vec<(String, Maker)> {
 
 #[test]
 #[ignore = "a minute of grid search"]
-fn settings_hold_on_recordings_they_were_not_chosen_on() {
+fn settings_generalise_to_held_out_recordings() {
     let Some(recordings) = recordings() else { return };
     let vqf = mean(totals(&recordings, &vqf_grid()[0].1).into_iter());
     println!("vqf as published: {vqf:.2}");
@@ -145,7 +145,7 @@ fn settings_hold_on_recordings_they_were_not_chosen_on() {
     assert!(long < vqf && madgwick < vqf && mekf < 0.75 * vqf);
 }
 
-/// A hard iron of the given strength on the body through the middle three quarters of the motion.
+/// Adds hard iron of the given strength over the middle three quarters of the motion.
 fn with_magnet(recording: &Recording, strength_ut: f64, axis: usize) -> Recording {
     let mut changed = recording.clone();
     let moving: Vec<usize> = (0..changed.rows.len()).filter(|k| changed.rows[*k].moving).collect();
@@ -163,7 +163,7 @@ fn with_magnet(recording: &Recording, strength_ut: f64, axis: usize) -> Recordin
 
 #[test]
 #[ignore = "half a minute of simulation"]
-fn a_magnet_on_the_body_by_strength() {
+fn mekf_tolerates_a_magnet_on_the_body() {
     let Some(recordings) = recordings() else { return };
     let clean: Vec<Recording> = recordings.into_iter().filter(|r| r.name.contains("undisturbed")).collect();
     println!("{:>10} {:>9} {:>9} {:>9} {:>9}", "µT", "madgwick", "vqf", "vqf-long", "mekf");

@@ -1,4 +1,4 @@
-//! Behaviour that every generic orientation filter must show, on a simulated sensor whose truth is known.
+//! Required behaviour of every generic orientation filter, on a simulated sensor with known orientation.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use retroflex::estimation::fusion::mekf::{Mekf, MekfConfig};
@@ -9,12 +9,12 @@ use retroflex::primitives::units::Seconds;
 const PERIOD_S: f64 = 0.005;
 const EARTH_UT: Vector3<f64> = Vector3::new(16.0, 0.0, -41.0);
 
-/// A sensor that rests, then turns and shakes by hand; every fault is off unless set.
+/// A sensor that stands still, then turns and shakes by hand. Every error is zero unless set.
 #[derive(Clone)]
 struct Sensor {
     r_world_sensor: UnitQuaternion<f64>,
     t_s: f64,
-    rest_s: f64,
+    still_s: f64,
     swing_rad_s: f64,
     bias: Vector3<f64>,
     scale: f64,
@@ -29,7 +29,7 @@ impl Sensor {
         Self {
             r_world_sensor: start,
             t_s: 0.0,
-            rest_s: 5.0,
+            still_s: 5.0,
             swing_rad_s: 1.5,
             bias: Vector3::zeros(),
             scale: 1.0,
@@ -41,7 +41,7 @@ impl Sensor {
     }
 
     fn rate(&self, t_s: f64) -> Vector3<f64> {
-        let t = t_s - self.rest_s;
+        let t = t_s - self.still_s;
         if t < 0.0 {
             return Vector3::zeros();
         }
@@ -61,7 +61,7 @@ impl Sensor {
             mean += rate / f64::from(STEPS);
         }
         let to_sensor = self.r_world_sensor.inverse();
-        let t = (self.t_s - self.rest_s).max(0.0);
+        let t = (self.t_s - self.still_s).max(0.0);
         let shake = Vector3::new((5.0 * t).sin(), (6.3 * t).sin(), (4.1 * t).sin()) * t.min(1.0);
         self.past_mag.push(to_sensor * (EARTH_UT + self.room_ut) + self.iron_ut);
         let late = self.past_mag.len() - 1;
@@ -104,7 +104,7 @@ fn starts() -> [UnitQuaternion<f64>; 5] {
 }
 
 #[test]
-fn the_first_samples_find_any_attitude_and_heading() {
+fn the_first_samples_determine_attitude_and_heading() {
     for name in FilterName::ALL {
         for start in starts() {
             let (mut filter, mut sensor) = (build(name), Sensor::new(start));
@@ -120,7 +120,7 @@ fn the_first_samples_find_any_attitude_and_heading() {
 }
 
 #[test]
-fn a_clean_sensor_is_followed() {
+fn an_ideal_sensor_is_tracked() {
     for name in FilterName::ALL {
         for start in starts() {
             let (mut filter, mut sensor) = (build(name), Sensor::new(start));
@@ -131,7 +131,7 @@ fn a_clean_sensor_is_followed() {
 }
 
 #[test]
-fn bias_is_learnt_standstill_and_taken_away() {
+fn the_bias_is_estimated_at_standstill_and_subtracted() {
     let bias = Vector3::new(0.02, -0.025, 0.03);
     for name in FilterName::ALL {
         let (mut filter, mut sensor) = (build(name), Sensor { bias, ..Sensor::new(starts()[3]) });
@@ -145,8 +145,8 @@ fn bias_is_learnt_standstill_and_taken_away() {
     }
 }
 
-/// Everything a broken bus has been seen to hand over.
-fn broken(sample: &ImuSample, k: usize) -> ImuSample {
+/// Invalid values that a faulty bus delivers.
+fn invalid(sample: &ImuSample, k: usize) -> ImuSample {
     let mut s = *sample;
     match k % 8 {
         0 => s.acc_m_s2.x = f64::NAN,
@@ -162,18 +162,18 @@ fn broken(sample: &ImuSample, k: usize) -> ImuSample {
 }
 
 #[test]
-fn broken_samples_never_poison() {
+fn invalid_samples_never_corrupt_the_state() {
     for name in FilterName::ALL {
         let (mut filter, mut sensor) = (build(name), Sensor::new(starts()[4]));
         for k in 0..8 {
             let sample = sensor.sample(PERIOD_S);
-            filter.update(&broken(&sample, k), PERIOD_S);
+            filter.update(&invalid(&sample, k), PERIOD_S);
             assert!(filter.orientation().quat().coords.iter().all(|x| x.is_finite()), "{name}: first samples");
         }
         run(&mut *filter, &mut sensor, 15.0);
         for k in 0..2000 {
             let sample = sensor.sample(PERIOD_S);
-            let sample = if k % 3 == 0 { broken(&sample, k / 3) } else { sample };
+            let sample = if k % 3 == 0 { invalid(&sample, k / 3) } else { sample };
             filter.update(&sample, PERIOD_S);
             assert!(filter.orientation().quat().coords.iter().all(|x| x.is_finite()), "{name}: sample {k}");
             assert!(filter.gyro_bias_rad_s().iter().all(|x| x.is_finite()), "{name}: bias, sample {k}");
@@ -181,12 +181,12 @@ fn broken_samples_never_poison() {
         let held = error_deg(&*filter, &sensor);
         run(&mut *filter, &mut sensor, 30.0);
         let after = error_deg(&*filter, &sensor);
-        assert!(held < 6.0 && after < 2.5, "{name}: {held} deg while broken, {after} deg after");
+        assert!(held < 6.0 && after < 2.5, "{name}: {held} deg with invalid samples, {after} deg after");
     }
 }
 
 #[test]
-fn steps_may_vary_and_bad_clocks_are_ignored() {
+fn varying_steps_are_integrated_and_invalid_steps_ignored() {
     for name in FilterName::ALL {
         let (mut filter, mut sensor) = (build(name), Sensor::new(starts()[1]));
         let mut worst = 0.0_f64;
@@ -208,10 +208,10 @@ fn steps_may_vary_and_bad_clocks_are_ignored() {
 }
 
 #[test]
-fn after_a_gap_the_filter_levels_anew_and_keeps_the_bias() {
+fn after_a_gap_the_filter_levels_again_and_keeps_the_bias() {
     let bias = Vector3::new(0.015, 0.01, -0.02);
     for name in FilterName::ALL {
-        let mut sensor = Sensor { bias, rest_s: 1e9, ..Sensor::new(starts()[3]) };
+        let mut sensor = Sensor { bias, still_s: 1e9, ..Sensor::new(starts()[3]) };
         let mut filter = build(name);
         run(&mut *filter, &mut sensor, 10.0);
         sensor.r_world_sensor = starts()[4];
@@ -225,9 +225,9 @@ fn after_a_gap_the_filter_levels_anew_and_keeps_the_bias() {
     }
 }
 
-/// A magnet comes near for 15 s: in the room, then on the body.
+/// A magnet is near for 15 s: in the room, or on the body.
 #[test]
-fn the_heading_is_held_through_a_magnet() {
+fn the_heading_is_kept_near_a_magnet() {
     let in_room = |s: &mut Sensor, on: bool| s.room_ut = if on { Vector3::new(-5.0, 28.0, 12.0) } else { Vector3::zeros() };
     let on_body = |s: &mut Sensor, on: bool| s.iron_ut = if on { Vector3::new(18.0, -16.0, 14.0) } else { Vector3::zeros() };
     for name in FilterName::ALL {
@@ -236,15 +236,15 @@ fn the_heading_is_held_through_a_magnet() {
             run(&mut *filter, &mut sensor, 40.0);
             assert!(!filter.flags().field_disturbed, "{name}");
             magnet(&mut sensor, true);
-            let mut noticed = 0;
+            let mut detected = 0;
             let mut worst = 0.0_f64;
             for _ in 0..3000 {
                 filter.update(&sensor.sample(PERIOD_S), PERIOD_S);
-                noticed += usize::from(filter.flags().field_disturbed);
+                detected += usize::from(filter.flags().field_disturbed);
                 worst = worst.max(error_deg(&*filter, &sensor));
             }
             magnet(&mut sensor, false);
-            assert!(noticed > 30, "{name}: a magnet in the {place} was noticed in {noticed} samples");
+            assert!(detected > 30, "{name}: a magnet in the {place} was detected in {detected} samples");
             worst = worst.max(run(&mut *filter, &mut sensor, 20.0));
             assert!(worst < 6.0, "{name}: {worst} deg with a magnet on the {place}");
         }
@@ -252,7 +252,7 @@ fn the_heading_is_held_through_a_magnet() {
 }
 
 #[test]
-fn without_a_magnetometer_the_tilt_is_still_known() {
+fn without_a_magnetometer_the_tilt_is_accurate() {
     for name in FilterName::ALL {
         let (mut filter, mut sensor) = (build(name), Sensor::new(starts()[3]));
         let mut worst = 0.0_f64;
@@ -267,9 +267,8 @@ fn without_a_magnetometer_the_tilt_is_still_known() {
     }
 }
 
-/// The faults are put in and expected back.
 #[test]
-fn mekf_finds_the_faults_that_were_put_in() {
+fn mekf_estimates_the_simulated_sensor_errors() {
     let iron_ut = Vector3::new(6.0, -4.0, 5.0);
     let bias = Vector3::new(0.01, -0.01, 0.005);
     let mut sensor = Sensor { bias, scale: 1.008, latency_s: 0.02, swing_rad_s: 4.0, ..Sensor::new(starts()[1]) };
@@ -289,7 +288,7 @@ fn mekf_finds_the_faults_that_were_put_in() {
 }
 
 #[test]
-fn the_same_samples_give_the_same_bits() {
+fn equal_samples_give_identical_results() {
     for name in FilterName::ALL {
         let (mut one, mut two) = (build(name), build(name));
         let mut sensor = Sensor::new(starts()[4]);

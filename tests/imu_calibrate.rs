@@ -1,4 +1,4 @@
-//! `retroflex calibrate imu` from outside: what it finds, what it refuses, what it leaves alone.
+//! `retroflex calibrate imu` as a command: results, refusals, and preservation of the rest of the file.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use rand::SeedableRng;
@@ -16,7 +16,7 @@ fn calibrate(args: &[&str]) -> (i32, String) {
     (out.status.code().unwrap(), String::from_utf8_lossy(&out.stderr).into_owned())
 }
 
-/// A log at 100 Hz of a sensor with a gyroscope bias and hard iron, turned so that the field comes from `field`.
+/// A log at 100 Hz of a sensor with a gyroscope bias and hard iron, with the field `field` in sensor axes.
 fn log(path: &Path, seconds: f64, rate: [f64; 3], field: impl Fn(f64) -> [f64; 3]) {
     let mut rng = StdRng::seed_from_u64(5);
     let mut noise = |sigma: f64| -> f64 { sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng) };
@@ -40,13 +40,13 @@ fn log(path: &Path, seconds: f64, rate: [f64; 3], field: impl Fn(f64) -> [f64; 3
 }
 
 #[test]
-fn a_rest_gives_the_gyroscopes_bias_and_the_rest_of_the_file_stays() {
+fn a_rest_gives_the_gyroscope_bias_and_the_file_is_preserved() {
     let folder = TempDir::new().unwrap();
     let (still, out) = (folder.path().join("still.csv"), folder.path().join("tip.toml"));
     log(&still, 20.0, [0.012, -0.02, 0.004], |_| [20.0, 0.0, -45.0]);
     std::fs::write(&out, "[transmission]\nk_epsilon = [2.0, 2.1, 2.2]\nk_lambda_mm = [0.8, 0.8, 0.8]\n").unwrap();
-    let (code, said) = calibrate(&["gyro", still.to_str().unwrap(), "--out", out.to_str().unwrap(), "--date", "2025-01-31"]);
-    assert_eq!(code, 0, "{said}");
+    let (code, text) = calibrate(&["gyro", still.to_str().unwrap(), "--out", out.to_str().unwrap(), "--date", "2025-01-31"]);
+    assert_eq!(code, 0, "{text}");
     let table: toml::Table = std::fs::read_to_string(&out).unwrap().parse().unwrap();
     let entry = &table["imu"]["gyro_bias_rad_s"];
     for (found, truth) in entry["value"].as_array().unwrap().iter().zip([0.012, -0.02, 0.004]) {
@@ -56,14 +56,14 @@ fn a_rest_gives_the_gyroscopes_bias_and_the_rest_of_the_file_stays() {
     assert_eq!(entry["date"].as_str(), Some("2025-01-31"));
     assert!(entry["source"].as_str().unwrap().ends_with("still.csv"));
     assert_eq!(table["transmission"]["k_epsilon"][2].as_float(), Some(2.2));
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "nothing is left beside");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "a temporary file was left behind");
 }
 
 #[test]
-fn a_tumble_gives_the_hard_iron_and_half_a_tumble_is_refused() {
+fn a_tumble_gives_the_hard_iron_and_a_partial_one_is_refused() {
     let folder = TempDir::new().unwrap();
     let (tumble, out) = (folder.path().join("tumble.csv"), folder.path().join("imu.toml"));
-    // a spiral over the sphere; one that stays near a pole covers too little
+    // a spiral over the sphere; a short one stays near a pole and covers too little
     let on_sphere = |reach: f64| {
         move |t: f64| {
             let z = 1.0 - reach * t / 60.0;
@@ -72,11 +72,11 @@ fn a_tumble_gives_the_hard_iron_and_half_a_tumble_is_refused() {
         }
     };
     log(&tumble, 60.0, [0.0; 3], on_sphere(0.3));
-    let (code, said) = calibrate(&["mag", tumble.to_str().unwrap(), "--out", out.to_str().unwrap()]);
-    assert!(code == 1 && said.contains("refused") && !out.exists(), "{code} {said}");
+    let (code, text) = calibrate(&["mag", tumble.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert!(code == 1 && text.contains("refused") && !out.exists(), "{code} {text}");
     log(&tumble, 60.0, [0.0; 3], on_sphere(2.0));
-    let (code, said) = calibrate(&["mag", tumble.to_str().unwrap(), "--out", out.to_str().unwrap()]);
-    assert_eq!(code, 0, "{said}");
+    let (code, text) = calibrate(&["mag", tumble.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert_eq!(code, 0, "{text}");
     let table: toml::Table = std::fs::read_to_string(&out).unwrap().parse().unwrap();
     for (found, truth) in table["imu"]["mag_bias_ut"]["value"].as_array().unwrap().iter().zip([9.0, -4.0, 2.0]) {
         assert!((found.as_float().unwrap() - truth).abs() < 0.3, "{found} {truth}");
@@ -84,14 +84,14 @@ fn a_tumble_gives_the_hard_iron_and_half_a_tumble_is_refused() {
 }
 
 #[test]
-fn what_cannot_be_used_is_named() {
+fn unusable_recordings_are_named() {
     let folder = TempDir::new().unwrap();
     let lost = folder.path().join("none.csv");
-    let (code, said) = calibrate(&["gyro", lost.to_str().unwrap()]);
-    assert!(code == 2 && said.contains("none.csv"), "{code} {said}");
+    let (code, text) = calibrate(&["gyro", lost.to_str().unwrap()]);
+    assert!(code == 2 && text.contains("none.csv"), "{code} {text}");
     let moving = folder.path().join("turning.csv");
     log(&moving, 10.0, [0.0, 0.8, 0.0], |_| [20.0, 0.0, -45.0]);
     let out = folder.path().join("imu.toml");
-    let (code, said) = calibrate(&["gyro", moving.to_str().unwrap(), "--out", out.to_str().unwrap()]);
-    assert!(code == 1 && said.contains("refused") && !out.exists(), "{code} {said}");
+    let (code, text) = calibrate(&["gyro", moving.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert!(code == 1 && text.contains("refused") && !out.exists(), "{code} {text}");
 }

@@ -11,7 +11,7 @@ use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use fake_imu::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, Motion, Noise};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use retroflex::estimation::fusion::health::{HealthCause, ImuReading, KnownErrors, ReadFault, SensorMonitor};
-use retroflex::estimation::imu_calibration::{self, CalibrationLimits, ImuCalibration, Pedigree};
+use retroflex::estimation::imu_calibration::{self, ImuCalibration, Pedigree};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
 use retroflex::hardware::imu::{Axes, Axis, ChipConfig, Imu, ImuError, Part, RawImu, STANDARD_GRAVITY_M_S2, open};
@@ -602,11 +602,11 @@ fn a_flawed_sensor_is_calibrated_through_the_driver() {
     let rest = record(1500, &|_| Vector3::zeros());
     let tumble = record(20_000, &|t| Vector3::new(1.1, 0.9 * (0.31 * t).sin(), 0.8 * (0.17 * t).cos()));
 
-    let (limits, from) = (CalibrationLimits::default(), Pedigree { date: "2025-01-31", source: "fake" });
+    let from = Pedigree { date: "2025-01-31", source: "fake" };
     let mut calibration = ImuCalibration::default();
-    calibration.set_gyro(&imu_calibration::gyro::at_rest(&rest, &limits).unwrap(), from);
+    calibration.set_gyro(&imu_calibration::gyro::at_rest(&rest).unwrap(), from);
     let field: Vec<_> = tumble.iter().filter_map(|s| s.mag_ut).collect();
-    calibration.set_mag(&imu_calibration::mag::ellipsoid(&field, &limits).unwrap(), from);
+    calibration.set_mag(&imu_calibration::mag::ellipsoid(&field).unwrap(), from);
     let text = toml::to_string(&calibration).unwrap();
     let correction = toml::from_str::<ImuCalibration>(&text).unwrap().correction();
 

@@ -1,7 +1,7 @@
 //! The generic filters against an optical reference: nine recordings of BROAD (CC BY 4.0, Laidig et al. 2021).
 //!
-//! The recordings are not part of the package. They are looked for in `RETROFLEX_IMU_DATA`, then beside
-//! the crate in `../shared/data/imu`; where there are none the tests say so and pass.
+//! The recordings are not part of the package. The tests search `RETROFLEX_IMU_DATA` and `../shared/data/imu`; without
+//! recordings they print "skipped" and pass.
 
 #![allow(clippy::unwrap_used)] // helpers outside #[test] functions
 
@@ -10,8 +10,7 @@ use retroflex::estimation::score::{self, Row, Score};
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
-/// VQF as its authors ship it, measured on exactly these files with the reference implementation:
-/// total, heading, inclination, degrees.
+/// Errors of the authors' reference implementation of VQF on these files: total, heading, inclination, degrees.
 const VQF_PUBLISHED: [(&str, [f64; 3]); 9] = [
     ("02_undisturbed_slow_rotation_B", [1.38, 1.31, 0.43]),
     ("06_undisturbed_fast_rotation_A", [4.03, 3.95, 0.80]),
@@ -30,7 +29,7 @@ fn folder() -> Option<PathBuf> {
     folder.is_dir().then_some(folder)
 }
 
-/// All rows of all filters, computed once; `None` where the recordings are not.
+/// All rows of all filters, computed once; `None` without recordings.
 fn rows() -> Option<&'static [Row]> {
     static ROWS: OnceLock<Option<Vec<Row>>> = OnceLock::new();
     ROWS.get_or_init(|| {
@@ -50,7 +49,7 @@ fn mean(filter: FilterName) -> Option<Score> {
 }
 
 #[test]
-fn vqf_is_the_published_filter_trial_by_trial() {
+fn vqf_matches_the_published_filter_in_every_trial() {
     let Some(rows) = rows() else { return };
     for (trial, published) in VQF_PUBLISHED {
         let row = rows.iter().find(|r| r.filter == FilterName::Vqf && r.file.contains(trial)).unwrap();
@@ -64,19 +63,19 @@ fn vqf_is_the_published_filter_trial_by_trial() {
 }
 
 #[test]
-fn madgwick_is_better_than_vqf_by_its_surroundings() {
+fn madgwick_keeps_its_accuracy() {
     let Some(mean) = mean(FilterName::Madgwick) else { return };
     assert!(mean.total_deg <= 2.95 && mean.inclination_deg <= 0.95, "{mean:?}");
 }
 
 #[test]
-fn trusting_the_gyroscope_for_longer_pays() {
+fn vqf_long_keeps_its_accuracy() {
     let Some(mean) = mean(FilterName::VqfLong) else { return };
     assert!(mean.total_deg <= 2.90 && mean.inclination_deg <= 0.75, "{mean:?}");
 }
 
 #[test]
-fn mekf_is_the_best_on_the_whole_and_nowhere_far_from_vqf() {
+fn mekf_keeps_its_accuracy_and_is_never_far_from_vqf() {
     let (Some(rows), Some(mean)) = (rows(), mean(FilterName::Mekf)) else { return };
     assert!(mean.total_deg <= 2.05 && mean.heading_deg <= 1.85 && mean.inclination_deg <= 0.70, "{mean:?}");
     for (trial, [vqf, ..]) in VQF_PUBLISHED {
@@ -86,8 +85,8 @@ fn mekf_is_the_best_on_the_whole_and_nowhere_far_from_vqf() {
 }
 
 #[test]
-fn one_filter_can_be_asked_for() {
-    let Some(folder) = folder() else { return };
+fn a_single_filter_can_be_selected() {
+    let Some(folder) = folder() else { return println!("skipped: no recordings") };
     let files = [folder.join("broad_02_undisturbed_slow_rotation_B.csv.gz")];
     let rows = score::run(&files, Some(FilterName::Vqf), false).unwrap();
     assert_eq!((rows.len(), rows[0].filter), (1, FilterName::Vqf));

@@ -1,7 +1,7 @@
-//! Every fault of the sensor, one by one and mid-motion, on the register-level fakes behind their
-//! drivers: how soon it is seen, what the policy does, how large the error gets, and that nothing jumps.
+//! Every sensor fault, injected during motion into register-level fakes behind their drivers: detection time, policy,
+//! error, and continuity of the estimate.
 //!
-//! `cargo test --release --test felt_faults -- --nocapture` prints the table.
+//! `cargo test --release --test sensor_faults -- --nocapture` prints the table.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod fake_imu;
@@ -24,18 +24,18 @@ use tip::TipPlant;
 const DT_S: f64 = 0.002;
 const ADDRESS: u8 = 0x68;
 
-/// What is done to the sensor, for how long, and what must be said of it.
+/// A fault of the sensor and the required response.
 struct Case {
     name: &'static str,
     lasts_s: f64,
     cause: HealthCause,
-    /// The mildest action that counts as an answer.
+    /// The mildest accepted action.
     action: HealthAction,
-    /// Largest true bend error during the fault, degrees, beyond what the motion has anyway.
+    /// Largest true bend error during the fault, degrees.
     error_max_deg: f64,
 }
 
-/// A loop whose sensor is a chip on a bus.
+/// A closed loop whose sensor is a fake chip on a bus.
 struct Chip {
     plant: TipPlant,
     config: LoopConfig,
@@ -43,8 +43,8 @@ struct Chip {
     input: Input,
     bus: FakeBus,
     imu: ImuRecovery<Icm20948<FakeBus>>,
-    /// What happens to a sample on its way, by name of the case.
-    spoil: Option<&'static str>,
+    /// Name of the fault applied to a sample between chip and loop.
+    corrupt: Option<&'static str>,
     held: Option<ImuReading>,
 }
 
@@ -59,7 +59,7 @@ impl Chip {
         let mut imu = ImuRecovery::new(Box::new(chip));
         imu.start(&mut bus.delay()).unwrap();
         let state = LoopState::new(&config);
-        Self { plant, config, state, input: Input { dt_s: DT_S, ..Input::default() }, bus, imu, spoil: None, held: None }
+        Self { plant, config, state, input: Input { dt_s: DT_S, ..Input::default() }, bus, imu, corrupt: None, held: None }
     }
 
     fn tick(&mut self) -> Frame {
@@ -71,23 +71,23 @@ impl Chip {
         frame
     }
 
-    /// What the sensor thread does.
+    /// Reads the chip as the sensor thread does.
     fn read(&mut self, now: Seconds) -> ImuReading {
         self.bus.machine().set_motion(&self.plant.motion());
         self.bus.machine().advance(DT_S);
-        let said = self.imu.read(&mut self.bus.delay(), now);
-        self.spoilt(said)
+        let reading = self.imu.read(&mut self.bus.delay(), now);
+        self.corrupted(reading)
     }
 
-    /// Faults between chip and loop.
-    fn spoilt(&mut self, said: ImuReading) -> ImuReading {
-        let (Some(name), ImuReading::Sample(mut sample, quality)) = (self.spoil, said) else {
-            self.held = Some(said);
-            return said;
+    /// Applies the faults between chip and loop.
+    fn corrupted(&mut self, reading: ImuReading) -> ImuReading {
+        let (Some(name), ImuReading::Sample(mut sample, quality)) = (self.corrupt, reading) else {
+            self.held = Some(reading);
+            return reading;
         };
         match name {
             "not a number" => sample.acc_m_s2.y = f64::NAN,
-            "stale stamp" => return self.held.unwrap_or(said),
+            "stale stamp" => return self.held.unwrap_or(reading),
             "stamp jumps ahead" => sample.t = Seconds(sample.t.0 + 0.4),
             "stamp runs back" => sample.t = Seconds(sample.t.0 - 0.3),
             "silence" => return ImuReading::Nothing,
@@ -96,7 +96,7 @@ impl Chip {
         ImuReading::Sample(sample, quality)
     }
 
-    /// Begins or ends the fault called `name`.
+    /// Starts or ends the fault called `name`.
     fn fault(&mut self, name: &'static str, on: bool) {
         let mut machine = self.bus.machine();
         match name {
@@ -121,7 +121,7 @@ impl Chip {
         match name {
             "iron nearby" => self.plant.field = if on { tip::Field::HardIron(60.0) } else { tip::Field::Clean },
             "shaken" => self.plant.push = if on { Vector3::new(0.0, 6.0, 2.0) } else { Vector3::zeros() },
-            _ => self.spoil = on.then_some(name),
+            _ => self.corrupt = on.then_some(name),
         }
     }
 
@@ -135,18 +135,18 @@ impl Chip {
 }
 
 #[derive(Debug, Default)]
-struct Seen {
+struct Observed {
     detected_s: Option<f64>,
     worst: Option<HealthAction>,
     during_deg: f64,
     after_deg: f64,
-    felt_jump_deg: f64,
+    estimate_jump_deg: f64,
     target_jump_mm: f64,
     stopped: bool,
     recovered_s: f64,
 }
 
-fn endure(case: &Case) -> Seen {
+fn run(case: &Case) -> Observed {
     let mut chip = Chip::new();
     while chip.tick().estimate.is_none() {
         assert!(chip.plant.t_s < 6.0, "{}", chip.state.fusion.waiting_for());
@@ -159,7 +159,7 @@ fn endure(case: &Case) -> Seen {
     }
     chip.command(45.0, 130.0);
     let mut before = chip.tick();
-    let (mut seen, start) = (Seen::default(), chip.plant.t_s + 0.2);
+    let (mut observed, start) = (Observed::default(), chip.plant.t_s + 0.2);
     for _ in 0..2500 {
         let t = chip.plant.t_s;
         if t >= start && t < start + DT_S {
@@ -169,38 +169,38 @@ fn endure(case: &Case) -> Seen {
             chip.fault(case.name, false);
         }
         let frame = chip.tick();
-        look(&mut seen, &chip, case, &before, &frame, t - start);
+        observe(&mut observed, &chip, case, &before, &frame, t - start);
         before = frame;
     }
-    seen.after_deg = chip.error_deg(&before);
+    observed.after_deg = chip.error_deg(&before);
     assert!(before.senses.in_force.is_empty(), "{}: still {}", case.name, before.senses.in_force);
-    seen
+    observed
 }
 
-fn look(seen: &mut Seen, chip: &Chip, case: &Case, before: &Frame, frame: &Frame, since_s: f64) {
+fn observe(observed: &mut Observed, chip: &Chip, case: &Case, before: &Frame, frame: &Frame, since_s: f64) {
     if frame.senses.in_force.contains(case.cause) {
-        seen.detected_s = seen.detected_s.or(Some(since_s));
-        seen.recovered_s = since_s;
+        observed.detected_s = observed.detected_s.or(Some(since_s));
+        observed.recovered_s = since_s;
     }
     if since_s < 0.0 {
         return;
     }
-    seen.worst = seen.worst.max(Some(frame.senses.action));
-    seen.stopped |= frame.senses.held;
+    observed.worst = observed.worst.max(Some(frame.senses.action));
+    observed.stopped |= frame.senses.held;
     if since_s < case.lasts_s + 0.3 {
-        seen.during_deg = seen.during_deg.max(chip.error_deg(frame));
+        observed.during_deg = observed.during_deg.max(chip.error_deg(frame));
     }
     let (now, then) = (frame.estimate.unwrap().bend.0, before.estimate.unwrap().bend.0);
-    // what the tip truly turned in a tick is no jump
+    // the motion of the tip within a tick is no jump
     let jump = (now - then).norm() - 120f64.to_radians() * DT_S;
-    seen.felt_jump_deg = seen.felt_jump_deg.max(jump.to_degrees());
+    observed.estimate_jump_deg = observed.estimate_jump_deg.max(jump.to_degrees());
     if before.senses.held && !frame.senses.held {
-        seen.target_jump_mm = seen.target_jump_mm.max((frame.piston_target_mm - before.piston_target_mm).amax());
+        observed.target_jump_mm = observed.target_jump_mm.max((frame.piston_target_mm - before.piston_target_mm).amax());
     }
 }
 
 #[test]
-fn every_fault_is_seen_answered_and_survived() {
+fn every_fault_is_detected_handled_and_recovered_from() {
     use HealthAction::{CoastOnGyro, GravityOnly, Hold, Skip};
     let case = |name, lasts_s, cause, action, error_max_deg| Case { name, lasts_s, cause, action, error_max_deg };
     let cases = [
@@ -222,9 +222,9 @@ fn every_fault_is_seen_answered_and_survived() {
         case("iron nearby", 0.8, HealthCause::FieldDisturbed, GravityOnly, 12.0),
         case("shaken", 0.8, HealthCause::AccelDisturbed, CoastOnGyro, 12.0),
     ];
-    println!("fault               seen after  policy         pistons  error during  after   felt jump  target jump  over after");
+    println!("fault               detected   policy         pistons  error during  after   estimate jump  target jump  over after");
     for c in &cases {
-        let s = endure(c);
+        let s = run(c);
         println!(
             "{:18} {:8.3} s  {:13} {:>8} {:10.2}° {:8.2}° {:8.2}° {:9.2} mm {:8.2} s",
             c.name,
@@ -233,29 +233,29 @@ fn every_fault_is_seen_answered_and_survived() {
             if s.stopped { "stopped" } else { "go on" },
             s.during_deg,
             s.after_deg,
-            s.felt_jump_deg,
+            s.estimate_jump_deg,
             s.target_jump_mm,
             s.recovered_s,
         );
-        let detected = s.detected_s.unwrap_or_else(|| panic!("{} was not seen", c.name));
-        assert!((0.0..0.35).contains(&detected), "{}: seen after {detected} s", c.name);
+        let detected = s.detected_s.unwrap_or_else(|| panic!("{} was not detected", c.name));
+        assert!((0.0..0.35).contains(&detected), "{}: detected after {detected} s", c.name);
         assert!(s.worst >= Some(c.action), "{}: {:?}", c.name, s.worst);
         assert!(s.during_deg < c.error_max_deg && s.after_deg < 1.0, "{}: {s:?}", c.name);
-        assert!(s.felt_jump_deg < 1.0 && s.target_jump_mm < 0.2, "{}: {s:?}", c.name);
+        assert!(s.estimate_jump_deg < 1.0 && s.target_jump_mm < 0.2, "{}: {s:?}", c.name);
     }
 }
 
-/// How far off the felt bend is at the most from `after_s` to 2 s after the tip leapt by `leap_deg` within
-/// `over_s`, with a sensor that is well; degrees.
-fn leap(chip: &mut Chip, leap_deg: f64, over_s: f64, after_s: f64) -> f64 {
+/// Largest error of the estimated bend from `after_s` to 2 s after a jump of the tip by `jump_deg` within `over_s`,
+/// with a healthy sensor; degrees.
+fn jump(chip: &mut Chip, jump_deg: f64, over_s: f64, after_s: f64) -> f64 {
     let from = chip.plant.aside;
-    let way = Bend::from_deg(leap_deg, 80.0).0;
+    let displacement = Bend::from_deg(jump_deg, 80.0).0;
     let start = chip.plant.t_s;
     let mut worst = 0.0_f64;
     while chip.plant.t_s - start < 2.0 {
         // a smooth step: its rate rises and falls
         let x = ((chip.plant.t_s - start) / over_s).clamp(0.0, 1.0);
-        chip.plant.aside = from + way * (x * x * (3.0 - 2.0 * x));
+        chip.plant.aside = from + displacement * (x * x * (3.0 - 2.0 * x));
         let frame = chip.tick();
         if chip.plant.t_s - start > after_s {
             worst = worst.max((frame.estimate.unwrap().bend.0 - chip.plant.bend().0).norm().to_degrees());
@@ -265,8 +265,8 @@ fn leap(chip: &mut Chip, leap_deg: f64, over_s: f64, after_s: f64) -> f64 {
 }
 
 #[test]
-fn a_tip_that_leaps_is_felt_where_it_went() {
-    for (leap_deg, over_s) in [(40.0, 0.002), (25.0, 0.02), (5.0, 0.02), (9.0, 0.04), (20.0, 0.1)] {
+fn the_estimate_reacquires_the_tip_after_a_jump() {
+    for (jump_deg, over_s) in [(40.0, 0.002), (25.0, 0.02), (5.0, 0.02), (9.0, 0.04), (20.0, 0.1)] {
         for tilt in [20.0, 50.0, 90.0] {
             let mut chip = Chip::new();
             chip.plant = TipPlant::new(7, tilt, DT_S);
@@ -279,8 +279,8 @@ fn a_tip_that_leaps_is_felt_where_it_went() {
                     chip.tick();
                 }
             }
-            let off = leap(&mut chip, leap_deg, over_s, 1.5);
-            println!("base at {tilt}°: {leap_deg}° in {over_s} s: off by at most {off:.2}° from 1.5 s on");
+            let off = jump(&mut chip, jump_deg, over_s, 1.5);
+            println!("base at {tilt}°: {jump_deg}° in {over_s} s: error at most {off:.2}° from 1.5 s on");
             assert!(off < 0.8, "{off}");
         }
     }

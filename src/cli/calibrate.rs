@@ -4,7 +4,7 @@
 //! not suffice, it names the motion that is missing and writes nothing.
 
 use crate::cli::{CommandOutcome, output};
-use crate::estimation::imu_calibration::{CalibrationLimits, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still};
+use crate::estimation::imu_calibration::{ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still};
 use crate::log::bend_log;
 use crate::primitives::sample::ImuSample;
 use miette::{IntoDiagnostic, Result, miette};
@@ -112,7 +112,6 @@ fn existing(path: &Path) -> Result<toml::Table> {
 type Identified = Result<String, Refusal>;
 
 fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Result<Identified> {
-    let limits = CalibrationLimits::default();
     let log = || {
         let file = args.file.as_deref().ok_or_else(|| miette!("motors and mount need a bend log with piston positions; give its file"))?;
         bend_log::read(file).into_diagnostic()
@@ -123,16 +122,16 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
         (None, None) => Ok(Vec::new()),
     };
     Ok(match args.step {
-        Step::Gyro => identify_gyro(&read()?, &limits, from, into),
-        Step::Accel => identify_accel(&read()?, &limits, from, into),
-        Step::Mag => identify_mag(&read()?, &limits, from, into),
-        Step::Motors => motor::fit(&samples::of_motors(&log()?, args.idle_after), &limits, from).map(|fit| {
+        Step::Gyro => identify_gyro(&read()?, from, into),
+        Step::Accel => identify_accel(&read()?, from, into),
+        Step::Mag => identify_mag(&read()?, from, into),
+        Step::Motors => motor::fit(&samples::of_motors(&log()?, args.idle_after), from).map(|fit| {
             let strongest = fit.field.cos_ut.iter().chain(&fit.field.sin_ut).map(|r| Vector3::from(*r).norm()).fold(0.0, f64::max);
             into.motor_field = Some(fit.field);
             let coverage = 100.0 * fit.coverage.into_iter().fold(1.0, f64::min);
             format!("motor fields up to {strongest:.2} µT, residual {:.2} µT, {coverage:.0} % of the coil cycle covered", fit.residual_ut)
         }),
-        Step::Mount => mount::from_bends(&samples::bends(&log()?), &limits).map(|fit| {
+        Step::Mount => mount::from_bends(&samples::bends(&log()?)).map(|fit| {
             into.set_mount(&fit, from);
             format!(
                 "sensor rotated by {:.2}° against the tip, ± {}°, from {} bends, {:.2}° out of their plane",
@@ -145,17 +144,17 @@ fn identify(args: &Args, from: Pedigree<'_>, into: &mut ImuCalibration) -> Resul
     })
 }
 
-fn identify_gyro(samples: &[ImuSample], limits: &CalibrationLimits, from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
-    let fit = gyro::at_rest(samples, limits)?;
+fn identify_gyro(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
+    let fit = gyro::at_rest(samples)?;
     into.set_gyro(&fit, from);
     let (bias, sigma) = (list(fit.bias_rad_s.map(f64::to_degrees), 3), fit.sigma_rad_s.amax().to_degrees());
     Ok(format!("gyroscope bias {bias} °/s, ± {sigma:.4} °/s, from {:.1} s of standstill", fit.duration_s))
 }
 
-fn identify_accel(samples: &[ImuSample], limits: &CalibrationLimits, from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
-    let rests = still::rests(samples, limits);
-    let enough = rests.len() >= limits.ellipsoid_samples;
-    let fit = if enough { accel::ellipsoid(&rests, limits) } else { accel::six_positions(&rests, limits) }?;
+fn identify_accel(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
+    let rests = still::rests(samples);
+    let enough = rests.len() >= ELLIPSOID_SAMPLES_MIN;
+    let fit = if enough { accel::ellipsoid(&rests) } else { accel::six_positions(&rests) }?;
     into.set_accel(&fit, from);
     Ok(format!(
         "accelerometer bias {} m/s², residual {:.4} m/s², {:.0} % of the sphere covered, {} standstills",
@@ -166,9 +165,9 @@ fn identify_accel(samples: &[ImuSample], limits: &CalibrationLimits, from: Pedig
     ))
 }
 
-fn identify_mag(samples: &[ImuSample], limits: &CalibrationLimits, from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
+fn identify_mag(samples: &[ImuSample], from: Pedigree<'_>, into: &mut ImuCalibration) -> Identified {
     let readings: Vec<Vector3<f64>> = samples.iter().filter_map(|s| s.mag_ut).collect();
-    let fit = mag::ellipsoid(&readings, limits)?;
+    let fit = mag::ellipsoid(&readings)?;
     into.set_mag(&fit, from);
     Ok(format!(
         "hard iron {} µT, ± {:.2} µT, field {:.1} µT, residual {:.2} µT, {:.0} % of the sphere covered",

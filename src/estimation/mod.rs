@@ -1,4 +1,4 @@
-//! Tip orientation from IMU samples, the calibration of the IMU, and scores of orientation filters.
+//! Orientation of the tip from IMU samples, calibration of the IMU, and scores of orientation filters.
 
 pub mod fusion;
 pub mod imu_calibration;

@@ -1,7 +1,7 @@
-//! How far an orientation filter is from the truth, on recordings with an optical reference.
+//! Errors of an orientation filter on recordings with an optical reference.
 //!
-//! The metric of BROAD (Laidig, Caruso, Cereatti & Seel, Data 6(7):72, 2021). The filter runs over the
-//! whole recording from its first sample; with `e = q_estimated q_reference⁻¹`, the error in world axes,
+//! The metric of BROAD (Laidig, Caruso, Cereatti & Seel, Data 6(7):72, 2021). The filter runs over the whole
+//! recording from its first sample. With the error in world axes `e = q_estimated q_reference⁻¹`,
 //!
 //! ```text
 //! total       2 acos |e_w|
@@ -9,8 +9,8 @@
 //! inclination 2 acos √(e_w² + e_z²)
 //! ```
 //!
-//! and of each the root mean square over the samples that move and have a reference. No alignment is
-//! fitted. A set of recordings is summed up by the plain mean over recordings.
+//! the score is the root mean square of each over the samples that move and have a reference. No alignment is fitted.
+//! The score of a set of recordings is the mean over the recordings.
 
 use crate::estimation::fusion::{FilterName, OrientationFilter, Periods};
 use crate::log::error::ReadError;
@@ -21,24 +21,24 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// The filter that is scored when none is named.
+/// The filter that is scored if none is named.
 pub const DEFAULT_FILTER: FilterName = FilterName::Mekf;
 
 /// Root mean square errors of one filter on one recording, degrees.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Score {
-    /// Of the whole rotation.
+    /// Total error.
     pub total_deg: f64,
-    /// Of the part about the vertical.
+    /// Error about the vertical.
     pub heading_deg: f64,
-    /// Of the rest.
+    /// Error of the inclination.
     pub inclination_deg: f64,
 }
 
-/// One line of `imu score`, as JSON has it.
+/// One row of the JSON of `imu score`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Name of the recording's file.
+    /// File name of the recording.
     pub file: String,
     /// The filter.
     pub filter: FilterName,
@@ -50,24 +50,24 @@ pub struct Row {
     pub inclination_deg: f64,
 }
 
-/// Why there is no score.
+/// Why a recording has no score.
 #[derive(Debug, thiserror::Error)]
 pub enum ScoreError {
     /// No file was named.
-    #[error("no recording to score: name at least one CSV or CSV.gz file")]
+    #[error("no recording given: name at least one CSV or CSV.gz file")]
     NoFiles,
     /// A recording cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// A recording has nothing to compare with.
-    #[error("{file}: no row has moving = 1 and a reference (ref_qw … ref_qz): there is no truth to score against")]
+    /// A recording has no moving sample with a reference.
+    #[error("{file}: no row has both moving = 1 and a reference (ref_qw … ref_qz), so there is nothing to compare with")]
     NoTruth {
         /// Name of the file.
         file: String,
     },
 }
 
-/// Angles of the error between an estimate and the truth: total, heading, inclination, rad.
+/// Total, heading and inclination error of an estimate, rad.
 #[must_use]
 pub fn error_angles(estimate: &Rotation<World, Sensor>, truth: &Rotation<World, Sensor>) -> [f64; 3] {
     let e = (estimate.quat() * truth.quat().inverse()).into_inner();
@@ -77,19 +77,19 @@ pub fn error_angles(estimate: &Rotation<World, Sensor>, truth: &Rotation<World, 
     [total, heading, inclination]
 }
 
-/// Runs a filter with its shipped defaults over a recording and scores it.
+/// Runs a filter with its shipped settings over a recording and scores it.
 ///
 /// # Errors
-/// [`ScoreError::NoTruth`] when no row is both moving and referenced.
+/// [`ScoreError::NoTruth`] if no row is both moving and referenced.
 pub fn score(recording: &Recording, filter: FilterName) -> Result<Score, ScoreError> {
     let periods = Periods { imu_s: recording.period_s(), mag_s: recording.mag_period_s() };
     score_with(recording, &mut *filter.build(periods))
 }
 
-/// Runs a fresh filter of any kind over a recording and scores it.
+/// Runs a new filter over a recording and scores it.
 ///
 /// # Errors
-/// [`ScoreError::NoTruth`] when no row is both moving and referenced.
+/// [`ScoreError::NoTruth`] if no row is both moving and referenced.
 pub fn score_with(recording: &Recording, filter: &mut dyn OrientationFilter) -> Result<Score, ScoreError> {
     let period_s = recording.period_s();
     let (mut squares, mut count) = ([0.0; 3], 0usize);
@@ -114,7 +114,7 @@ pub fn score_with(recording: &Recording, filter: &mut dyn OrientationFilter) -> 
 
 /// Scores files, in parallel: with `all` every filter, else `filter`, else [`DEFAULT_FILTER`].
 ///
-/// Rows come file by file in the order given, filters in the order of [`FilterName::ALL`].
+/// The rows are ordered by file as given, then by filter as in [`FilterName::ALL`].
 ///
 /// # Errors
 /// The first file, in the order given, that cannot be read or scored.
@@ -140,7 +140,7 @@ fn row(recording: &Recording, filter: FilterName) -> Result<Row, ScoreError> {
     Ok(Row { file: recording.name.clone(), filter, total_deg, heading_deg, inclination_deg })
 }
 
-/// Plain mean over recordings, for one filter; `None` when it has no row.
+/// Mean of one filter over the recordings; `None` if it has no row.
 #[must_use]
 pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
     let of: Vec<&Row> = rows.iter().filter(|r| r.filter == filter).collect();
@@ -152,7 +152,7 @@ pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
     })
 }
 
-/// The rows as a table: a line per file, a column per filter, the means last.
+/// The rows as a table: one line per file, one column per filter, and the means.
 #[must_use]
 pub fn table(rows: &[Row]) -> String {
     let filters: Vec<FilterName> = FilterName::ALL.into_iter().filter(|f| rows.iter().any(|r| r.filter == *f)).collect();
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_about_the_vertical_is_heading_only() {
+    fn a_rotation_about_the_vertical_is_heading_error_only() {
         for yaw in [-170.0, -30.0, 0.0, 1e-6, 45.0, 179.0] {
             let truth = rotation(20.0, -50.0, 130.0);
             let [total, heading, inclination] = angles_deg(&(rotation_world(0.0, yaw) * truth), &truth);
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tilt_is_inclination_only_and_both_add_as_half_angles() {
+    fn a_tilt_is_inclination_error_only() {
         let truth = rotation(20.0, -50.0, 130.0);
         let [total, heading, inclination] = angles_deg(&(rotation_world(25.0, 0.0) * truth), &truth);
         assert!((total - 25.0).abs() < 1e-9 && heading < 1e-9 && (inclination - 25.0).abs() < 1e-9);
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sign_of_a_quaternion_does_not_matter_and_half_a_turn_is_finite() {
+    fn the_sign_of_a_quaternion_is_irrelevant_and_half_a_turn_is_finite() {
         let truth = rotation(10.0, 20.0, 30.0);
         let flipped = Rotation::assert_frames(UnitQuaternion::new_unchecked(-truth.quat().into_inner()));
         assert!(angles_deg(&flipped, &truth).iter().all(|a| *a < 1e-5));
@@ -225,15 +225,15 @@ mod tests {
         assert!((total - 180.0).abs() < 1e-5 && (heading - 180.0).abs() < 1e-5);
     }
 
-    /// A turn about the world's x by `tilt_deg`, after one about its z by `yaw_deg`.
+    /// A rotation about the world's x by `tilt_deg`, then about its z by `yaw_deg`.
     fn rotation_world(tilt_deg: f64, yaw_deg: f64) -> Rotation<World, World> {
         let tilt = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), tilt_deg.to_radians());
         let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians());
         Rotation::assert_frames(yaw * tilt)
     }
 
-    /// A sensor lying still, level and facing north, whose reference is off by `yaw_deg` of heading.
-    fn lying_still(yaw_deg: f64, moving: impl Fn(usize) -> bool, seen: impl Fn(usize) -> bool) -> Recording {
+    /// A still, level sensor facing north whose reference deviates by `yaw_deg` in heading.
+    fn still_recording(yaw_deg: f64, moving: impl Fn(usize) -> bool, referenced: impl Fn(usize) -> bool) -> Recording {
         let reference = rotation(0.0, 0.0, yaw_deg);
         let row = |k: usize| recording::Row {
             sample: ImuSample {
@@ -242,16 +242,16 @@ mod tests {
                 acc_m_s2: Vector3::new(0.0, 0.0, 9.81),
                 mag_ut: Some(Vector3::new(16.0, 0.0, -41.0)),
             },
-            reference: seen(k).then_some(reference),
+            reference: referenced(k).then_some(reference),
             moving: moving(k),
         };
         Recording { name: "still.csv".into(), rows: (0..2000).map(row).collect() }
     }
 
     #[test]
-    fn every_filter_scores_a_constant_error_as_itself() {
+    fn every_filter_reports_a_constant_reference_error() {
         for filter in FilterName::ALL {
-            let s = score(&lying_still(7.0, |k| k > 500, |k| k % 3 == 0), filter).unwrap();
+            let s = score(&still_recording(7.0, |k| k > 500, |k| k % 3 == 0), filter).unwrap();
             assert!((s.total_deg - 7.0).abs() < 0.01 && (s.heading_deg - 7.0).abs() < 0.01, "{filter}: {s:?}");
             assert!(s.inclination_deg < 0.01, "{filter}: {s:?}");
         }
@@ -259,15 +259,15 @@ mod tests {
 
     #[test]
     fn a_recording_without_truth_is_refused() {
-        for (moving, seen) in [(false, true), (true, false)] {
-            let error = score(&lying_still(0.0, |_| moving, |_| seen), FilterName::Vqf).unwrap_err();
+        for (moving, referenced) in [(false, true), (true, false)] {
+            let error = score(&still_recording(0.0, |_| moving, |_| referenced), FilterName::Vqf).unwrap_err();
             assert!(error.to_string().contains("still.csv"), "{error}");
         }
         assert!(matches!(run(&[], None, true), Err(ScoreError::NoFiles)));
     }
 
     #[test]
-    fn rows_are_the_promised_json_and_the_table_ends_in_means() {
+    fn rows_match_the_json_contract_and_the_table_ends_in_means() {
         let row = |file: &str, filter, total_deg| Row { file: file.into(), filter, total_deg, heading_deg: 1.0, inclination_deg: 0.5 };
         let rows = [row("a", FilterName::VqfLong, 1.0), row("b", FilterName::VqfLong, 4.0)];
         assert_eq!(

@@ -1,6 +1,6 @@
-//! A small tip for the tests of sensing: play, air spring, lag, constant curvature, a base that may turn,
-//! a field that may lie, and a nine-axis sensor. Everything can be changed while it runs.
-#![allow(dead_code, reason = "every test takes its own part of this")]
+//! A simple tip for the tests of estimation: play, air spring, lag, constant curvature, a moving base, a disturbed
+//! field and a nine-axis sensor. All parameters can be changed while it runs.
+#![allow(dead_code, reason = "each test uses a part of this module")]
 
 use crate::fake_imu::Motion;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -17,16 +17,16 @@ use retroflex::primitives::units::{Seconds, Steps};
 
 pub const GRAVITY: f64 = 9.81;
 
-/// What the field does besides being the Earth's.
+/// Disturbance of the Earth's field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Field {
-    /// Nothing.
+    /// None.
     Clean,
-    /// The magnetometer says nothing.
+    /// The magnetometer delivers no values.
     Silent,
     /// Iron on the tip, µT.
     HardIron(f64),
-    /// Coils in the world that follow the microsteps, µT.
+    /// Motor coils, fixed in the world, whose field follows the microsteps, µT.
     Motors(f64),
 }
 
@@ -49,16 +49,16 @@ pub struct TipPlant {
     pub gyro_bias: Vector3<f64>,
     /// Rate of the base, rad/s, world axes.
     pub base_rate: Vector3<f64>,
-    /// A push on the accelerometer, m/s², tip axes.
+    /// Additional specific force, m/s², tip axes.
     pub push: Vector3<f64>,
-    /// What something outside bends it by besides, rad.
+    /// Additional bend by an external cause, rad.
     pub aside: nalgebra::Vector2<f64>,
     play_output: Vector3<f64>,
     bellow: Vector3<f64>,
     bend: Bend,
     before: UnitQuaternion<f64>,
-    /// Places of the sensor in the base at this and the two steps before, m.
-    places: [Vector3<f64>; 3],
+    /// Positions of the sensor in the base at this and the two previous steps, m.
+    positions: [Vector3<f64>; 3],
     steps: Steps,
     n: u64,
     rng: StdRng,
@@ -68,16 +68,15 @@ fn field_world() -> Vector3<f64> {
     Vector3::new(20.0, 0.0, -44.0)
 }
 
-/// Where the sensor sits: 6 mm past the end of an arc of 20 mm, m.
-fn place(bend: &Bend) -> Vector3<f64> {
+/// Position of the sensor, 6 mm past the end of an arc of 20 mm, m.
+fn position(bend: &Bend) -> Vector3<f64> {
     let beta = bend.beta().max(1e-9);
     let (x, z) = (20.0 * (1.0 - beta.cos()) / beta + 6.0 * beta.sin(), 20.0 * beta.sin() / beta + 6.0 * beta.cos());
     Vector3::new(x * bend.0.x / beta, -x * bend.0.y / beta, z) * 1e-3
 }
 
 impl TipPlant {
-    /// A tip whose base axis stands `tilt_deg` off the vertical, turned about itself and in heading by
-    /// the seed.
+    /// A tip whose base axis is tilted by `tilt_deg` from the vertical; azimuth and heading depend on the seed.
     pub fn new(seed: u64, tilt_deg: f64, dt_s: f64) -> Self {
         let mut rng = StdRng::seed_from_u64(seed);
         let mut unit = || -> f64 { rand::RngExt::random(&mut rng) };
@@ -105,7 +104,7 @@ impl TipPlant {
             bellow: Vector3::zeros(),
             bend: Bend::STRAIGHT,
             before: base,
-            places: [place(&Bend::STRAIGHT); 3],
+            positions: [position(&Bend::STRAIGHT); 3],
             steps: Steps::default(),
             n: 0,
             rng,
@@ -123,7 +122,7 @@ impl TipPlant {
         }
         self.before = self.base * self.bend.rotation().quat();
         self.bend = Bend(self.geometry.shape(&self.bellow).bend.0 + self.aside);
-        self.places = [place(&self.bend), self.places[0], self.places[1]];
+        self.positions = [position(&self.bend), self.positions[0], self.positions[1]];
         self.base = UnitQuaternion::from_scaled_axis(self.base_rate * self.dt_s) * self.base;
         (self.steps, self.n, self.t_s) = (*steps, self.n + 1, self.t_s + self.dt_s);
     }
@@ -135,7 +134,7 @@ impl TipPlant {
         self.bend
     }
 
-    /// What an ideal sensor on the tip would feel.
+    /// Motion of the tip as an ideal sensor measures it.
     pub fn motion(&self) -> Motion {
         let now = self.base * self.bend.rotation().quat();
         let back = now.inverse();
@@ -151,9 +150,9 @@ impl TipPlant {
         }
     }
 
-    /// Second difference of the sensor's place, m/s², base axes.
+    /// Second difference of the position of the sensor, m/s², base axes.
     fn acceleration(&self) -> Vector3<f64> {
-        let [now, before, earlier] = self.places;
+        let [now, before, earlier] = self.positions;
         (now - before * 2.0 + earlier) / (self.dt_s * self.dt_s)
     }
 
@@ -168,7 +167,7 @@ impl TipPlant {
         Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
     }
 
-    /// The sample of a noisy sensor; the field comes with every second one.
+    /// The sample of a noisy sensor, with a field value in every second one.
     pub fn sample(&mut self) -> ImuSample {
         let m = self.motion();
         let mag = (self.field != Field::Silent && self.n.is_multiple_of(2)).then(|| m.mag_ut + self.noise(MAG_NOISE));
@@ -180,7 +179,7 @@ impl TipPlant {
         }
     }
 
-    /// The sample of a second sensor on the base, mounted alike.
+    /// The sample of a second sensor on the base with the same mounting.
     pub fn base_sample(&mut self) -> ImuSample {
         let back = self.base.inverse();
         ImuSample {

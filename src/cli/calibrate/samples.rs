@@ -3,7 +3,7 @@
 use crate::cli::output;
 use crate::estimation::fusion::health;
 use crate::estimation::fusion::tip::{FuseConfig, Fusion, FusionInput};
-use crate::estimation::imu_calibration::{CalibrationLimits, motor, mount, still};
+use crate::estimation::imu_calibration::{motor, mount, still};
 use crate::hardware::imu::Imu;
 use crate::log::bend_log::{self, BendLog};
 use crate::log::error::ReadError;
@@ -87,7 +87,7 @@ pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
 #[must_use]
 pub fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
     let samples = log_samples(log);
-    let Some(bias) = samples.get(..).map(|s| still::rests(s, &CalibrationLimits::default())).and_then(|r| r.first().map(|r| r.gyro_rad_s))
+    let Some(bias) = samples.get(..).map(|s| still::rests(s)).and_then(|r| r.first().map(|r| r.gyro_rad_s))
     else {
         return Vec::new();
     };
@@ -176,7 +176,7 @@ mod tests {
         let mut shares = Vec::new();
         let samples = record(&mut chip, &mut bus.delay(), 5.0, &mut |s| shares.push(s)).unwrap();
         assert!(samples.len() > 2000 && shares.windows(2).all(|w| w[0] < w[1]));
-        let fit = gyro::at_rest(&samples, &CalibrationLimits::default()).unwrap();
+        let fit = gyro::at_rest(&samples).unwrap();
         assert!((fit.bias_rad_s - bias).amax() < 1e-3, "{}", fit.bias_rad_s);
         bus.machine().stuck = true;
         assert!(record(&mut chip, &mut bus.delay(), 1.0, &mut |_| ()).is_err());

@@ -1,9 +1,8 @@
-//! Alignment: what the still tip at start says about itself.
+//! Alignment: means of the sensors over a still stretch at the start.
 //!
-//! The rest *defines* zero bend and the base frame, so the mean specific force and the mean field
-//! over it are gravity and magnetic field in base coordinates (biases included: the estimator keeps
-//! those as states), and the mean rate is the gyroscope's bias. Stillness is demanded, not assumed:
-//! a window that moves starts again, and the reason is kept for whoever waits.
+//! The still stretch *defines* zero bend and the base frame. Its mean specific force and mean field are therefore
+//! gravity and magnetic field in base coordinates (including the biases, which the estimator has as states), and its
+//! mean rate is the gyroscope bias. Motion restarts the window, and the reason is kept for the status.
 
 use crate::parameters;
 use crate::primitives::sample::ImuSample;
@@ -26,14 +25,21 @@ parameters! {
     }
 }
 
-/// Result of a still stretch; vectors in the sensor frame, which is the base frame at rest.
+/// Samples from which on a mean is used.
+const MEAN_SAMPLES: u32 = 10;
+/// Rate samples from which on their mean is compared with the largest bias.
+const BIAS_SAMPLES: u32 = 100;
+/// Fewest rate samples of an alignment.
+const SAMPLES_MIN: u32 = 20;
+
+/// Result of a still stretch; vectors in the sensor frame, which is the base frame during alignment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Alignment {
     /// Mean rate, rad/s.
     pub gyro_bias_rad_s: Vector3<f64>,
     /// Mean specific force, m/s².
     pub acc_rest_m_s2: Vector3<f64>,
-    /// Mean field, µT; `None` where the magnetometer gave nothing.
+    /// Mean field, µT; `None` without a magnetometer.
     pub mag_rest_ut: Option<Vector3<f64>>,
     /// Standard deviation of one rate sample, rad/s (root mean over the axes).
     pub gyro_sigma_rad_s: f64,
@@ -43,29 +49,29 @@ pub struct Alignment {
     pub mag_sigma_ut: f64,
     /// Length of the stretch, s.
     pub duration_s: f64,
-    /// Rate samples averaged.
+    /// Number of rate samples.
     pub samples: u32,
-    /// Field samples averaged.
+    /// Number of field samples.
     pub mag_samples: u32,
-    /// Rate samples that repeated the one before: many where the source has no noise.
+    /// Number of rate samples equal to the previous one: large for a source without noise.
     pub repeated: u32,
 }
 
 impl Alignment {
-    /// Mean time between samples, and between field samples, s.
+    /// Mean period of the samples, and of the field samples, s.
     #[must_use]
     pub fn periods_s(&self) -> (f64, f64) {
         let mean = |n: u32| self.duration_s / f64::from(n.max(2) - 1);
         (mean(self.samples), mean(self.mag_samples))
     }
-    /// True when the source is noisy enough that a repeated reading is suspicious.
+    /// True if the source has noise, so that identical samples indicate a fault: fewer than one in fifty repeats.
     #[must_use]
     pub fn noisy(&self) -> bool {
         self.repeated * 50 < self.samples
     }
 }
 
-/// Why the window began again.
+/// Why the window was restarted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NotStill {
     /// The rate left its band.
@@ -79,9 +85,9 @@ pub enum NotStill {
 impl std::fmt::Display for NotStill {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
-            Self::Turning => "the gyroscope says that it turns",
-            Self::Shaking => "the accelerometer says that it shakes",
-            Self::BiasTooLarge => "the mean rate is too large to be gyroscope bias",
+            Self::Turning => "the gyroscope measures rotation",
+            Self::Shaking => "the accelerometer measures vibration",
+            Self::BiasTooLarge => "the mean rate is too large for a gyroscope bias",
         })
     }
 }
@@ -106,29 +112,29 @@ impl Spread {
     }
 }
 
-/// The window so far.
+/// A still stretch in progress.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AlignState {
-    begun_s: Option<f64>,
+    start_s: Option<f64>,
     gyro: Spread,
     acc: Spread,
     mag: Spread,
     last_gyro: Vector3<f64>,
     repeated: u32,
-    /// Why the last window was thrown away, if one was.
+    /// Why the last window was discarded, if one was.
     pub refused: Option<NotStill>,
 }
 
 impl AlignState {
-    /// Adds a sample; the alignment once the window is full and was still.
+    /// Adds a sample; returns the alignment once the window is complete.
     pub fn add(&mut self, config: &AlignConfig, sample: &ImuSample) -> Option<Alignment> {
         if !sample.is_finite() {
             return None;
         }
-        if let Some(why) = self.moved(config, sample) {
-            *self = Self { refused: Some(why), ..Self::default() };
+        if let Some(reason) = self.motion(config, sample) {
+            *self = Self { refused: Some(reason), ..Self::default() };
         }
-        let begun_s = *self.begun_s.get_or_insert(sample.t.0);
+        let start_s = *self.start_s.get_or_insert(sample.t.0);
         self.repeated += u32::from(self.gyro.n > 0 && sample.gyro_rad_s == self.last_gyro);
         self.last_gyro = sample.gyro_rad_s;
         self.gyro.add(&sample.gyro_rad_s);
@@ -136,20 +142,20 @@ impl AlignState {
         if let Some(m) = &sample.mag_ut {
             self.mag.add(m);
         }
-        let duration_s = sample.t.0 - begun_s;
-        (duration_s >= config.window_s && self.gyro.n >= 20).then(|| self.result(duration_s))
+        let duration_s = sample.t.0 - start_s;
+        (duration_s >= config.window_s && self.gyro.n >= SAMPLES_MIN).then(|| self.result(duration_s))
     }
 
-    fn moved(&self, config: &AlignConfig, sample: &ImuSample) -> Option<NotStill> {
-        // the first samples have no mean to deviate from yet
-        if self.gyro.n < 10 {
+    fn motion(&self, config: &AlignConfig, sample: &ImuSample) -> Option<NotStill> {
+        // the mean of the first samples is not yet reliable
+        if self.gyro.n < MEAN_SAMPLES {
             return None;
         }
         if (sample.gyro_rad_s - self.gyro.mean).amax() > config.gyro_band_rad_s {
             Some(NotStill::Turning)
         } else if (sample.acc_m_s2 - self.acc.mean).amax() > config.acc_band_m_s2 {
             Some(NotStill::Shaking)
-        } else if self.gyro.mean.norm() > config.gyro_bias_max_rad_s && self.gyro.n > 100 {
+        } else if self.gyro.mean.norm() > config.gyro_bias_max_rad_s && self.gyro.n > BIAS_SAMPLES {
             Some(NotStill::BiasTooLarge)
         } else {
             None
@@ -160,7 +166,7 @@ impl AlignState {
         Alignment {
             gyro_bias_rad_s: self.gyro.mean,
             acc_rest_m_s2: self.acc.mean,
-            mag_rest_ut: (self.mag.n >= 10).then_some(self.mag.mean),
+            mag_rest_ut: (self.mag.n >= MEAN_SAMPLES).then_some(self.mag.mean),
             gyro_sigma_rad_s: self.gyro.sigma(),
             acc_sigma_m_s2: self.acc.sigma(),
             mag_sigma_ut: self.mag.sigma(),
@@ -199,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn motion_starts_the_window_again_and_says_why() {
+    fn motion_restarts_the_window_and_is_reported() {
         let (config, mut state) = (AlignConfig::default(), AlignState::default());
         for i in 0..300 {
             assert!(state.add(&config, &sample(i, 0.0)).is_none());
@@ -211,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_steady_turn_is_not_bias() {
+    fn a_steady_rotation_is_not_bias() {
         let (config, mut state) = (AlignConfig::default(), AlignState::default());
         for i in 0..3000 {
             assert!(state.add(&config, &sample(i, 0.3)).is_none());

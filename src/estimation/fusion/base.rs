@@ -1,15 +1,14 @@
-//! The base's own IMU: by how much the base has turned since the rest, so that a base that turns is
-//! not mistaken for bending.
+//! The IMU on the base: the rotation of the base since alignment, which is subtracted from that of the tip.
 //!
-//! A complementary attitude filter (Mahony, Hamel & Pflimlin 2008, explicit form): the turn
-//! `T` (base now → base at rest) follows the gyroscope, and the reading of a vector that was `v₀` at
-//! the rest is expected to be `Tᵀ v₀`; what it differs by turns `T` slowly,
+//! A complementary attitude filter (Mahony, Hamel & Pflimlin 2008, explicit form). The rotation `T` (base now → base
+//! during alignment) follows the gyroscope. A vector that read `v₀` during alignment is predicted to read `Tᵀ v₀`, and
+//! the difference corrects `T` slowly:
 //!
 //! `ω̂ = ω − b_g + k_a (a × Tᵀ a₀)/|a||a₀| + k_m (m × Tᵀ m₀)/|m||m₀|`.
 //!
-//! The bias b_g comes from the rest, and from every later stretch in which nothing turns. The base
-//! IMU's axes are those of the tip's IMU at rest, up to a configured mount; where the two disagree on
-//! where up is, the smallest rotation that mends it is added.
+//! The bias b_g comes from the alignment and from every later stretch without rotation. The axes of the base IMU are
+//! those of the tip's IMU during alignment, up to a configured mount. If the two disagree about the vertical, the
+//! smallest rotation that makes them agree is added.
 
 use crate::estimation::fusion::align::{AlignConfig, AlignState, Alignment};
 use crate::estimation::fusion::intake::{self, Step};
@@ -17,17 +16,17 @@ use crate::parameters;
 use crate::primitives::sample::ImuSample;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// By how much the base has turned since the rest.
+/// Rotation of the base since alignment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BaseTurn {
-    /// Coordinates in the base as it stands now to those in the base at rest.
+    /// Base now to base during alignment.
     pub r_rest_now: UnitQuaternion<f64>,
-    /// Rate of the base in its present axes, rad/s.
+    /// Angular rate of the base in its present axes, rad/s.
     pub rate_rad_s: Vector3<f64>,
 }
 
 impl BaseTurn {
-    /// A base that stands.
+    /// A base that has not moved.
     #[must_use]
     pub fn none() -> Self {
         Self { r_rest_now: UnitQuaternion::identity(), rate_rad_s: Vector3::zeros() }
@@ -52,19 +51,19 @@ parameters! {
     }
 }
 
-/// The base's alignment and attitude.
+/// Alignment and attitude of the base.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum BaseTracker {
-    /// No sample of a base IMU has come.
+    /// No sample of a base IMU has arrived.
     #[default]
     Absent,
-    /// Its rest is being averaged.
+    /// The alignment is in progress.
     Aligning(AlignState),
-    /// It is being followed.
+    /// The attitude is tracked.
     Following(Follow),
 }
 
-/// Attitude since the rest.
+/// Attitude since alignment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Follow {
     rest: Alignment,
@@ -78,22 +77,22 @@ pub struct Follow {
     before: Option<Window>,
 }
 
-/// What the gyroscope said over a while, without the bias known by then.
+/// Integral of the gyroscope over a window, with the bias subtracted.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Window {
     turn_rad: Vector3<f64>,
     length_s: f64,
 }
 
-/// Time constant of the rate that stillness is judged by, s.
+/// Time constant of the mean rate that must stay below [`BaseConfig::still_rate_rad_s`], s.
 const STILL_TAU_S: f64 = 0.5;
-/// Time constant of the bias while the base stands, s.
+/// Time constant of the bias while the base stands still, s.
 const BIAS_TAU_S: f64 = 20.0;
-/// Length of the windows that bias is learnt in, s.
+/// Length of the windows for the bias, s.
 const WINDOW_S: f64 = 1.0;
 
 impl BaseTracker {
-    /// Takes a sample; `tip_up` is the tip's mean specific force at rest once it is aligned.
+    /// Processes a sample. `tip_up` is the mean specific force of the tip during its alignment, once complete.
     pub fn update(&mut self, config: &BaseConfig, align: &AlignConfig, sample: &ImuSample, tip_up: Option<&Vector3<f64>>) {
         if !sample.is_finite() {
             return;
@@ -109,7 +108,7 @@ impl BaseTracker {
         }
     }
 
-    /// The turn since the rest, in the tip IMU's rest axes.
+    /// The rotation since alignment, in the axes of the tip's IMU during alignment.
     #[must_use]
     pub fn turn(&self) -> BaseTurn {
         match self {
@@ -120,13 +119,13 @@ impl BaseTracker {
         }
     }
 
-    /// True while a base IMU speaks and is aligned.
+    /// True while a base IMU is present and aligned.
     #[must_use]
     pub fn follows(&self) -> bool {
         matches!(self, Self::Following(_))
     }
 
-    /// Forgets the turn: the present attitude is the new rest. Begins a new average.
+    /// Starts a new alignment at the present attitude.
     pub fn restart(&mut self) {
         if !matches!(self, Self::Absent) {
             *self = Self::Aligning(AlignState::default());
@@ -157,32 +156,32 @@ impl Follow {
             return;
         };
         self.last_t_s = sample.t.0;
-        let seen = intake::usable(sample);
-        let Some(gyro) = seen.gyro_rad_s else { return };
+        let usable = intake::usable(sample);
+        let Some(gyro) = usable.gyro_rad_s else { return };
         self.rate_rad_s = gyro - self.bias_rad_s;
-        let mut pull = Vector3::zeros();
-        if let Some(acc) = seen.acc_m_s2 {
-            pull += self.misfit(&acc, &self.rest.acc_rest_m_s2) / config.gravity_time_s;
+        let mut correction = Vector3::zeros();
+        if let Some(acc) = usable.acc_m_s2 {
+            correction += self.misfit(&acc, &self.rest.acc_rest_m_s2) / config.gravity_time_s;
         }
-        if let (Some(mag), Some(rest), true) = (seen.mag_ut, self.rest.mag_rest_ut, config.field_time_s > 0.0) {
-            // only what turns about the vertical: the field must not tilt
+        if let (Some(mag), Some(rest), true) = (usable.mag_ut, self.rest.mag_rest_ut, config.field_time_s > 0.0) {
+            // only the component about the vertical: the field must not change the tilt
             let up = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2.normalize();
-            pull += up * (self.misfit(&mag, &rest).dot(&up) / config.field_time_s);
+            correction += up * (self.misfit(&mag, &rest).dot(&up) / config.field_time_s);
         }
-        self.learn_bias(config, dt_s);
-        self.q_rest_now *= UnitQuaternion::from_scaled_axis((self.rate_rad_s + pull) * dt_s);
+        self.update_bias(config, dt_s);
+        self.q_rest_now *= UnitQuaternion::from_scaled_axis((self.rate_rad_s + correction) * dt_s);
         self.q_rest_now.renormalize_fast();
     }
 
-    /// Turn, rad, that would lay the expected vector on the measured one, for small angles.
+    /// Rotation, rad, from the predicted vector to the measured one, for small angles.
     fn misfit(&self, measured: &Vector3<f64>, rest: &Vector3<f64>) -> Vector3<f64> {
-        let expected = self.q_rest_now.inverse() * rest;
-        measured.cross(&expected) / (measured.norm() * rest.norm()).max(1e-9)
+        let predicted = self.q_rest_now.inverse() * rest;
+        measured.cross(&predicted) / (measured.norm() * rest.norm()).max(1e-9)
     }
 
-    /// The mean rate of a still window is bias, but only once the next window was still as well: a turn
-    /// that begins within a window is not yet seen when it ends.
-    fn learn_bias(&mut self, config: &BaseConfig, dt_s: f64) {
+    /// The mean rate of a still window is bias if the next window is still too: a rotation that starts within a
+    /// window may not be visible at its end.
+    fn update_bias(&mut self, config: &BaseConfig, dt_s: f64) {
         self.slow_rate += (self.rate_rad_s - self.slow_rate) * intake::share(dt_s, STILL_TAU_S);
         if self.slow_rate.amax() >= config.still_rate_rad_s {
             (self.window, self.before) = (Window::default(), None);
@@ -216,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_is_followed_in_the_tips_axes() {
+    fn a_rotation_is_tracked_in_the_axes_of_the_tip() {
         // mounted a quarter turn about the vertical away from the tip IMU
         let config = BaseConfig { mount_deg: [0.0, 0.0, 90.0], ..BaseConfig::default() };
         let tip_up = UnitQuaternion::from_scaled_axis(Vector3::z() * std::f64::consts::FRAC_PI_2) * Vector3::new(2.0, 1.0, 9.5);
@@ -233,9 +232,9 @@ mod tests {
                 assert!(base.follows() && base.turn().r_rest_now.angle().to_degrees() < 0.05);
             }
         }
-        let want = Vector3::new(0.0, 0.6, 0.8) * 10f64.to_radians();
+        let truth = Vector3::new(0.0, 0.6, 0.8) * 10f64.to_radians();
         let have = base.turn().r_rest_now.scaled_axis();
-        assert!((have - want).norm().to_degrees() < 0.1, "{have} {want}");
+        assert!((have - truth).norm().to_degrees() < 0.1, "{have} {truth}");
         base.restart();
         assert_eq!(base.turn(), BaseTurn::none());
     }

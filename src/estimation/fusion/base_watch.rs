@@ -1,26 +1,24 @@
-//! Base motion without a base IMU: rotation that no piston explains.
+//! Detection of base motion without a base IMU: rotation that the pistons do not explain.
 //!
-//! The measured rate ω is taken apart by the constraint: `φ̇ = J_r⁻¹(φ) ω` has a z part that no
-//! constant-curvature section can make, and x, y parts that the pistons should have caused. Two
-//! watches follow from that.
+//! The constraint decomposes the measured rate ω: `φ̇ = J_r⁻¹(φ) ω` has a z component, which a section of constant
+//! curvature cannot make, and x and y components, which the pistons should have caused. This gives two tests.
 //!
-//! * **Twist**: `∫ φ̇_z`, forgotten over a second. Torsion and a tilted mount make some of it, in
-//!   proportion to the set-point's motion, and as much is allowed: at first what any tip may make, later
-//!   what this one has been seen to.
-//! * **Bend**: `∫ (φ̇_xy − model)`, from the moment on at which the loop had settled on a resting
-//!   set-point. Only then: during a motion the model is not exact enough to accuse the base. And only
-//!   when the turn began while the pistons stood: a tip that is held differs by *not* turning while
-//!   it is pushed, and a gap believed too wide by turning more than it was pushed.
+//! * **Twist**: `∫ φ̇_z` with a memory of [`WatchConfig::memory_s`]. Torsion and a tilted mount cause some twist in
+//!   proportion to the motion of the set-point. The limit allows for it: first the configured share, later no more
+//!   than the twist that the estimator has found for this tip.
+//! * **Bend**: `∫ (φ̇_xy − model)`, starting when the loop has settled on a constant set-point, since the model is not
+//!   accurate enough during a motion. It counts only if the rotation began while the pistons stood still: an
+//!   obstructed tip deviates by *not* turning while it is pushed, and an overestimated backlash by turning further
+//!   than it is pushed.
 //!
-//! A turn that looks like bending and comes while the tip moves is seen by neither: a cable that pulls taut, or
-//! a wall, makes a tip lag its pistons by as much, and all three read the same on one IMU. It is said, as
-//! something outside, once it is more than such a cable does.
+//! Neither test detects a rotation that looks like bending while the tip moves. A cable that becomes taut, or an
+//! obstruction, makes the tip lag its pistons by as much, and one IMU cannot tell the three apart. The residual
+//! monitor of the supervisor reports larger deviations.
 //!
-//! What looks like bending and comes slowly (a leak, creep, a base that is tilted over a minute) stays
-//! below both, and is corrected by the loop as bending. In one pose only a base IMU can tell that apart. Over
-//! several poses a turned base shows as twist that gravity and field say and the mechanism cannot make:
-//! the estimator's misfit ([`super::bend::BendFilter::twist_misfit`]) earns it a word, but no freeze, since a field
-//! that lies does the same.
+//! A slow rotation that looks like bending (a leak, creep, a base that tilts over a minute) stays below both limits,
+//! and the loop corrects it as bending. In one pose only a base IMU can detect it. Over several poses a turned base
+//! causes a twist that contradicts the mechanism ([`super::bend::BendFilter::twist_misfit`]). That is reported but
+//! does not freeze the feedback, since a disturbed field has the same effect.
 
 use crate::estimation::fusion::intake::share;
 use crate::parameters;
@@ -52,38 +50,42 @@ parameters! {
     }
 }
 
-/// What the watch is told at one tick.
+/// Input of the watch at one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WatchInput {
-    /// Rate of the tip, bias taken off, tip axes, rad/s.
+    /// Rate of the tip without the gyroscope bias, tip axes, rad/s.
     pub rate_rad_s: Vector3<f64>,
-    /// Felt bend vector, rad.
+    /// Estimated bend vector, rad.
     pub estimate: Vector2<f64>,
-    /// Bend that the pistons should give by now, rad.
+    /// Bend predicted from the pistons, rad.
     pub model: Vector2<f64>,
-    /// Set-point on its way, rad.
+    /// Present set-point, rad.
     pub setpoint: Vector2<f64>,
-    /// Target less felt, rad.
+    /// Target minus estimate, rad.
     pub remaining: Vector2<f64>,
-    /// For how long the pistons have stood, s.
+    /// Time for which the pistons have stood still, s.
     pub still_s: f64,
-    /// Lag and dead time of the line together, s.
+    /// Sum of lag and dead time of the lines, s.
     pub response_s: f64,
-    /// Twist per bend that this tip may make, by what it has shown, rad/rad; `None` where nobody knows.
+    /// Largest twist per bend that is consistent with the estimates so far, rad/rad; `None` if not estimated.
     pub twist_per_bend_max: Option<f64>,
     /// Time since the last tick, s.
     pub dt_s: f64,
 }
 
-/// What the watch remembers.
+/// State of the watch.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Watch {
+    /// Model and set-point of the previous tick, rad.
     last: Option<(Vector2<f64>, Vector2<f64>)>,
     path_fast: f64,
     path_slow: f64,
+    /// Unexplained twist, rad.
     twist: f64,
+    /// Time for which it has exceeded its limit, s.
     twisted_s: f64,
     settled: bool,
+    /// Unexplained bend, rad.
     bend: Vector2<f64>,
     onset: Onset,
 }
@@ -91,31 +93,35 @@ pub struct Watch {
 /// How the present unexplained bend began.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 enum Onset {
-    /// There is none.
+    /// There is no unexplained bend.
     #[default]
     None,
-    /// While the pistons stood.
-    ByItself,
-    /// While they moved, or not to be told.
-    Pushed,
+    /// While the pistons stood still.
+    Unprovoked,
+    /// While the pistons moved, or not known.
+    Driven,
 }
 
-/// A flag needs this long, s.
+/// Memories of the path of the set-point, in addition to twice the response time of the lines, s: the fast one
+/// determines when the set-point counts as constant, the slow one scales the allowed twist.
+const PATH_FAST_S: f64 = 0.25;
+const PATH_SLOW_S: f64 = 0.6;
+/// Time for which the twist must exceed its limit, s.
 const CONFIRM_S: f64 = 0.03;
-/// Path of the set-point that counts as none, rad.
-const RESTING_RAD: f64 = 0.017;
-/// Unexplained motion that is nothing out of the ordinary, rad.
+/// Path of the set-point below which it counts as constant, rad (1°).
+const CONSTANT_RAD: f64 = 0.017;
+/// Unexplained motion that counts as none, rad (1°).
 const QUIET_RAD: f64 = 0.017;
 
 impl Watch {
-    /// One tick; true when the base must have moved.
+    /// Processes one tick; true when the base has moved.
     pub fn step(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
         let (model, setpoint) = self.last.replace((input.model, input.setpoint)).unwrap_or((input.model, input.setpoint));
         let path = (input.setpoint - setpoint).norm();
-        let keep = |tau_s: f64| (-input.dt_s / tau_s).exp();
-        self.path_fast = self.path_fast * keep(0.25 + 2.0 * input.response_s) + path;
-        self.path_slow = self.path_slow * keep(0.6 + 2.0 * input.response_s) + path;
-        let phi_rate = constrained(&input.estimate, &input.rate_rad_s);
+        let decay = |tau_s: f64| (-input.dt_s / (tau_s + 2.0 * input.response_s)).exp();
+        self.path_fast = self.path_fast * decay(PATH_FAST_S) + path;
+        self.path_slow = self.path_slow * decay(PATH_SLOW_S) + path;
+        let phi_rate = rotation_vector_rate(&input.estimate, &input.rate_rad_s);
         let fade = 1.0 - share(input.dt_s, config.memory_s);
         self.twist = self.twist * fade + phi_rate.z * input.dt_s;
         // b = (φ_y, φ_x)
@@ -125,7 +131,7 @@ impl Watch {
     }
 
     fn follow_bend(&mut self, config: &WatchConfig, input: &WatchInput, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
-        if self.path_fast > RESTING_RAD {
+        if self.path_fast > CONSTANT_RAD {
             (self.settled, self.bend, self.onset) = (false, Vector2::zeros(), Onset::None);
         } else if self.settled {
             self.bend = self.bend * fade + turned - modelled;
@@ -134,7 +140,7 @@ impl Watch {
                 self.onset = Onset::None;
             } else if size > onset && self.onset == Onset::None {
                 let stood = input.still_s > 2.0 * input.response_s;
-                self.onset = if stood { Onset::ByItself } else { Onset::Pushed };
+                self.onset = if stood { Onset::Unprovoked } else { Onset::Driven };
             }
         } else {
             self.settled = input.remaining.norm() < config.settled_deg.to_radians();
@@ -145,19 +151,19 @@ impl Watch {
         let share = input.twist_per_bend_max.map_or(config.twist_share, |shown| config.twist_share.min(shown));
         let twist_max = config.twist_deg.to_radians() + share * self.path_slow;
         self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + input.dt_s } else { 0.0 };
-        let bent = self.bend.norm() > config.bend_deg.to_radians() && self.onset == Onset::ByItself;
+        let bent = self.bend.norm() > config.bend_deg.to_radians() && self.onset == Onset::Unprovoked;
         config.enabled && (bent || self.twisted_s > CONFIRM_S)
     }
 
-    /// Settled, and nothing out of the ordinary in the last second: what stands now may be returned to.
+    /// True if the loop has settled without unexplained motion: the present state is a valid one to return to.
     #[must_use]
     pub fn quiet(&self) -> bool {
         self.settled && self.bend.norm() < QUIET_RAD && self.twist.abs() < QUIET_RAD
     }
 }
 
-/// Rate of the rotation vector φ = (b_y, b_x, 0) that a tip rate would make: J_r⁻¹(φ) ω.
-fn constrained(bend: &Vector2<f64>, rate: &Vector3<f64>) -> Vector3<f64> {
+/// Rate of the rotation vector φ = (b_y, b_x, 0) for a tip rate ω: J_r⁻¹(φ) ω.
+fn rotation_vector_rate(bend: &Vector2<f64>, rate: &Vector3<f64>) -> Vector3<f64> {
     let phi = Vector3::new(bend.y, bend.x, 0.0);
     super::bend::right_jacobian_inverse(&phi) * rate
 }
@@ -168,7 +174,7 @@ mod tests {
 
     const DT_S: f64 = 0.005;
 
-    /// Runs the watch over 4 s at a bend of 40°; returns when it flags.
+    /// Runs the watch over 4 s at a bend of 40°; returns the time at which it raises the flag, s.
     fn flagged(
         rate: impl Fn(f64) -> Vector3<f64>,
         model: impl Fn(f64) -> Vector2<f64>,
@@ -192,7 +198,7 @@ mod tests {
         })
     }
 
-    fn resting(_: f64) -> Vector2<f64> {
+    fn constant(_: f64) -> Vector2<f64> {
         Vector2::new(0.7, 0.0)
     }
 
@@ -201,26 +207,26 @@ mod tests {
     }
 
     #[test]
-    fn a_base_turned_by_ten_degrees_is_seen_about_any_axis() {
+    fn a_base_rotation_of_ten_degrees_is_detected_about_any_axis() {
         for axis in [Vector3::x(), Vector3::y(), Vector3::z(), Vector3::new(0.6, 0.0, 0.8), Vector3::new(0.577, -0.577, 0.577)] {
             for over_s in [0.05, 0.4, 1.0] {
-                let t = flagged(turn(axis, 10.0, over_s), resting, resting, Vector2::zeros());
+                let t = flagged(turn(axis, 10.0, over_s), constant, constant, Vector2::zeros());
                 assert!(t.is_some_and(|t| t - 1.0 < 1.0), "{axis} in {over_s} s: {t:?}");
             }
         }
     }
 
     #[test]
-    fn creep_and_a_held_tip_are_not_the_base() {
-        let creep = flagged(|_| Vector3::x() * 1.5f64.to_radians(), resting, resting, Vector2::zeros());
+    fn creep_and_an_obstructed_tip_raise_no_flag() {
+        let creep = flagged(|_| Vector3::x() * 1.5f64.to_radians(), constant, constant, Vector2::zeros());
         assert_eq!(creep, None);
         let pushing = |t: f64| Vector2::new(0.7 + 0.1 * t, 0.0);
-        assert_eq!(flagged(|_| Vector3::zeros(), pushing, resting, Vector2::new(0.02, 0.0)), None);
-        assert_eq!(flagged(turn(Vector3::y(), 10.0, 0.3), resting, resting, Vector2::new(0.2, 0.0)), None, "not settled");
+        assert_eq!(flagged(|_| Vector3::zeros(), pushing, constant, Vector2::new(0.02, 0.0)), None);
+        assert_eq!(flagged(turn(Vector3::y(), 10.0, 0.3), constant, constant, Vector2::new(0.2, 0.0)), None, "the loop has not settled");
     }
 
     #[test]
-    fn a_tip_that_has_shown_that_it_twists_little_is_allowed_little() {
+    fn the_estimated_twist_lowers_the_limit() {
         let flags = |limit: Option<f64>| {
             let mut watch = Watch::default();
             (0..200).any(|k| {
@@ -242,16 +248,16 @@ mod tests {
                 watch.step(&WatchConfig::default(), &input)
             })
         };
-        assert!(!flags(None), "any tip may make 11° of twist over half a radian");
-        assert!(flags(Some(0.1)) && !flags(Some(3.0)), "this one may not; and none may make more than the configured");
+        assert!(!flags(None), "the default limit allows 11° of twist over half a radian");
+        assert!(flags(Some(0.1)) && !flags(Some(3.0)), "a smaller estimate lowers the limit, a larger one does not raise it");
     }
 
     #[test]
-    fn motion_that_was_asked_for_is_not_the_base() {
-        // 60° in a second, with a fifth of it in twist and half of it not in the model
-        let asked = |t: f64| Vector2::new((t - 1.0).clamp(0.0, 1.0) * 1.05, 0.0);
-        let half = move |t: f64| asked(t) * 0.5;
+    fn a_commanded_motion_raises_no_flag() {
+        // 60° within a second, with a fifth of the rate as twist and half of the bend missing from the model
+        let commanded = |t: f64| Vector2::new((t - 1.0).clamp(0.0, 1.0) * 1.05, 0.0);
+        let half = move |t: f64| commanded(t) * 0.5;
         let rate = |t: f64| if (1.0..2.0).contains(&t) { Vector3::new(0.0, 1.05, 0.2) } else { Vector3::zeros() };
-        assert_eq!(flagged(rate, half, asked, Vector2::zeros()), None);
+        assert_eq!(flagged(rate, half, commanded, Vector2::zeros()), None);
     }
 }

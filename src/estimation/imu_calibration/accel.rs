@@ -1,24 +1,25 @@
-//! Accelerometer zero and scale from rests: the measured force of a still sensor is g, whatever its
-//! attitude.
+//! Accelerometer bias and scale from rests: the specific force of a still sensor is g in every attitude.
 //!
-//! Six positions (each face up once) give zero and scale per axis. The classic rule, half sum and
-//! half difference of opposite faces, errs by 1 − cos θ when a face is not level; it is only the start
-//! here, and |S (a − b)| = g over all rests, which holds at any attitude, decides. Twenty or more rests
-//! all round give cross-axis terms too, by the ellipsoid.
+//! Six positions (each face up once) give bias and scale per axis. The classic rule, half sum and half difference of
+//! opposite faces, errs by 1 − cos θ if a face is not level. It is the start for a fit of |S (a − b)| = g over all
+//! rests, which holds in any attitude. Twenty or more rests in all directions also give the cross-axis terms, by the
+//! ellipsoid.
 
+use super::ellipsoid::{self, check_residual};
+use super::refusal::Refusal;
+use super::sphere::coverage;
 use super::still::Rest;
-use super::{CalibrationLimits, Refusal, ellipsoid, sphere_coverage};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::storage::Owned;
 use nalgebra::{DVector, Dyn, Matrix3, OMatrix, OVector, SVector, U6, Vector3};
 
-/// Local gravity assumed, m/s².
+/// Gravity, m/s². The scale of the result refers to it.
 pub const GRAVITY_M_S2: f64 = 9.81;
 
-/// What rests say about the accelerometer: `a = matrix (a_raw − bias)`.
+/// Result for the accelerometer: `a = matrix (a_raw − bias)`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AccFit {
-    /// Zero, m/s².
+    /// Bias, m/s².
     pub bias_m_s2: Vector3<f64>,
     /// One sigma of it per axis, m/s².
     pub bias_sigma_m_s2: Vector3<f64>,
@@ -28,13 +29,13 @@ pub struct AccFit {
     pub matrix_sigma: Matrix3<f64>,
     /// rms of the corrected norm against g, m/s².
     pub residual_m_s2: f64,
-    /// Share of the sphere of directions touched, 0 to 1.
+    /// Share of the sphere of directions covered, 0 to 1.
     pub coverage: f64,
 }
 
 const FACES: [&str; 6] = ["+x", "-x", "+y", "-y", "+z", "-z"];
 
-/// Rests by the face that is up: the largest component decides, and must hold 80 % of the norm.
+/// Mean specific force per face that is up: the largest component selects it and must exceed 80 % of the norm.
 fn by_face(rests: &[Rest]) -> [Option<Vector3<f64>>; 6] {
     let mut sums = [(Vector3::zeros(), 0_u32); 6];
     for rest in rests {
@@ -48,7 +49,7 @@ fn by_face(rests: &[Rest]) -> [Option<Vector3<f64>>; 6] {
     sums.map(|(sum, n)| (n > 0).then(|| sum / f64::from(n)))
 }
 
-/// Norm of the corrected rests over g, less one; parameters are zero (over g) and inverse scale.
+/// Norm of the corrected rests over g, minus one; the parameters are the bias over g and the inverse scale.
 struct Norms<'a> {
     rests: &'a [Rest],
     p: SVector<f64, 6>,
@@ -90,19 +91,19 @@ impl LeastSquaresProblem<f64, Dyn, U6> for Norms<'_> {
     }
 }
 
-/// Noise of a rest's mean norm, as a share of g: white noise averaged over its samples, and no less
-/// than one part in 20 000 for what white noise does not explain (temperature, a table that gives).
+/// Noise of the mean norm of a rest, as a share of g: white noise averaged over the samples, plus one part in 20 000
+/// for temperature and a yielding table.
 fn mean_noise(rest: &Rest) -> f64 {
     let white = rest.acc_std_m_s2.norm() / 3.0_f64.sqrt() / (rest.samples as f64).sqrt() / GRAVITY_M_S2;
     white.hypot(5e-5)
 }
 
-/// Zero and scale per axis from rests on the six faces, level within some 30°.
+/// Bias and scale per axis from rests on the six faces, level within about 30°.
 ///
 /// # Errors
-/// [`Refusal::MissingFace`] names the first face that was never up; [`Refusal::NotAnEllipsoid`] when
-/// the rests contradict each other.
-pub fn six_positions(rests: &[Rest], limits: &CalibrationLimits) -> Result<AccFit, Refusal> {
+/// [`Refusal::MissingFace`] names the first face that was never up; [`Refusal::NotAnEllipsoid`] or
+/// [`Refusal::PoorFit`] if the rests contradict each other.
+pub fn six_positions(rests: &[Rest]) -> Result<AccFit, Refusal> {
     let faces = by_face(rests);
     for (face, found) in FACES.iter().zip(&faces) {
         if found.is_none() {
@@ -123,44 +124,30 @@ pub fn six_positions(rests: &[Rest], limits: &CalibrationLimits) -> Result<AccFi
     }
     let spare = rests.len() as f64 - 6.0;
     let expected = rests.iter().map(|r| mean_noise(r).powi(2)).sum::<f64>() / rests.len() as f64;
-    let seen = if spare > 0.0 { r.norm_squared() / spare } else { 0.0 };
-    let cov = (j.transpose() * j).try_inverse().ok_or(Refusal::NotAnEllipsoid)? * expected.max(seen);
+    let observed = if spare > 0.0 { r.norm_squared() / spare } else { 0.0 };
+    let cov = (j.transpose() * j).try_inverse().ok_or(Refusal::NotAnEllipsoid)? * expected.max(observed);
     let sigma = cov.diagonal().map(|v| v.max(0.0).sqrt());
     let residual_m_s2 = GRAVITY_M_S2 * (r.norm_squared() / rests.len() as f64).sqrt();
-    within(residual_m_s2, limits.ellipsoid_residual * GRAVITY_M_S2)?;
+    check_residual(residual_m_s2, GRAVITY_M_S2, "m/s²")?;
     Ok(AccFit {
         bias_m_s2: fit.p.fixed_rows::<3>(0) * GRAVITY_M_S2,
         bias_sigma_m_s2: sigma.fixed_rows::<3>(0) * GRAVITY_M_S2,
         matrix: Matrix3::from_diagonal(&fit.p.fixed_rows::<3>(3).into_owned()),
         matrix_sigma: Matrix3::from_diagonal(&sigma.fixed_rows::<3>(3).into_owned()),
         residual_m_s2,
-        coverage: sphere_coverage(rests.iter().map(|r| &r.acc_m_s2)),
+        coverage: coverage(rests.iter().map(|r| &r.acc_m_s2)),
     })
 }
 
-fn within(rms: f64, limit: f64) -> Result<(), Refusal> {
-    if rms <= limit { Ok(()) } else { Err(Refusal::PoorFit { rms, limit, unit: "m/s²" }) }
-}
-
-/// Zero, scale and skew from rests all round.
+/// Bias, scale and skew from rests in all directions.
 ///
 /// # Errors
-/// [`Refusal`] when there are too few, they leave half the sphere out, or fit no ellipsoid.
-pub fn ellipsoid(rests: &[Rest], limits: &CalibrationLimits) -> Result<AccFit, Refusal> {
+/// [`Refusal`] if there are too few, they cover too little of the sphere, or fit no ellipsoid.
+pub fn ellipsoid(rests: &[Rest]) -> Result<AccFit, Refusal> {
     let points: Vec<Vector3<f64>> = rests.iter().map(|r| r.acc_m_s2).collect();
-    let e = ellipsoid::fit(&points, limits)?;
-    let directions: Vec<Vector3<f64>> = points.iter().map(|x| e.shape * (x - e.centre)).collect();
-    let coverage = sphere_coverage(directions.iter());
-    if coverage < limits.sphere_coverage {
-        let advice = "rest it in more attitudes, upside down too";
-        return Err(Refusal::PoorCoverage { what: "the sphere", have: coverage, want: limits.sphere_coverage, advice });
-    }
-    let limit = limits.centre_sigma * GRAVITY_M_S2;
-    if e.centre_sigma.amax() > limit {
-        let sigma = e.centre_sigma.amax();
-        return Err(Refusal::TooUncertain { what: "the accelerometer's zero", sigma, limit, unit: "m/s²" });
-    }
-    within(e.residual * GRAVITY_M_S2, limits.ellipsoid_residual * GRAVITY_M_S2)?;
+    let e = ellipsoid::fit(&points)?;
+    let advice = "place the sensor in more attitudes, upside down too";
+    let coverage = e.check(&points, GRAVITY_M_S2, "the accelerometer bias", advice, "m/s²")?;
     Ok(AccFit {
         bias_m_s2: e.centre,
         bias_sigma_m_s2: e.centre_sigma,
@@ -186,7 +173,7 @@ mod tests {
         Vector3::from_fn(|_, _| sigma * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng))
     }
 
-    /// The raw mean of a rest whose true force is `g` along `up`, measured by a flawed sensor.
+    /// The raw mean of a rest whose true force is g along `up`, measured with bias and scale errors.
     fn measured(up: Vector3<f64>, bias: Vector3<f64>, matrix: &Matrix3<f64>, rng: &mut StdRng) -> Rest {
         let ideal = up.normalize() * GRAVITY_M_S2;
         let acc_m_s2 = matrix.try_inverse().expect("near 1") * ideal + bias + normal(rng, 0.03 / 500.0_f64.sqrt());
@@ -216,11 +203,11 @@ mod tests {
     }
 
     #[test]
-    fn six_crooked_faces_give_zero_and_scale_back() {
+    fn six_tilted_faces_give_bias_and_scale() {
         let (bias, scale) = (Vector3::new(0.4, -0.25, 0.6), Vector3::new(1.02, 0.985, 1.01));
         for seed in 0..20 {
             let rests = six(6.0, bias, scale, &mut StdRng::seed_from_u64(seed));
-            let fit = six_positions(&rests, &CalibrationLimits::default()).expect("six faces");
+            let fit = six_positions(&rests).expect("six faces");
             let z = (fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2);
             let zs = (fit.matrix.diagonal() - scale).component_div(&fit.matrix_sigma.diagonal());
             assert!(z.amax() < 5.0 && zs.amax() < 5.0, "seed {seed}: {z} {zs}");
@@ -234,12 +221,12 @@ mod tests {
         let mut rng = StdRng::seed_from_u64(3);
         let mut rests = six(2.0, Vector3::zeros(), Vector3::repeat(1.0), &mut rng);
         rests.retain(|r| r.acc_m_s2.y > -8.0);
-        let refused = six_positions(&rests, &CalibrationLimits::default()).unwrap_err();
+        let refused = six_positions(&rests).unwrap_err();
         assert_eq!(refused, Refusal::MissingFace { face: "-y" });
     }
 
     #[test]
-    fn rests_all_round_give_skew_too() {
+    fn rests_in_all_directions_give_the_skew() {
         let bias = Vector3::new(0.4, -0.25, 0.6);
         let matrix = Matrix3::new(1.02, 0.01, -0.006, 0.01, 0.985, 0.008, -0.006, 0.008, 1.01);
         let mut worst: f64 = 0.0;
@@ -251,12 +238,12 @@ mod tests {
                     measured(up, bias, &matrix, &mut rng)
                 })
                 .collect();
-            let fit = ellipsoid(&rests, &CalibrationLimits::default()).expect("covered");
+            let fit = ellipsoid(&rests).expect("covered");
             worst = worst.max((fit.bias_m_s2 - bias).component_div(&fit.bias_sigma_m_s2).amax());
             worst = worst.max((fit.matrix - matrix).component_div(&fit.matrix_sigma).amax());
             assert!((fit.matrix - matrix).amax() < 1e-3, "{}", fit.matrix - matrix);
         }
-        assert!(worst > 0.5 && worst < 5.0, "sigmas are honest: {worst}");
+        assert!(worst > 0.5 && worst < 5.0, "the sigmas match the errors: {worst}");
     }
 
     #[test]
@@ -268,7 +255,7 @@ mod tests {
                 measured(up, Vector3::zeros(), &Matrix3::identity(), &mut rng)
             })
             .collect();
-        let refused = ellipsoid(&rests, &CalibrationLimits::default()).unwrap_err();
+        let refused = ellipsoid(&rests).unwrap_err();
         assert!(matches!(refused, Refusal::PoorCoverage { .. } | Refusal::TooUncertain { .. }), "{refused}");
     }
 
@@ -293,7 +280,7 @@ mod tests {
                 mag_ut: None,
             });
         }
-        let rests = still::rests(&samples, &CalibrationLimits::default());
+        let rests = still::rests(&samples);
         assert_eq!(rests.len(), 3, "{rests:?}");
         for (rest, up) in rests.iter().zip([Vector3::z(), Vector3::x(), -Vector3::z()]) {
             assert!((rest.acc_m_s2 - up * GRAVITY_M_S2).norm() < 0.02);

@@ -1,22 +1,32 @@
 //! Ellipsoid through readings of a vector of constant length.
 //!
-//! |M (x − b)| = 1 with M symmetric. Start: the algebraic least squares of the quadric
-//! xᵀA x + 2 gᵀx = 1 (Li and Griffiths 2004; here without the ellipsoid constraint, checked
-//! afterwards), on data centred and scaled to one. Then the geometric distance |M (x − b)| − 1 is
-//! minimised by Levenberg-Marquardt, readings beyond four robust sigmas are left out, and it is
-//! minimised again. Covariance: f s² (JᵀJ)⁻¹ of that last step, where f ≥ 1 is the variance of block
-//! means of the residuals over that of independent ones: a field that is not the same everywhere
-//! leaves residuals with a memory, and they know less than they count. Readings are in time order;
-//! of very many, every second, third or so is used.
+//! |M (x − b)| = 1 with M symmetric. The start is the algebraic least-squares quadric xᵀA x + 2 gᵀx = 1 (Li and
+//! Griffiths 2004, without the ellipsoid constraint, which is checked afterwards) on centred and scaled data. Then
+//! Levenberg-Marquardt minimises the geometric distance |M (x − b)| − 1, readings beyond four robust sigmas are
+//! removed, and the minimisation is repeated. The covariance is f s² (JᵀJ)⁻¹ of the last step. The factor f ≥ 1 is the
+//! variance of block means of the residuals over that of independent ones: an inhomogeneous field leaves correlated
+//! residuals, which carry less information. Readings are in time order and are decimated to at most 4000.
 
-use super::{CalibrationLimits, Refusal};
+use super::refusal::Refusal;
+use super::sphere::coverage;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::storage::Owned;
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, OMatrix, OVector, SMatrix, SVector, U9, Vector3};
 
 type Parameters = SVector<f64, 9>;
 
-/// Enough for the third digit of any sigma.
+/// Fewest readings: nine parameters are fitted.
+pub const SAMPLES_MIN: usize = 20;
+/// Smallest share of the sphere of directions that the readings must cover.
+const COVERAGE_MIN: f64 = 0.6;
+/// Largest sigma of the centre, as a share of the radius.
+const CENTRE_SIGMA_MAX: f64 = 0.02;
+/// Largest residual, as a share of the radius. It rejects an inhomogeneous field.
+const RESIDUAL_MAX: f64 = 0.05;
+/// Largest ratio of the longest to the shortest axis. A rotation about one axis alone fits arbitrarily flat
+/// ellipsoids; real soft iron stays below 1.5.
+const AXES_RATIO_MAX: f64 = 2.0;
+/// Most readings that are used, enough for the third digit of any sigma.
 const POINTS_MAX: usize = 4000;
 const BLOCKS: usize = 20;
 
@@ -29,18 +39,40 @@ pub(super) struct Ellipsoid {
     pub shape_sigma: Matrix3<f64>,
     /// rms of |M (x − b)| − 1 over the readings kept.
     pub residual: f64,
-    /// Readings left out as wild.
+    /// Readings removed as outliers.
     pub outliers: usize,
 }
 
 impl Ellipsoid {
+    /// Checks coverage, sigma of the centre and residual; returns the coverage. `radius` is in `unit`; `quantity` and
+    /// `advice` are for the refusal.
+    pub fn check(
+        &self,
+        points: &[Vector3<f64>],
+        radius: f64,
+        quantity: &'static str,
+        advice: &'static str,
+        unit: &'static str,
+    ) -> Result<f64, Refusal> {
+        let directions: Vec<Vector3<f64>> = points.iter().map(|x| self.shape * (x - self.centre)).collect();
+        let have = coverage(directions.iter());
+        if have < COVERAGE_MIN {
+            return Err(Refusal::PoorCoverage { what: "the sphere", have, want: COVERAGE_MIN, advice });
+        }
+        let (sigma, limit) = (self.centre_sigma.amax(), CENTRE_SIGMA_MAX * radius);
+        if sigma > limit {
+            return Err(Refusal::TooUncertain { what: quantity, sigma, limit, unit });
+        }
+        check_residual(self.residual * radius, radius, unit)?;
+        Ok(have)
+    }
     /// Radius of the sphere of the same volume.
     pub fn radius(&self) -> f64 {
         self.shape.determinant().powf(-1.0 / 3.0)
     }
 }
 
-/// Which entry of the symmetric matrix a parameter is.
+/// Matrix entry of each parameter.
 const PLACE: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
 fn unpack(p: &Parameters) -> (Vector3<f64>, Matrix3<f64>) {
@@ -100,7 +132,7 @@ impl LeastSquaresProblem<f64, Dyn, U9> for Distance<'_> {
     }
 }
 
-/// Quadric through the points by linear least squares; `None` if it is no ellipsoid.
+/// Quadric through the points by linear least squares; `None` if it is not an ellipsoid.
 fn algebraic(points: &[Vector3<f64>]) -> Option<Parameters> {
     let design = DMatrix::from_fn(points.len(), 9, |i, k| {
         let x = &points[i];
@@ -146,15 +178,15 @@ fn near(points: &[Vector3<f64>], p: Parameters) -> Vec<Vector3<f64>> {
 fn covariance(points: &[Vector3<f64>], p: Parameters) -> Option<(SMatrix<f64, 9, 9>, f64)> {
     let problem = Distance { points, p };
     let (r, j) = (problem.residuals()?, problem.jacobian()?);
-    let variance = memory(r.as_slice()) * r.norm_squared() / (points.len() as f64 - 9.0);
+    let variance = correlation(r.as_slice()) * r.norm_squared() / (points.len() as f64 - 9.0);
     Some(((j.transpose() * j).try_inverse()? * variance, (r.norm_squared() / points.len() as f64).sqrt()))
 }
 
-/// How much wider the means of blocks are spread than those of independent residuals, at least 1.
-fn memory(residuals: &[f64]) -> f64 {
+/// Variance of block means relative to that of independent residuals, at least 1.
+fn correlation(residuals: &[f64]) -> f64 {
     let size = residuals.len() / BLOCKS;
     if size < 5 {
-        return 1.0; // too few to say
+        return 1.0; // too few blocks for an estimate
     }
     let power = residuals.iter().map(|r| r * r).sum::<f64>() / residuals.len() as f64;
     let means = residuals.chunks_exact(size).map(|b| b.iter().sum::<f64>() / size as f64);
@@ -162,12 +194,18 @@ fn memory(residuals: &[f64]) -> f64 {
     (size as f64 * spread / power.max(1e-300)).max(1.0)
 }
 
+/// Refuses a residual `rms` beyond [`RESIDUAL_MAX`] of the radius.
+pub(super) fn check_residual(rms: f64, radius: f64, unit: &'static str) -> Result<(), Refusal> {
+    let limit = RESIDUAL_MAX * radius;
+    if rms <= limit { Ok(()) } else { Err(Refusal::PoorFit { rms, limit, unit }) }
+}
+
 /// Fits an ellipsoid.
 ///
 /// # Errors
-/// [`Refusal`] for too few or non-finite points, or points on no ellipsoid or a flat one.
-pub(super) fn fit(points: &[Vector3<f64>], limits: &CalibrationLimits) -> Result<Ellipsoid, Refusal> {
-    let want = limits.ellipsoid_samples.max(12);
+/// [`Refusal`] for too few or non-finite points, points that lie on no ellipsoid, or a flat ellipsoid.
+pub(super) fn fit(points: &[Vector3<f64>]) -> Result<Ellipsoid, Refusal> {
+    let want = SAMPLES_MIN;
     if points.len() < want {
         return Err(Refusal::TooFewSamples { have: points.len(), want });
     }
@@ -194,7 +232,7 @@ pub(super) fn fit(points: &[Vector3<f64>], limits: &CalibrationLimits) -> Result
     if axes.min() <= 0.0 {
         return Err(Refusal::NotAnEllipsoid);
     }
-    let (ratio, limit) = (axes.max() / axes.min(), limits.ellipsoid_ratio);
+    let (ratio, limit) = (axes.max() / axes.min(), AXES_RATIO_MAX);
     if ratio > limit {
         return Err(Refusal::Flat { ratio, limit });
     }

@@ -1,17 +1,19 @@
-//! Gyroscope bias from a rest: the mean, and how far it may be trusted.
+//! Gyroscope bias from a rest, with its standard deviation.
 //!
-//! Noise of a MEMS gyroscope is white only up to about a second (Allan deviation has its floor
-//! there), so the sigma of the mean is the larger of the white estimate s/√n and the spread of ten
-//! block means over √10.
+//! The noise of a MEMS gyroscope is white only up to about one second, where the Allan deviation has its minimum. The
+//! sigma of the mean is therefore the larger of the white estimate s/√n and the spread of ten block means over √10.
 
+use super::refusal::Refusal;
 use super::still;
-use super::{CalibrationLimits, Refusal};
 use crate::primitives::sample::ImuSample;
 use nalgebra::Vector3;
 
 const BLOCKS: usize = 10;
+/// Largest mean rate, rad/s per axis (8.6 °/s): above the zero-rate level of the supported parts. It bounds a steady
+/// rotation about the vertical, which the accelerometer does not observe.
+const MEAN_MAX_RAD_S: f64 = 0.15;
 
-/// What a rest says about the gyroscope.
+/// Result for the gyroscope.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GyroBias {
     /// Reading at rest, rad/s.
@@ -27,12 +29,12 @@ pub struct GyroBias {
 /// Bias from a stretch of samples that is one rest.
 ///
 /// # Errors
-/// [`Refusal`] when it is too short, not finite, or something moved in it.
-pub fn at_rest(samples: &[ImuSample], limits: &CalibrationLimits) -> Result<GyroBias, Refusal> {
-    let rest = still::rest(samples, limits)?;
-    let (have, limit) = (rest.gyro_rad_s.amax(), limits.still_mean_rad_s);
+/// [`Refusal`] if it is too short, not finite, or contains motion.
+pub fn at_rest(samples: &[ImuSample]) -> Result<GyroBias, Refusal> {
+    let rest = still::rest(samples)?;
+    let (have, limit) = (rest.gyro_rad_s.amax(), MEAN_MAX_RAD_S);
     if have > limit {
-        return Err(Refusal::Moving { what: "the gyroscope's mean", have, limit, unit: "rad/s" });
+        return Err(Refusal::Moving { what: "the mean of the gyroscope", have, limit, unit: "rad/s" });
     }
     let white = rest.gyro_std_rad_s / (rest.samples as f64).sqrt();
     let size = samples.len() / BLOCKS;
@@ -59,7 +61,7 @@ mod tests {
     use rand::rngs::StdRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// A rest of `n` samples at 500 Hz; `rate` truly turns gravity and field.
+    /// A rest of `n` samples at 500 Hz; `rate` is a true rotation.
     fn recording(n: u32, bias: Vector3<f64>, rate: Vector3<f64>, seed: u64) -> Vec<ImuSample> {
         let mut rng = StdRng::seed_from_u64(seed);
         let mut noise =
@@ -79,40 +81,38 @@ mod tests {
     }
 
     #[test]
-    fn bias_is_found_within_its_sigma() {
+    fn the_bias_is_found_within_its_sigma() {
         let bias = Vector3::new(0.02, -0.035, 0.011);
         let mut chi2 = 0.0;
         for seed in 0..40 {
-            let fit = at_rest(&recording(1000, bias, Vector3::zeros(), seed), &CalibrationLimits::default()).expect("still");
+            let fit = at_rest(&recording(1000, bias, Vector3::zeros(), seed)).expect("still");
             let z = (fit.bias_rad_s - bias).component_div(&fit.sigma_rad_s);
             assert!(z.amax() < 4.5, "seed {seed}: {z}");
             assert!(fit.sigma_rad_s.amax() < 4e-4, "2 s of 0.004 rad/s noise");
             chi2 += z.norm_squared() / 120.0;
         }
-        assert!((0.5..1.6).contains(&chi2), "sigma is honest: {chi2}");
+        assert!((0.5..1.6).contains(&chi2), "the sigma matches the errors: {chi2}");
     }
 
     #[test]
-    fn motion_is_refused_even_when_slow_and_steady() {
-        let limits = CalibrationLimits::default();
-        let creep = Vector3::new(0.01, 0.0, 0.0); // 0.57 °/s, well inside a bias
-        let refused = at_rest(&recording(1000, Vector3::zeros(), creep, 1), &limits).unwrap_err();
-        assert!(matches!(refused, Refusal::Moving { what: "the turn from end to end", .. }), "{refused}");
-        let yaw = Vector3::new(0.0, 0.0, 0.02); // only the field can see it
-        assert!(at_rest(&recording(2000, Vector3::zeros(), yaw, 2), &limits).is_err());
+    fn slow_steady_rotation_is_refused() {
+        let slow = Vector3::new(0.01, 0.0, 0.0); // 0.57 °/s, less than a typical bias
+        let refused = at_rest(&recording(1000, Vector3::zeros(), slow, 1)).unwrap_err();
+        assert!(matches!(refused, Refusal::Moving { what: "the rotation from start to end", .. }), "{refused}");
+        let yaw = Vector3::new(0.0, 0.0, 0.02); // only the field observes it
+        assert!(at_rest(&recording(2000, Vector3::zeros(), yaw, 2)).is_err());
         let mut shaken = recording(1000, Vector3::zeros(), Vector3::zeros(), 3);
         shaken[400].gyro_rad_s.y += 3.0;
-        assert!(matches!(at_rest(&shaken, &limits), Err(Refusal::Moving { .. })));
+        assert!(matches!(at_rest(&shaken), Err(Refusal::Moving { .. })));
     }
 
     #[test]
-    fn short_and_broken_recordings_are_refused() {
-        let limits = CalibrationLimits::default();
+    fn short_and_non_finite_recordings_are_refused() {
         let still = |n| recording(n, Vector3::zeros(), Vector3::zeros(), 4);
-        assert!(matches!(at_rest(&[], &limits), Err(Refusal::TooFewSamples { have: 0, .. })));
-        assert!(matches!(at_rest(&still(400), &limits), Err(Refusal::TooFewSamples { have: 400, want: 502 })));
+        assert!(matches!(at_rest(&[]), Err(Refusal::TooFewSamples { have: 0, .. })));
+        assert!(matches!(at_rest(&still(400)), Err(Refusal::TooFewSamples { have: 400, want: 502 })));
         let mut broken = still(1000);
         broken[7].acc_m_s2.x = f64::NAN;
-        assert_eq!(at_rest(&broken, &limits), Err(Refusal::NotFinite { index: 7 }));
+        assert_eq!(at_rest(&broken), Err(Refusal::NotFinite { index: 7 }));
     }
 }

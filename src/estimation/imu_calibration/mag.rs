@@ -1,14 +1,15 @@
-//! Hard and soft iron from a tumble: the earth's field has one strength, so its readings lie on an
-//! ellipsoid whose centre is the hard iron and whose shape is the soft iron (Kok and Schön 2016
-//! derive the same model; its rotation part needs gravity and is left out).
+//! Hard and soft iron from a tumble. The strength of the Earth's field is constant, so the readings lie on an
+//! ellipsoid whose centre is the hard iron and whose shape is the soft iron (Kok and Schön 2016 derive the same
+//! model; its rotation part needs gravity and is omitted).
 //!
-//! The strength itself cannot be known from the readings: the matrix has determinant 1, and
-//! [`MagFit::field_ut`] is the strength in the sensor's own units.
+//! The readings do not determine the absolute strength, so the matrix has determinant 1 and [`MagFit::field_ut`] is
+//! the strength in units of the sensor.
 
-use super::{CalibrationLimits, Refusal, ellipsoid, sphere_coverage};
+use super::ellipsoid;
+use super::refusal::Refusal;
 use nalgebra::{Matrix3, Vector3};
 
-/// What a tumble says about the magnetometer: `m = matrix (m_raw − bias)`.
+/// Result for the magnetometer: `m = matrix (m_raw − bias)`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MagFit {
     /// Hard iron, µT.
@@ -23,40 +24,27 @@ pub struct MagFit {
     pub field_ut: f64,
     /// rms of the corrected norm against it, µT.
     pub residual_ut: f64,
-    /// Readings left out as wild.
+    /// Readings removed as outliers.
     pub outliers: usize,
-    /// Share of the sphere of directions touched, 0 to 1.
+    /// Share of the sphere of directions covered, 0 to 1.
     pub coverage: f64,
 }
 
 /// Fits a tumble, motors off.
 ///
 /// # Errors
-/// [`Refusal`] when the tumble is too short or too lazy, or the field was not one field.
-pub fn ellipsoid(readings_ut: &[Vector3<f64>], limits: &CalibrationLimits) -> Result<MagFit, Refusal> {
-    let e = ellipsoid::fit(readings_ut, limits)?;
+/// [`Refusal`] if the tumble is too short or covers too little, or the field was not homogeneous.
+pub fn ellipsoid(readings_ut: &[Vector3<f64>]) -> Result<MagFit, Refusal> {
+    let e = ellipsoid::fit(readings_ut)?;
     let field_ut = e.radius();
-    let directions: Vec<Vector3<f64>> = readings_ut.iter().map(|x| e.shape * (x - e.centre)).collect();
-    let coverage = sphere_coverage(directions.iter());
-    if coverage < limits.sphere_coverage {
-        let advice = "turn it over all three axes, upside down too";
-        return Err(Refusal::PoorCoverage { what: "the sphere", have: coverage, want: limits.sphere_coverage, advice });
-    }
-    let (sigma, limit) = (e.centre_sigma.amax(), limits.centre_sigma * field_ut);
-    if sigma > limit {
-        return Err(Refusal::TooUncertain { what: "the hard iron", sigma, limit, unit: "µT" });
-    }
-    let (rms, limit) = (e.residual * field_ut, limits.ellipsoid_residual * field_ut);
-    if rms > limit {
-        return Err(Refusal::PoorFit { rms, limit, unit: "µT" });
-    }
+    let coverage = e.check(readings_ut, field_ut, "the hard iron", "turn the sensor about all three axes, upside down too", "µT")?;
     Ok(MagFit {
         bias_ut: e.centre,
         bias_sigma_ut: e.centre_sigma,
         matrix: e.shape * field_ut,
         matrix_sigma: e.shape_sigma * field_ut,
         field_ut,
-        residual_ut: rms,
+        residual_ut: e.residual * field_ut,
         outliers: e.outliers,
         coverage,
     })
@@ -77,7 +65,7 @@ mod tests {
 
     fn truth() -> (Vector3<f64>, Matrix3<f64>) {
         let m: Matrix3<f64> = Matrix3::new(1.12, 0.04, -0.03, 0.04, 0.93, 0.05, -0.03, 0.05, 1.01);
-        // three hundred µT of hard iron are within the part's tolerance
+        // the part tolerates 300 µT of hard iron
         (Vector3::new(-140.0, 60.0, 210.0), m / m.determinant().cbrt())
     }
 
@@ -99,7 +87,7 @@ mod tests {
         let (bias, matrix) = truth();
         let mut chi2 = 0.0;
         for seed in 0..20 {
-            let fit = ellipsoid(&tumble(1500, seed, |d| d), &CalibrationLimits::default()).expect("tumbled");
+            let fit = ellipsoid(&tumble(1500, seed, |d| d)).expect("tumbled");
             let z = (fit.bias_ut - bias).component_div(&fit.bias_sigma_ut);
             let zm = (fit.matrix - matrix).component_div(&fit.matrix_sigma);
             assert!(z.amax() < 4.5 && zm.amax() < 4.5, "seed {seed}: {z} {zm}");
@@ -107,43 +95,43 @@ mod tests {
             assert!((fit.matrix.determinant() - 1.0).abs() < 1e-9);
             chi2 += z.norm_squared() / 60.0;
         }
-        assert!((0.4..2.0).contains(&chi2), "sigma of the hard iron is honest: {chi2}");
+        assert!((0.4..2.0).contains(&chi2), "the sigma of the hard iron matches the errors: {chi2}");
     }
 
     #[test]
-    fn wild_readings_are_left_out() {
+    fn outliers_are_removed() {
         let mut readings = tumble(1500, 3, |d| d);
         for k in 0..30 {
             readings[k * 50] += Vector3::new(40.0, 0.0, -40.0);
         }
-        let fit = ellipsoid(&readings, &CalibrationLimits::default()).expect("2 % wild");
+        let fit = ellipsoid(&readings).expect("2 % outliers");
         assert!((25..60).contains(&fit.outliers), "{}", fit.outliers);
         assert!((fit.bias_ut - truth().0).norm() < 0.2, "{}", fit.bias_ut - truth().0);
     }
 
     #[test]
-    fn a_wide_cone_is_enough_and_a_narrow_one_is_refused() {
+    fn four_fifths_of_the_sphere_suffice_and_a_cap_is_refused() {
         let wide = tumble(1500, 4, |d| if d.normalize().z < -0.6 { -d } else { d });
-        ellipsoid(&wide, &CalibrationLimits::default()).expect("four fifths of the sphere");
+        ellipsoid(&wide).expect("four fifths of the sphere");
         let cap = tumble(1500, 5, |d| Vector3::new(d.x * 0.4, d.y * 0.4, d.z.abs() + 1.0));
-        let refused = ellipsoid(&cap, &CalibrationLimits::default()).unwrap_err();
+        let refused = ellipsoid(&cap).unwrap_err();
         assert!(matches!(refused, Refusal::PoorCoverage { .. } | Refusal::Flat { .. }), "{refused}");
         let disc = tumble(1500, 6, |d| Vector3::new(d.x, d.y, 0.0));
-        let refused = ellipsoid(&disc, &CalibrationLimits::default()).unwrap_err();
+        let refused = ellipsoid(&disc).unwrap_err();
         assert!(matches!(refused, Refusal::Flat { ratio, .. } if ratio > 2.0), "one axis only: {refused}");
     }
 
     #[test]
-    fn a_field_that_changes_is_refused() {
+    fn a_changing_field_is_refused() {
         let mut readings = tumble(1500, 7, |d| d);
         for (k, x) in readings.iter_mut().enumerate() {
             *x += Vector3::new(12.0, 0.0, 0.0) * (k as f64 * 0.01).sin(); // a magnet passes by
         }
-        let refused = ellipsoid(&readings, &CalibrationLimits::default()).unwrap_err();
+        let refused = ellipsoid(&readings).unwrap_err();
         assert!(matches!(refused, Refusal::PoorFit { .. }), "{refused}");
-        assert!(matches!(ellipsoid(&readings[..10], &CalibrationLimits::default()), Err(Refusal::TooFewSamples { .. })));
-        assert_eq!(ellipsoid(&[Vector3::zeros(); 100], &CalibrationLimits::default()), Err(Refusal::NotAnEllipsoid));
+        assert!(matches!(ellipsoid(&readings[..10]), Err(Refusal::TooFewSamples { .. })));
+        assert_eq!(ellipsoid(&[Vector3::zeros(); 100]), Err(Refusal::NotAnEllipsoid));
         readings[9].y = f64::INFINITY;
-        assert_eq!(ellipsoid(&readings, &CalibrationLimits::default()), Err(Refusal::NotFinite { index: 9 }));
+        assert_eq!(ellipsoid(&readings), Err(Refusal::NotFinite { index: 9 }));
     }
 }

@@ -1,21 +1,28 @@
-//! Fields of the motor coils, found by stepping the motors while the tip is still.
+//! Fields of the motor coils, from stepping the motors while the tip is still.
 //!
-//! Each stepper carries two coil currents in quadrature, so its stray field at the sensor repeats with
-//! the coil cycle (64 microsteps at sixteenth steps) and fades by a factor when the driver idles:
+//! A stepper carries two coil currents in quadrature, so its stray field at the sensor has the period of the coil cycle
+//! (64 microsteps at sixteenth steps). It decreases by a factor when the driver idles:
 //!
 //! `m = m₀ + Σᵢ sᵢ (Cᵢ cos φᵢ + Sᵢ sin φᵢ)`, sᵢ = 1 energised, kᵢ idle; φᵢ = 2π · count / 64
 //!
-//! The motors stand still in the world, so C and S are constant in the base frame; readings must be
-//! turned there first. Gauss-Newton on (m₀, C, S, k), bilinear and well behaved; k has a flat prior
-//! on 0 to 1 (mean 0.5, sigma 0.29), which is what remains when a motor was never seen idle.
+//! The motors are fixed in the world, so C and S are constant in the base frame, in which the readings must be given.
+//! Gauss-Newton estimates (m₀, C, S, k) from this bilinear model. The prior of k has the mean and the standard deviation
+//! of a uniform distribution on 0 to 1 (0.5 and 0.29) and remains if a motor never idled.
 
-use super::{CalibrationLimits, Pedigree, Refusal, Rows};
+use super::entry::{Pedigree, Rows};
+use super::refusal::Refusal;
 use nalgebra::{SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Microsteps in one cycle of the coil currents: four full steps of sixteen.
 pub const MICROSTEPS_A_CYCLE: f64 = 64.0;
+/// Phases of the coil cycle for the coverage.
 const PHASES: usize = 12;
+/// Smallest share of them that each motor must visit while energised.
+const COVERAGE_MIN: f64 = 0.75;
+/// Largest sigma of any component of a motor's field, µT: a third of a degree of heading.
+const SIGMA_MAX_UT: f64 = 0.3;
+/// Number of parameters: three of the ambient field, seven per motor.
 const SIZE: usize = 24;
 const ITERATIONS: usize = 30;
 const IDLE_PRIOR: (f64, f64) = (0.5, 0.289);
@@ -49,9 +56,9 @@ pub struct MotorField {
     pub sin_ut: Rows,
     /// One sigma of it.
     pub sin_sigma_ut: Rows,
-    /// Share of the field that remains when a motor idles.
+    /// Share of the field that remains while a motor idles.
     pub idle_factor: [f64; 3],
-    /// One sigma of it; 0.29 says that nothing is known.
+    /// One sigma of it; 0.29 is that of the prior.
     pub idle_sigma: [f64; 3],
     /// Day of the recording.
     pub date: String,
@@ -78,7 +85,7 @@ impl MotorField {
 pub struct MotorFit {
     /// Coil fields.
     pub field: MotorField,
-    /// What is left without motors, µT, base frame.
+    /// Field without motors, µT, base frame.
     pub ambient_ut: Vector3<f64>,
     /// rms of the residual per axis, µT.
     pub residual_ut: f64,
@@ -138,14 +145,14 @@ fn normal(samples: &[MotorSample], p: &SVector<f64, SIZE>) -> Normal {
     (h, g, squares)
 }
 
-/// Fits the coil fields from a recording with the tip still: step each motor over at least one coil
-/// cycle, one after the other, and let the drivers idle in between, at different phases: each pause is
-/// one equation for the idle factors.
+/// Fits the coil fields from a recording with a still tip. Each motor must move over at least one coil cycle, one
+/// motor at a time, with pauses at different phases in which the drivers idle: each pause is one equation for the idle
+/// factors.
 ///
 /// # Errors
-/// [`Refusal`] when a motor missed too much of its cycle, motors cannot be told apart, or the data
-/// are too few or not finite.
-pub fn fit(samples: &[MotorSample], limits: &CalibrationLimits, from: Pedigree<'_>) -> Result<MotorFit, Refusal> {
+/// [`Refusal`] if a motor covers too little of its cycle, the motors cannot be separated, or the data are too few or
+/// not finite.
+pub fn fit(samples: &[MotorSample], from: Pedigree<'_>) -> Result<MotorFit, Refusal> {
     if samples.len() < 4 * SIZE {
         return Err(Refusal::TooFewSamples { have: samples.len(), want: 4 * SIZE });
     }
@@ -154,9 +161,9 @@ pub fn fit(samples: &[MotorSample], limits: &CalibrationLimits, from: Pedigree<'
     }
     let coverage = [0, 1, 2].map(|motor| coverage(samples, motor));
     let have = coverage.into_iter().fold(1.0, f64::min);
-    if have < limits.phase_coverage {
-        let advice = "step every motor through a whole cycle of 64 microsteps";
-        return Err(Refusal::PoorCoverage { what: "a coil cycle", have, want: limits.phase_coverage, advice });
+    if have < COVERAGE_MIN {
+        let advice = "step every motor through a complete cycle of 64 microsteps";
+        return Err(Refusal::PoorCoverage { what: "a coil cycle", have, want: COVERAGE_MIN, advice });
     }
     let mut p = SVector::<f64, SIZE>::zeros();
     for i in 0..3 {
@@ -171,8 +178,7 @@ pub fn fit(samples: &[MotorSample], limits: &CalibrationLimits, from: Pedigree<'
             h[(k, k)] += variance / IDLE_PRIOR.1.powi(2);
             g[k] += variance / IDLE_PRIOR.1.powi(2) * (IDLE_PRIOR.0 - p[k]);
         }
-        let unknown = Refusal::TooUncertain { what: "a motor's field", sigma: f64::INFINITY, limit: limits.motor_sigma_ut, unit: "µT" };
-        inverse = h.cholesky().ok_or(unknown)?.inverse();
+        inverse = h.cholesky().ok_or(too_uncertain(f64::INFINITY))?.inverse();
         let step = inverse * g;
         p += step;
         variance = (normal(samples, &p).2 / (3 * samples.len() - SIZE) as f64).max(1e-12);
@@ -181,7 +187,11 @@ pub fn fit(samples: &[MotorSample], limits: &CalibrationLimits, from: Pedigree<'
         }
     }
     let sigma = (inverse.diagonal() * variance).map(|v| v.max(0.0).sqrt());
-    report(&p, &sigma, variance, coverage, limits, from)
+    report(&p, &sigma, variance, coverage, from)
+}
+
+fn too_uncertain(sigma: f64) -> Refusal {
+    Refusal::TooUncertain { what: "the field of a motor", sigma, limit: SIGMA_MAX_UT, unit: "µT" }
 }
 
 fn report(
@@ -189,7 +199,6 @@ fn report(
     sigma: &SVector<f64, SIZE>,
     variance: f64,
     coverage: [f64; 3],
-    limits: &CalibrationLimits,
     from: Pedigree<'_>,
 ) -> Result<MotorFit, Refusal> {
     let triple = |v: &SVector<f64, SIZE>, at: usize| [v[at], v[at + 1], v[at + 2]];
@@ -206,9 +215,8 @@ fn report(
         source: from.source.to_owned(),
     };
     let worst = field.cos_sigma_ut.iter().chain(&field.sin_sigma_ut).flatten().copied().fold(0.0, f64::max);
-    if worst > limits.motor_sigma_ut {
-        let limit = limits.motor_sigma_ut;
-        return Err(Refusal::TooUncertain { what: "a motor's field", sigma: worst, limit, unit: "µT" });
+    if worst > SIGMA_MAX_UT {
+        return Err(too_uncertain(worst));
     }
     Ok(MotorFit { field, ambient_ut: p.fixed_rows::<3>(0).into_owned(), residual_ut: variance.sqrt(), coverage })
 }
@@ -235,7 +243,7 @@ mod tests {
         }
     }
 
-    /// Each motor in turn: two cycles energised, then a pause with its driver idle, 100 Hz.
+    /// Each motor in turn: two cycles energised, then a pause with the driver idle, at 100 Hz.
     fn recording(seed: u64, noise_ut: f64, idles: bool, together: bool) -> Vec<MotorSample> {
         let mut rng = StdRng::seed_from_u64(seed);
         let (truth, ambient) = (truth(), Vector3::new(20.0, 1.0, -45.0));
@@ -263,11 +271,11 @@ mod tests {
     }
 
     #[test]
-    fn coil_fields_come_back_within_their_sigmas() {
+    fn coil_fields_are_found_within_their_sigmas() {
         let truth = truth();
         let (mut chi2, mut n) = (0.0, 0.0);
         for seed in 0..20 {
-            let fit = fit(&recording(seed, 0.5, true, false), &CalibrationLimits::default(), FROM).expect("stepped");
+            let fit = fit(&recording(seed, 0.5, true, false), FROM).expect("stepped");
             let f = &fit.field;
             let mut z = scores(&f.cos_ut, &truth.cos_ut, &f.cos_sigma_ut);
             z.extend(scores(&f.sin_ut, &truth.sin_ut, &f.sin_sigma_ut));
@@ -282,28 +290,28 @@ mod tests {
             let (counts, on) = ([17, 40, -9], [true; 3]);
             assert!((f.at(&counts, &on) - truth.at(&counts, &on)).amax() < 0.5);
         }
-        assert!((0.6..1.6).contains(&(chi2 / n)), "sigmas are honest: {}", chi2 / n);
+        assert!((0.6..1.6).contains(&(chi2 / n)), "the sigmas match the errors: {}", chi2 / n);
     }
 
     #[test]
-    fn a_motor_never_idle_keeps_the_prior_and_says_so() {
-        let fit = fit(&recording(1, 0.5, false, false), &CalibrationLimits::default(), FROM).expect("stepped");
+    fn a_motor_that_never_idles_keeps_the_prior() {
+        let fit = fit(&recording(1, 0.5, false, false), FROM).expect("stepped");
         assert_eq!(fit.field.idle_factor.map(|k| (k * 1e6).round() / 1e6), [0.5; 3]);
         assert!(fit.field.idle_sigma.iter().all(|s| (s - 0.289).abs() < 1e-3), "{:?}", fit.field.idle_sigma);
     }
 
     #[test]
-    fn motors_that_step_together_cannot_be_told_apart() {
-        let refused = fit(&recording(2, 0.5, true, true), &CalibrationLimits::default(), FROM).unwrap_err();
+    fn motors_that_step_together_are_refused() {
+        let refused = fit(&recording(2, 0.5, true, true), FROM).unwrap_err();
         assert!(matches!(refused, Refusal::TooUncertain { .. }), "{refused}");
     }
 
     #[test]
-    fn a_motor_that_stood_still_is_refused() {
+    fn a_motor_without_steps_is_refused() {
         let samples: Vec<_> = recording(3, 0.5, true, false).into_iter().take(700).collect();
-        let refused = fit(&samples, &CalibrationLimits::default(), FROM).unwrap_err();
+        let refused = fit(&samples, FROM).unwrap_err();
         assert!(matches!(refused, Refusal::PoorCoverage { have, .. } if have < 0.1), "{refused}");
-        assert!(matches!(fit(&samples[..50], &CalibrationLimits::default(), FROM), Err(Refusal::TooFewSamples { .. })));
+        assert!(matches!(fit(&samples[..50], FROM), Err(Refusal::TooFewSamples { .. })));
     }
 
     #[test]

@@ -1,31 +1,38 @@
-//! How the sensor sits in the tip, from bends alone.
+//! Orientation of the sensor in the tip, from bends.
 //!
-//! A pure bend of the section turns the tip about an axis across it: the rotation vector of a bend by
-//! β in direction δ is β (sin δ, cos δ, 0) in the tip's frame (paper, Eq. 7). So all bend axes lie in
-//! one plane, and the normal of that plane, seen from the sensor, is the tip's z axis: two of the
-//! three mount angles, without trusting any command. The third, about z, needs the commanded
-//! directions and inherits their error (a bellow off its place looks the same). Plane: smallest
-//! eigenvector of Σ w a aᵀ; all three angles: Wahba's problem by SVD (Markley 1988).
+//! A pure bend by β in direction δ has the rotation vector β (sin δ, cos δ, 0) in the frame of the tip (paper, Eq. 7).
+//! All bend axes therefore lie in one plane. The normal of that plane in sensor coordinates is the tip's z axis, which
+//! gives two of the three mount angles independently of the commands. The third angle, about z, needs the commanded
+//! directions and contains their error, such as a misplaced bellow. The plane is the smallest eigenvector of Σ w a aᵀ;
+//! all three angles solve Wahba's problem by SVD (Markley 1988).
 //!
-//! A twist that grows with bend lifts every axis out of the plane alike; over a full circle of
+//! A twist in proportion to the bend moves every axis out of the plane by the same angle. Over a full circle of
 //! directions this does not tilt the normal, and [`Mount::twist_per_bend`] reports it.
 
-use super::{CalibrationLimits, Refusal};
+use super::refusal::Refusal;
 use crate::primitives::frames::{Rotation, Sensor, Tip};
 use crate::primitives::sample::ImuSample;
 use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
-/// One bend in one plane, from anywhere to anywhere.
+/// Smallest bend that is used, degrees.
+const BEND_MIN_DEG: f64 = 10.0;
+/// Fewest bends.
+const BENDS_MIN: usize = 4;
+/// Smallest spread of the directions: 0.5 is a full circle, 0 a single direction.
+const SPREAD_MIN: f64 = 0.15;
+/// Largest rms angle of the bend axes out of their plane, degrees.
+const OUT_OF_PLANE_MAX_DEG: f64 = 5.0;
+
+/// A change of the bend within one plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BendTurn {
-    /// Rotation vector of the turn in the sensor's frame, rad; see [`turn_of`].
+    /// Rotation vector in the sensor frame, rad; see [`turn_of`].
     pub turn_rad: Vector3<f64>,
-    /// Commanded direction δ, rad, of a growing bend; of a bend that shrinks, δ + π. `None` if not
-    /// known.
+    /// Commanded direction δ, rad, of an increasing bend, δ + π of a decreasing one; `None` if not known.
     pub direction_rad: Option<f64>,
 }
 
-/// The rotation vector of a stretch of gyroscope samples, rad, in the sensor's frame at its start.
+/// Rotation vector of a stretch of gyroscope samples, rad, in the sensor frame at its start.
 #[must_use]
 pub fn turn_of(samples: &[ImuSample], gyro_bias_rad_s: &Vector3<f64>) -> Vector3<f64> {
     let mut q = UnitQuaternion::identity();
@@ -37,39 +44,39 @@ pub fn turn_of(samples: &[ImuSample], gyro_bias_rad_s: &Vector3<f64>) -> Vector3
     q.scaled_axis()
 }
 
-/// What bends say about the mount.
+/// Result for the mount.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mount {
-    /// Turns sensor coordinates into tip coordinates.
+    /// Sensor to tip.
     pub r_tip_sensor: Rotation<Tip, Sensor>,
-    /// One sigma of a rotation about the tip's x, y and z, rad. About z it is π/√3, that of knowing
-    /// nothing, when no directions were given; the rotation then has none about z.
+    /// One sigma of a rotation about the tip's x, y and z, rad. About z it is π/√3, that of a
+    /// uniform distribution, if no directions are given; the rotation then has no component about z.
     pub sigma_rad: Vector3<f64>,
-    /// rms angle of the bend axes out of their plane, rad, twist removed.
+    /// rms angle of the bend axes out of their plane, rad, without the twist.
     pub out_of_plane_rad: f64,
     /// Mean slope of the axes out of the plane: radians of twist per radian of bend.
     pub twist_per_bend: f64,
-    /// Lesser in-plane share of the squared axes: 0.5 is a full circle, 0 a single direction.
+    /// Smaller in-plane share of the squared axes: 0.5 is a full circle, 0 a single direction.
     pub spread: f64,
-    /// Bends used.
+    /// Number of bends used.
     pub bends: usize,
 }
 
 /// Mount from bends in several directions.
 ///
 /// # Errors
-/// [`Refusal`] when there are fewer than four bends of [`CalibrationLimits::bend_min_deg`], they all go one way,
-/// or they do not share a plane.
-pub fn from_bends(bends: &[BendTurn], limits: &CalibrationLimits) -> Result<Mount, Refusal> {
+/// [`Refusal`] if there are fewer than four bends of at least 10°, their directions are too similar, or they do not
+/// share a plane.
+pub fn from_bends(bends: &[BendTurn]) -> Result<Mount, Refusal> {
     if let Some(index) = bends.iter().position(|b| !b.turn_rad.iter().all(|x| x.is_finite())) {
         return Err(Refusal::NotFinite { index });
     }
-    let used: Vec<BendTurn> = bends.iter().filter(|b| b.turn_rad.norm() >= limits.bend_min_deg.to_radians()).copied().collect();
-    if used.len() < 4 {
-        return Err(Refusal::TooFewSamples { have: used.len(), want: 4 });
+    let used: Vec<BendTurn> = bends.iter().filter(|b| b.turn_rad.norm() >= BEND_MIN_DEG.to_radians()).copied().collect();
+    if used.len() < BENDS_MIN {
+        return Err(Refusal::TooFewSamples { have: used.len(), want: BENDS_MIN });
     }
     let weight: f64 = used.iter().map(|b| b.turn_rad.norm_squared()).sum();
-    // weights are |turn|²: an integrated gyroscope errs by an angle, not by a share
+    // weights are |turn|², since the error of an integrated gyroscope does not depend on the angle
     let scatter: Matrix3<f64> = used.iter().map(|b| b.turn_rad * b.turn_rad.transpose()).sum::<Matrix3<f64>>() / weight;
     let eigen = scatter.symmetric_eigen();
     let order = {
@@ -78,18 +85,18 @@ pub fn from_bends(bends: &[BendTurn], limits: &CalibrationLimits) -> Result<Moun
         order
     };
     let spread = eigen.eigenvalues[order[1]];
-    if spread < limits.bend_spread {
-        let advice = "bend in directions all round, 90° apart or less";
-        return Err(Refusal::PoorCoverage { what: "the plane of bends", have: spread, want: limits.bend_spread, advice });
+    if spread < SPREAD_MIN {
+        let advice = "bend in all directions, at most 90° apart";
+        return Err(Refusal::PoorCoverage { what: "the plane of bends", have: spread, want: SPREAD_MIN, advice });
     }
     let (q, yaw_known) = match directed(&used) {
         Some(q) => (q, true),
         None => (upright(&eigen.eigenvectors.column(order[0]).into_owned()), false),
     };
-    judged(&used, q, yaw_known, spread, limits)
+    evaluate(&used, q, yaw_known, spread)
 }
 
-/// Wahba's rotation when every bend has a direction.
+/// Solution of Wahba's problem, if every bend has a direction.
 fn directed(bends: &[BendTurn]) -> Option<UnitQuaternion<f64>> {
     let mut b = Matrix3::zeros();
     for bend in bends {
@@ -102,21 +109,21 @@ fn directed(bends: &[BendTurn]) -> Option<UnitQuaternion<f64>> {
     Some(UnitQuaternion::from_matrix(&(u * handed * v_t)))
 }
 
-/// The smallest rotation that lays a plane's normal (either way round) on z.
+/// The smallest rotation from the normal of a plane, of either sign, to z.
 fn upright(normal: &Vector3<f64>) -> UnitQuaternion<f64> {
     let up = if normal.z < 0.0 { -normal } else { *normal };
     UnitQuaternion::rotation_between(&up, &Vector3::z()).unwrap_or_default()
 }
 
-/// Residuals and sigmas of a rotation.
-fn judged(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread: f64, limits: &CalibrationLimits) -> Result<Mount, Refusal> {
+/// Residuals and sigmas of a rotation; refuses bends that do not share a plane.
+fn evaluate(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread: f64) -> Result<Mount, Refusal> {
     let turned: Vec<Vector3<f64>> = bends.iter().map(|b| q * b.turn_rad).collect();
     let weight: f64 = turned.iter().map(|t| t.norm_squared()).sum();
     let twist_per_bend = turned.iter().map(|t| t.z * t.norm()).sum::<f64>() / weight;
     let lift = |t: &Vector3<f64>| t.z - twist_per_bend * t.norm(); // rad out of the plane
     let squares: f64 = turned.iter().map(|t| lift(t).powi(2)).sum();
     let out_of_plane_rad = (squares / weight).sqrt();
-    let limit = limits.bend_out_of_plane_deg;
+    let limit = OUT_OF_PLANE_MAX_DEG;
     let rms = (turned.iter().map(|t| t.z * t.z).sum::<f64>() / weight).sqrt().to_degrees();
     if rms > limit {
         return Err(Refusal::PoorFit { rms, limit, unit: "deg" });
@@ -126,10 +133,10 @@ fn judged(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread: f
     let spare = (bends.len() as f64 - 3.0).max(1.0);
     let tilt = information.try_inverse().ok_or(Refusal::NotAnEllipsoid)?.diagonal().map(|v| v * squares / spare);
     let yaw = yaw_sigma(bends, &turned, weight).filter(|_| yaw_known);
-    let nothing = std::f64::consts::PI / 3.0_f64.sqrt();
+    let unknown = std::f64::consts::PI / 3.0_f64.sqrt();
     Ok(Mount {
         r_tip_sensor: Rotation::assert_frames(q),
-        sigma_rad: Vector3::new(tilt.x.sqrt(), tilt.y.sqrt(), yaw.unwrap_or(nothing)),
+        sigma_rad: Vector3::new(tilt.x.sqrt(), tilt.y.sqrt(), yaw.unwrap_or(unknown)),
         out_of_plane_rad,
         twist_per_bend,
         spread,
@@ -137,7 +144,7 @@ fn judged(bends: &[BendTurn], q: UnitQuaternion<f64>, yaw_known: bool, spread: f
     })
 }
 
-/// Spread of the in-plane directions against the commanded ones, over √n.
+/// Standard deviation of the mean difference between measured and commanded directions.
 fn yaw_sigma(bends: &[BendTurn], turned: &[Vector3<f64>], weight: f64) -> Option<f64> {
     let mut squares = 0.0;
     for (bend, t) in bends.iter().zip(turned) {
@@ -198,10 +205,10 @@ mod tests {
     }
 
     #[test]
-    fn all_three_angles_come_back_with_known_directions() {
+    fn known_directions_give_all_three_angles() {
         let mut chi2 = 0.0;
         for seed in 0..20 {
-            let fit = from_bends(&bends(12, true, 0.0, &mut StdRng::seed_from_u64(seed)), &CalibrationLimits::default());
+            let fit = from_bends(&bends(12, true, 0.0, &mut StdRng::seed_from_u64(seed)));
             let fit = fit.expect("full circle");
             let error = (fit.r_tip_sensor.quat() * mounted().inverse()).scaled_axis();
             let z = error.component_div(&fit.sigma_rad);
@@ -210,37 +217,36 @@ mod tests {
             assert!((fit.spread - 0.5).abs() < 0.01);
             chi2 += z.norm_squared() / 60.0;
         }
-        assert!((0.3..2.0).contains(&chi2), "sigmas are honest: {chi2}");
+        assert!((0.3..2.0).contains(&chi2), "the sigmas match the errors: {chi2}");
     }
 
     #[test]
-    fn the_tips_axis_needs_no_directions() {
-        let fit = from_bends(&bends(8, false, 0.0, &mut StdRng::seed_from_u64(1)), &CalibrationLimits::default()).expect("round");
+    fn the_axis_of_the_tip_needs_no_directions() {
+        let fit = from_bends(&bends(8, false, 0.0, &mut StdRng::seed_from_u64(1))).expect("round");
         let axis = fit.r_tip_sensor.inverse().apply(&Vector3::z());
         let want = mounted().inverse() * Vector3::z();
         assert!(axis.angle(&want).to_degrees() < 0.2, "{}", axis.angle(&want).to_degrees());
         assert!(fit.sigma_rad.z > 1.8 && fit.sigma_rad.x < 0.01);
-        assert!(fit.r_tip_sensor.quat().scaled_axis().z.abs() < 1e-9, "nothing is claimed about z");
+        assert!(fit.r_tip_sensor.quat().scaled_axis().z.abs() < 1e-9, "there is no component about z");
     }
 
     #[test]
-    fn twist_is_reported_and_does_not_tilt_the_mount() {
-        let fit = from_bends(&bends(12, true, 0.06, &mut StdRng::seed_from_u64(2)), &CalibrationLimits::default()).expect("round");
+    fn a_twist_is_reported_and_does_not_tilt_the_mount() {
+        let fit = from_bends(&bends(12, true, 0.06, &mut StdRng::seed_from_u64(2))).expect("round");
         assert!((fit.twist_per_bend - 0.06).abs() < 0.01, "{}", fit.twist_per_bend);
         let tilt = (fit.r_tip_sensor.quat() * mounted().inverse()).scaled_axis().xy().norm();
         assert!(tilt.to_degrees() < 0.3, "{}", tilt.to_degrees());
     }
 
     #[test]
-    fn lazy_bends_are_refused() {
-        let limits = CalibrationLimits::default();
+    fn insufficient_bends_are_refused() {
         let mut rng = StdRng::seed_from_u64(3);
         let all = bends(12, true, 0.0, &mut rng);
         let one_way: Vec<_> = [0, 6, 0, 6, 0].map(|k| all[k]).to_vec();
-        assert!(matches!(from_bends(&one_way, &limits), Err(Refusal::PoorCoverage { .. })));
+        assert!(matches!(from_bends(&one_way), Err(Refusal::PoorCoverage { .. })));
         let small: Vec<_> = all.iter().map(|b| BendTurn { turn_rad: b.turn_rad * 0.1, ..*b }).collect();
-        assert!(matches!(from_bends(&small, &limits), Err(Refusal::TooFewSamples { have: 0, want: 4 })));
+        assert!(matches!(from_bends(&small), Err(Refusal::TooFewSamples { have: 0, want: 4 })));
         let wild: Vec<_> = all.iter().map(|b| BendTurn { turn_rad: b.turn_rad + normal(&mut rng, 0.3), ..*b }).collect();
-        assert!(matches!(from_bends(&wild, &limits), Err(Refusal::PoorFit { unit: "deg", .. })));
+        assert!(matches!(from_bends(&wild), Err(Refusal::PoorFit { unit: "deg", .. })));
     }
 }

@@ -1,10 +1,10 @@
-//! Why a recording is refused, with the motion that was missing.
+//! Why a recording is refused, and what to do about it.
 
-/// Why a recording is not good enough, with what is missing.
+/// Why a recording is not sufficient.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// Not enough data.
-    #[error("{have} samples are too few, {want} are needed: record longer")]
+    #[error("{have} samples are too few, at least {want} are required: record for longer")]
     TooFewSamples {
         /// Usable samples.
         have: usize,
@@ -12,15 +12,15 @@ pub enum Refusal {
         want: usize,
     },
     /// A NaN or infinity among the data.
-    #[error("sample {index} is not a finite number: mend the log")]
+    #[error("sample {index} is not a finite number: correct the log")]
     NotFinite {
         /// Its position.
         index: usize,
     },
-    /// It moved where it should have been still.
-    #[error("not still: {what} is {have:.4} {unit}, allowed is {limit:.4}: fix the tip and repeat")]
+    /// Motion during a rest.
+    #[error("not still: {what} is {have:.4} {unit}, the limit is {limit:.4}: secure the tip and repeat")]
     Moving {
-        /// What gave the motion away.
+        /// The quantity that shows the motion.
         what: &'static str,
         /// Measured.
         have: f64,
@@ -29,10 +29,10 @@ pub enum Refusal {
         /// Unit of both.
         unit: &'static str,
     },
-    /// The motion left too much of its space out.
-    #[error("the motion covers {have:.2} of {what}, {want:.2} are needed: {advice}")]
+    /// The motion covers too little.
+    #[error("the motion covers {have:.2} of {what}, {want:.2} is required: {advice}")]
     PoorCoverage {
-        /// Space to be covered.
+        /// What must be covered.
         what: &'static str,
         /// Covered share, 0 to 1.
         have: f64,
@@ -42,16 +42,16 @@ pub enum Refusal {
         advice: &'static str,
     },
     /// A face of the six-position method was never up.
-    #[error("no rest with the sensor's {face} axis up: lay it on that face for two seconds")]
+    #[error("no rest with the sensor's {face} axis up: place it on that face for two seconds")]
     MissingFace {
         /// Axis and sign.
         face: &'static str,
     },
     /// The data do not lie on an ellipsoid.
-    #[error("the readings lie on no ellipsoid: keep away from magnets and repeat")]
+    #[error("the readings do not lie on an ellipsoid: keep away from magnets and repeat")]
     NotAnEllipsoid,
-    /// The readings fill a pancake or a needle: one axis was hardly turned.
-    #[error("the ellipsoid is {ratio:.1} times longer than wide, allowed is {limit:.1}: turn about all three axes")]
+    /// The ellipsoid is too flat: the sensor was hardly turned about one axis.
+    #[error("the axes of the ellipsoid have a ratio of {ratio:.1}, the limit is {limit:.1}: turn about all three axes")]
     Flat {
         /// Longest to shortest axis.
         ratio: f64,
@@ -59,7 +59,7 @@ pub enum Refusal {
         limit: f64,
     },
     /// The result would be too uncertain.
-    #[error("{what} would be uncertain by {sigma:.4} {unit}, allowed is {limit:.4}: cover more directions")]
+    #[error("the standard deviation of {what} is {sigma:.4} {unit}, the limit is {limit:.4}: cover more directions")]
     TooUncertain {
         /// The quantity.
         what: &'static str,
@@ -70,8 +70,8 @@ pub enum Refusal {
         /// Unit of both.
         unit: &'static str,
     },
-    /// The model leaves too much unexplained.
-    #[error("the fit leaves {rms:.4} {unit}, allowed is {limit:.4}: something else disturbed the sensor")]
+    /// The residual of the fit is too large.
+    #[error("the residual of the fit is {rms:.4} {unit} rms, the limit is {limit:.4}: remove other disturbances of the sensor")]
     PoorFit {
         /// Residual.
         rms: f64,

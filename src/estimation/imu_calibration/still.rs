@@ -1,11 +1,22 @@
-//! Rests in a recording: stretches in which all three sensors say that nothing moved.
+//! Finds still stretches ("rests") in a recording.
 //!
-//! A gyroscope alone cannot tell a slow steady turn from a bias; the directions of gravity and of the
-//! field at the two ends of the stretch can.
+//! A gyroscope alone cannot tell a slow steady rotation from a bias; the directions of gravity and of the field at
+//! the two ends of the stretch can.
 
-use super::{CalibrationLimits, Refusal};
+use super::refusal::Refusal;
 use crate::primitives::sample::ImuSample;
 use nalgebra::Vector3;
+
+/// Largest standard deviation of the gyroscope, rad/s per axis: four times the noise of the supported parts.
+const GYRO_SPREAD_MAX_RAD_S: f64 = 0.02;
+/// Largest standard deviation of the accelerometer, m/s² per axis.
+const ACC_SPREAD_MAX_M_S2: f64 = 0.15;
+/// Largest tilt or heading change, degrees. A slow rotation of 0.5° in 2 s is a bias error of 0.25 °/s.
+const TURN_MAX_DEG: f64 = 0.5;
+/// Shortest rest, s.
+const DURATION_MIN_S: f64 = 1.0;
+/// Fewest samples of a rest.
+const SAMPLES_MIN: usize = 30;
 
 /// Means over one rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,7 +35,7 @@ pub struct Rest {
     pub acc_m_s2: Vector3<f64>,
     /// Standard deviation of the specific force per axis, m/s².
     pub acc_std_m_s2: Vector3<f64>,
-    /// Mean field, µT, if the magnetometer spoke.
+    /// Mean field, µT, if there is a magnetometer.
     pub mag_ut: Option<Vector3<f64>>,
 }
 
@@ -42,7 +53,7 @@ fn angle(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.cross(b).norm().atan2(a.dot(b))
 }
 
-/// Turn between the first and the last third of the stretch, rad, by gravity and by the field.
+/// Rotation between the first and the last third of the stretch, rad, by gravity and by the field.
 fn turn(samples: &[ImuSample]) -> f64 {
     let third = samples.len() / 3;
     let (head, tail) = (&samples[..third], &samples[samples.len() - third..]);
@@ -52,32 +63,32 @@ fn turn(samples: &[ImuSample]) -> f64 {
     between(acc(head), acc(tail)).max(between(mag(head), mag(tail)))
 }
 
-/// Means of a stretch that is supposed to be one rest.
+/// Means of a stretch that should be one rest.
 ///
 /// # Errors
-/// [`Refusal`] when it is too short, not finite, or something moved in it.
-pub fn rest(samples: &[ImuSample], limits: &CalibrationLimits) -> Result<Rest, Refusal> {
+/// [`Refusal`] if it is too short, not finite, or contains motion.
+pub fn rest(samples: &[ImuSample]) -> Result<Rest, Refusal> {
     if let Some(index) = samples.iter().position(|s| !s.is_finite()) {
         return Err(Refusal::NotFinite { index });
     }
     let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
-        return Err(Refusal::TooFewSamples { have: 0, want: 30 });
+        return Err(Refusal::TooFewSamples { have: 0, want: SAMPLES_MIN });
     };
     let duration_s = last.t.0 - first.t.0;
-    if samples.len() < 30 {
-        return Err(Refusal::TooFewSamples { have: samples.len(), want: 30 });
+    if samples.len() < SAMPLES_MIN {
+        return Err(Refusal::TooFewSamples { have: samples.len(), want: SAMPLES_MIN });
     }
-    if duration_s < limits.still_min_s {
-        let want = (samples.len() as f64 * limits.still_min_s / duration_s.max(1e-9)).ceil() as usize;
+    if duration_s < DURATION_MIN_S {
+        let want = (samples.len() as f64 * DURATION_MIN_S / duration_s.max(1e-9)).ceil() as usize;
         return Err(Refusal::TooFewSamples { have: samples.len(), want });
     }
     let summary = |pick: fn(&ImuSample) -> Vector3<f64>| mean_std(samples.iter().map(pick)).unwrap_or((Vector3::zeros(), Vector3::zeros()));
     let (gyro_rad_s, gyro_std_rad_s) = summary(|s| s.gyro_rad_s);
     let (acc_m_s2, acc_std_m_s2) = summary(|s| s.acc_m_s2);
     let checks = [
-        ("the gyroscope's spread", gyro_std_rad_s.amax(), limits.still_gyro_rad_s, "rad/s"),
-        ("the accelerometer's spread", acc_std_m_s2.amax(), limits.still_acc_m_s2, "m/s²"),
-        ("the turn from end to end", turn(samples).to_degrees(), limits.still_turn_deg, "deg"),
+        ("the standard deviation of the gyroscope", gyro_std_rad_s.amax(), GYRO_SPREAD_MAX_RAD_S, "rad/s"),
+        ("the standard deviation of the accelerometer", acc_std_m_s2.amax(), ACC_SPREAD_MAX_M_S2, "m/s²"),
+        ("the rotation from start to end", turn(samples).to_degrees(), TURN_MAX_DEG, "deg"),
     ];
     for (what, have, limit, unit) in checks {
         if have > limit {
@@ -89,19 +100,19 @@ pub fn rest(samples: &[ImuSample], limits: &CalibrationLimits) -> Result<Rest, R
     Ok(Rest { first: 0, samples: n, duration_s, gyro_rad_s, gyro_std_rad_s, acc_m_s2, acc_std_m_s2, mag_ut })
 }
 
-/// All rests of a recording: back-to-back windows of [`CalibrationLimits::still_min_s`] that pass [`rest`], with
-/// neighbours of the same attitude joined.
+/// All rests of a recording: adjacent windows of 1 s that pass [`rest`], joined where the attitude is
+/// the same.
 #[must_use]
-pub fn rests(samples: &[ImuSample], limits: &CalibrationLimits) -> Vec<Rest> {
+pub fn rests(samples: &[ImuSample]) -> Vec<Rest> {
     let mut found: Vec<Rest> = Vec::new();
     let mut from = 0;
     while from < samples.len() {
-        let end_s = samples[from].t.0 + limits.still_min_s;
+        let end_s = samples[from].t.0 + DURATION_MIN_S;
         let Some(n) = samples[from..].iter().position(|s| s.t.0 >= end_s) else { break };
-        if let Ok(window) = rest(&samples[from..=from + n], limits) {
+        if let Ok(window) = rest(&samples[from..=from + n]) {
             let joined = found.last().and_then(|last| {
                 let stretch = &samples[last.first..=from + n];
-                (last.first + last.samples >= from).then(|| rest(stretch, limits).ok()).flatten()
+                (last.first + last.samples >= from).then(|| rest(stretch).ok()).flatten()
             });
             match (joined, found.last_mut()) {
                 (Some(longer), Some(last)) => *last = Rest { first: last.first, ..longer },

@@ -1,0 +1,45 @@
+//! Calibrated values with their uncertainty and origin.
+
+use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
+
+/// A calibrated quantity with its uncertainty and origin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Entry<T> {
+    /// Best estimate.
+    pub value: T,
+    /// One standard deviation of each number of `value`.
+    pub sigma: T,
+    /// Day of the recording, `2025-01-31`.
+    pub date: String,
+    /// File or procedure it came from.
+    pub source: String,
+}
+
+/// Date and source of a calibration.
+#[derive(Debug, Clone, Copy)]
+pub struct Pedigree<'a> {
+    /// Day of the recording.
+    pub date: &'a str,
+    /// File or procedure.
+    pub source: &'a str,
+}
+
+impl Pedigree<'_> {
+    /// An entry with this pedigree.
+    pub(super) fn entry<T>(self, value: T, sigma: T) -> Entry<T> {
+        Entry { value, sigma, date: self.date.to_owned(), source: self.source.to_owned() }
+    }
+}
+
+/// Rows of a 3 × 3 matrix, as written in files.
+pub type Rows = [[f64; 3]; 3];
+
+pub(super) fn rows(m: &Matrix3<f64>) -> Rows {
+    [0, 1, 2].map(|i| [m[(i, 0)], m[(i, 1)], m[(i, 2)]])
+}
+
+pub(super) fn matrix(r: &Rows) -> Matrix3<f64> {
+    Matrix3::from_fn(|i, j| r[i][j])
+}
