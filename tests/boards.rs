@@ -15,7 +15,17 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-const HARDWARE: [&str; 5] = ["pi3", "pi4", "pi5", "pi-zero2w", "linux-gpiochip"];
+/// Names of all board files with pins, so that a new board is tested without a change here.
+fn hardware() -> Vec<String> {
+    let mut names: Vec<String> = std::fs::read_dir(repo("boards"))
+        .unwrap()
+        .filter_map(|entry| entry.unwrap().file_name().into_string().unwrap().strip_suffix(".toml").map(str::to_owned))
+        .filter(|name| !["sim", "gains"].contains(&name.as_str()))
+        .collect();
+    names.sort();
+    assert!(names.len() >= 5, "{names:?}");
+    names
+}
 
 /// The whole of a board, as `retroflex board show` prints it.
 fn text(name: &str) -> String {
@@ -25,7 +35,7 @@ fn text(name: &str) -> String {
 
 #[test]
 fn every_board_is_read_and_its_wiring_laid_out() {
-    for name in HARDWARE {
+    for name in hardware() {
         let board: Board = source::read(&repo(&format!("boards/{name}.toml"))).unwrap();
         let wiring = board.pins.as_ref().unwrap();
         assert!(board.imu.is_some() && board.plant.is_none(), "{name}");
@@ -44,7 +54,7 @@ fn every_board_is_read_and_its_wiring_laid_out() {
 #[test]
 fn boards_state_the_defaults_except_where_they_say_so() {
     let bare: Board = source::parse("bare", "").unwrap();
-    for name in HARDWARE {
+    for name in hardware() {
         let b: Board = source::read(&repo(&format!("boards/{name}.toml"))).unwrap();
         assert_eq!((b.geometry, b.drive, b.motion, b.limits), (bare.geometry, bare.drive, bare.motion, bare.limits), "{name}");
         assert_eq!((b.power, b.safety, &b.service, b.homing), (bare.power, bare.safety, &bare.service, bare.homing), "{name}");
@@ -57,7 +67,7 @@ fn boards_state_the_defaults_except_where_they_say_so() {
 /// What `board show` prints is read back as the same board, and every key has a paragraph.
 #[test]
 fn a_printed_board_is_the_board_and_every_key_has_its_paragraph() {
-    for name in HARDWARE.iter().chain(&["sim"]) {
+    for name in hardware().into_iter().chain(["sim".to_owned()]) {
         let board: Board = source::read(&repo(&format!("boards/{name}.toml"))).unwrap();
         let printed: Board = source::parse("printed", &show::whole(&board)).unwrap();
         assert_eq!(printed, board, "{name}");
@@ -69,9 +79,9 @@ fn a_printed_board_is_the_board_and_every_key_has_its_paragraph() {
     <Gains as Check>::TABLE.unwrap().keys("", &mut keys);
     <Calibration as Check>::TABLE.unwrap().keys("", &mut keys);
     assert!(keys.len() > 200, "{}", keys.len());
-    for name in HARDWARE {
+    for name in hardware() {
         let mut paragraph = 0;
-        for line in text(name).lines() {
+        for line in text(&name).lines() {
             if line.starts_with('#') {
                 paragraph += line.len();
             } else {
@@ -194,7 +204,7 @@ fn two_sensors_at_one_address_are_refused() {
 
 #[test]
 fn evaluate_says_clearly_that_a_hardware_board_has_no_plant() {
-    for name in HARDWARE {
+    for name in hardware() {
         let board = repo(&format!("boards/{name}.toml"));
         let out = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(["evaluate", "--board"]).arg(&board).output().unwrap();
         let said = String::from_utf8_lossy(&out.stderr).replace(['\n', '│'], " ");
