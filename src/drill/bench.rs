@@ -19,7 +19,7 @@ use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
 use crate::supervisor::machine::{Alarm, Machine, MachineError, MachineInfo, Sensed};
 
 /// A simulated machine with fault injection.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct FaultyMachine {
     inner: Lockstep<Sim>,
     /// Every transfer fails with this fault.

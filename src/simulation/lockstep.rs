@@ -11,7 +11,7 @@ const CATCH_UP_MAX: u32 = 2000;
 
 /// Any [`World`] as a machine: with its drivers off it holds its counts, and during a late cycle of the loop it
 /// advances with the counts of the cycle before.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Lockstep<W> {
     /// The world.
     pub world: W,

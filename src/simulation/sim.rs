@@ -6,7 +6,7 @@ use crate::simulation::world::{Reply, World};
 use crate::supervisor::machine::{MachineError, MachineInfo};
 
 /// A running built-in plant.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Sim {
     plant: Plant,
     info: MachineInfo,

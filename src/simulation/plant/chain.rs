@@ -16,7 +16,7 @@ use crate::simulation::plant::stand::Stand;
 use nalgebra::Vector3;
 
 /// A running plant.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Plant {
     config: PlantConfig,
     pub(crate) t: f64,

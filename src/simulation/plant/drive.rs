@@ -6,7 +6,7 @@ use crate::simulation::plant::law::{Laws, Moment, UnitData};
 use nalgebra::Vector3;
 
 /// The three drives with their state.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Drive {
     step_mm: f64,
     counts: Vector3<f64>,

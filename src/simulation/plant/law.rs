@@ -88,7 +88,7 @@ pub(crate) mod order {
 }
 
 /// A running effect. The methods are the places of the chain, from command to sample.
-pub(crate) trait Law: std::fmt::Debug + Send {
+pub(crate) trait Law: std::fmt::Debug + Send + CloneLaw {
     /// Position among the laws that act at one place: smaller values act first, equal ones in the order of the
     /// list of effects.
     fn order(&self) -> u8 {
@@ -160,6 +160,24 @@ pub(crate) trait Law: std::fmt::Debug + Send {
     /// True while the sensor repeats its last reading.
     fn hangs(&self, _t: f64) -> bool {
         false
+    }
+}
+
+/// Cloning of laws behind a box.
+pub(crate) trait CloneLaw {
+    /// A clone with its state.
+    fn cloned(&self) -> Box<dyn Law>;
+}
+
+impl<T: Law + Clone + 'static> CloneLaw for T {
+    fn cloned(&self) -> Box<dyn Law> {
+        Box::new(self.clone())
+    }
+}
+
+impl Clone for Box<dyn Law> {
+    fn clone(&self) -> Self {
+        (**self).cloned()
     }
 }
 

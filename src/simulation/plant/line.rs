@@ -9,7 +9,7 @@ use crate::simulation::plant::law::{BellowState, Law, Laws, Moment};
 use nalgebra::Vector3;
 
 /// The three lines with their state.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Line {
     half_width_mm: Vector3<f64>,
     play_output_mm: Vector3<f64>,
@@ -19,7 +19,7 @@ pub(crate) struct Line {
 }
 
 /// Faults of the lines.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct LineFaults {
     leaking: Option<Leaking>,
     /// Lumens that are shut: the air in the bellow stays.

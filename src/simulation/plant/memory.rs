@@ -100,7 +100,7 @@ impl<T: Mix> Delay<T> {
 
 /// A dead time that wanders: `T (1 + j x(t))`, with `x` a unit Gauss-Markov process bounded at ±2.5. Values between
 /// two known times are linear.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct DeadTime<T> {
     delay_s: f64,
     jitter: f64,

@@ -20,7 +20,7 @@ struct Turn {
 }
 
 /// The base with the turns that faults gave it.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Stand {
     rest: Rotation<World, Plate>,
     turned: UnitQuaternion<f64>,

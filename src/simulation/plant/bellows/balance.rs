@@ -12,7 +12,7 @@ use crate::simulation::plant::law::{BellowState, Laws};
 use nalgebra::Vector3;
 
 /// Springs of the three channels and their last balance.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Balance {
     k_epsilon: Vector3<f64>,
     kpa_per_mm: f64,

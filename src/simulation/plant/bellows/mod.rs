@@ -12,7 +12,7 @@ use balance::Balance;
 use nalgebra::Vector3;
 
 /// The three bellows with their state.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Bellows {
     balance: Balance,
     lag: Decay,

@@ -50,7 +50,7 @@ impl Crosstalk {
 }
 
 /// The couplings of one unit.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Squeezing {
     crosstalk: Crosstalk,
     k_epsilon: Vector3<f64>,

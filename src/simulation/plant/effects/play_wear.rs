@@ -30,7 +30,7 @@ impl PlantEffect for PlayWear {
 }
 
 /// Teeth with the distance that each has travelled.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Wearing {
     wear: PlayWear,
     plunger_mm: Vector3<f64>,

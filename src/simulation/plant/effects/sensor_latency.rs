@@ -31,7 +31,7 @@ impl PlantEffect for SensorLatency {
 }
 
 /// Measured quantities on their way.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Late(DeadTime<Stimulus>);
 
 impl Law for Late {

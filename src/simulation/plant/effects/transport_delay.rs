@@ -31,7 +31,7 @@ impl PlantEffect for TransportDelay {
 }
 
 /// Commands on their way.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Late(DeadTime<Vector3<f64>>);
 
 impl Law for Late {

@@ -30,7 +30,7 @@ pub(crate) struct Surroundings {
 }
 
 /// One IMU with its state.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Imu {
     chip: Chip,
     mount: Option<UnitQuaternion<f64>>,

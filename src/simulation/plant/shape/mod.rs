@@ -14,7 +14,7 @@ use arc::{Plate, Section, Terms};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// The bending section with its state.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Shape {
     section: Section,
     /// Injected fault: a push on the tip, as a bend vector, rad.
