@@ -33,9 +33,20 @@ impl EstimatorName {
         all
     };
 
+    /// The names of [`Self::ALL`].
+    pub const NAMES: [&'static str; Self::ALL.len()] = {
+        let mut names = [""; Self::ALL.len()];
+        let mut i = 0;
+        while i < names.len() {
+            names[i] = Self::ALL[i].as_str();
+            i += 1;
+        }
+        names
+    };
+
     /// The name as files write it.
     #[must_use]
-    pub fn as_str(self) -> &'static str {
+    pub const fn as_str(self) -> &'static str {
         match self {
             Self::Bend => "bend",
             Self::Generic(name) => name.as_str(),
@@ -49,14 +60,14 @@ impl EstimatorName {
 }
 
 impl Setting for EstimatorName {
-    const SHAPE: Shape = Shape::Choice(&["bend", "madgwick", "vqf", "vqf-long", "mekf"]);
+    const SHAPE: Shape = Shape::Choice(&EstimatorName::NAMES);
 }
 
 impl TryFrom<String> for EstimatorName {
     type Error = String;
     fn try_from(name: String) -> Result<Self, String> {
         let found = Self::ALL.into_iter().find(|e| e.as_str() == name);
-        found.ok_or_else(|| format!("there is no estimator \"{name}\"; use one of {}", Self::ALL.map(Self::as_str).join(", ")))
+        found.ok_or_else(|| format!("there is no estimator \"{name}\"; use one of {}", Self::NAMES.join(", ")))
     }
 }
 

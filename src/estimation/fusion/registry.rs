@@ -38,7 +38,7 @@ impl FilterName {
 
     /// The name as files and the command line write it.
     #[must_use]
-    pub fn as_str(self) -> &'static str {
+    pub const fn as_str(self) -> &'static str {
         match self {
             Self::Madgwick => "madgwick",
             Self::Vqf => "vqf",
