@@ -83,7 +83,7 @@ enum Command {
 /// The commands by task, as `--help` lists them.
 const GROUPS: [(&str, &[&str]); 7] = [
     ("Move", &["run", "arm", "bend", "stream", "play", "hold", "stop", "relax", "disarm", "status", "subscribe", "reset-fault", "reload"]),
-    ("Bring up", &["doctor", "jog", "home", "commission", "bench"]),
+    ("Bring up", &["board", "doctor", "jog", "home", "commission", "bench"]),
     ("Calibrate", &["zero", "calibrate", "imu"]),
     ("Diagnose", &["record", "replay", "gap"]),
     ("Simulate", &["evaluate"]),
