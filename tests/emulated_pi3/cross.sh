@@ -50,7 +50,7 @@ bus_build() {
         printf '[package]\nname = "emulated-pi3-bus"\nversion = "0.0.0"\nedition = "2024"\n\n[workspace]\n\n'
         printf '[[bin]]\nname = "emulated-pi3-bus"\npath = "%s"\n\n' "$root/tests/emulated_pi3/bus/main.rs"
         printf '[dependencies]\nretroflex = { path = "%s" }\n' "$root"
-        sed -n '/^libc = /p; /^nalgebra = /p' "$root/Cargo.toml"
+        sed -n -E '/^(libc|nalgebra|embedded-hal|rand|rand_distr|thiserror) = /p' "$root/Cargo.toml"
         sed -n '/^\[profile.release\]/,/^$/p' "$root/Cargo.toml"
         printf '\n[profile.release.package.retroflex]\nopt-level = 1\n'
     } >"$bus/Cargo.toml"
@@ -60,6 +60,6 @@ bus_build() {
 
 # What the bus is made from.
 bus_inputs() {
-    find "$root"/src/hardware/imu "$root"/src/hardware/rt.rs "$root"/tests/emulated_pi/{fuse,i2c}.rs "$root"/tests/emulated_pi3/{bus/main,wire}.rs \
+    find "$root"/src/hardware/imu "$root"/src/hardware/rt.rs "$root"/tests/fake_imu "$root"/tests/emulated_pi/{fuse,i2c}.rs "$root"/tests/emulated_pi3/{bus/main,wire}.rs \
         "$root/Cargo.lock" "$work/packages.key" -type f -exec sha256sum {} + | sort
 }

@@ -13,9 +13,9 @@ mod i2c;
 #[path = "../wire.rs"]
 mod wire;
 
+use fake_imu::FakeIcm20948;
 use fuse::{Answer, Files, Ioctl};
 use i2c::Bus;
-use fake_imu::FakeIcm20948;
 use retroflex::hardware::rt::monotonic_ns;
 use std::fs::File;
 use std::io::Read;
