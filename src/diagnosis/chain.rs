@@ -1,10 +1,8 @@
 //! The nominal model run forward from the pistons, with any set of effects in it.
 //!
-//! pistons → play → 1/(1 + k_ε) → first-order lag τ₀ → constant curvature → tip orientation, all by
-//! `model::*`; each effect changes the signal at its own place. The lag takes what comes between two
-//! instants as a straight line, so its step may be longer than τ₀. The result is the tip's orientation
-//! instant by instant; what the sensors make of it is [`crate::diagnosis::fit`]'s part, because most of that is
-//! linear.
+//! pistons → play → 1/(1 + k_ε) → first-order lag τ₀ → constant curvature → tip orientation. Each effect changes the
+//! signal at its own stage. The lag integrates a straight line between two instants exactly, so a step may be longer
+//! than τ₀. [`crate::diagnosis::sense`] turns the motion into readings.
 
 use crate::diagnosis::observe::Observed;
 use crate::model::arc::{Geometry, Shape};
@@ -14,17 +12,19 @@ use crate::model::transmission::Line;
 use crate::primitives::units::Mm;
 use nalgebra::{Matrix3, Vector3};
 
-/// Nominal parameters: log(1 + k_ε) × 3, k_λ (mm) × 3, τ₀ (s).
+/// Number of nominal parameters: ln(1 + k_ε) × 3, k_λ (mm) × 3, τ₀ (s).
 pub const NOMINAL: usize = 7;
-/// Largest mechanical lag that still counts as nominal, s.
+/// Largest mechanical lag that counts as nominal, s.
 pub const LAG_MAX_S: f64 = 0.05;
+/// Time step assumed at the first instant, s.
+pub const FIRST_STEP_S: f64 = 0.01;
 
-/// A set of effects, in catalogue order, with where their parameters stand in the vector.
+/// A set of effects in catalogue order, and the place of their parameters in the parameter vector θ.
 #[derive(Clone)]
 pub struct Model<'a> {
     /// The effects.
     pub effects: Vec<&'a dyn Effect>,
-    /// First parameter of each, and one past the last of all.
+    /// First parameter of each effect, and one past the last of all.
     pub at: Vec<usize>,
 }
 
@@ -38,82 +38,89 @@ impl<'a> Model<'a> {
         }
         Self { effects: effects.to_vec(), at }
     }
-    /// Number of parameters.
+
+    /// The nominal model with the named effects of a catalogue.
     #[must_use]
-    pub fn size(&self) -> usize {
-        self.at[self.effects.len()]
+    pub fn named(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Self {
+        let effects: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).filter(|e| names.contains(&e.name())).collect();
+        Self::new(&effects)
     }
+
+    /// Names of the effects.
+    #[must_use]
+    pub fn names(&self) -> Vec<&'static str> {
+        self.effects.iter().map(|e| e.name()).collect()
+    }
+
     /// Parameters of effect `i`.
     #[must_use]
     #[inline]
     pub fn of<'p>(&self, theta: &'p [f64], i: usize) -> &'p [f64] {
         &theta[self.at[i]..self.at[i + 1]]
     }
+
     /// Effects with their parameters.
     pub fn each<'p>(&'p self, theta: &'p [f64]) -> impl Iterator<Item = (&'a dyn Effect, &'p [f64])> {
         self.effects.iter().enumerate().map(move |(i, e)| (*e, self.of(theta, i)))
     }
-    /// Whether parameter `j` changes only what the sensors make of the motion.
+
+    /// Whether parameter `j` changes only the readings, not the motion.
     #[must_use]
     pub fn sensing_only(&self, j: usize) -> bool {
         j >= NOMINAL && (0..self.effects.len()).any(|i| (self.at[i]..self.at[i + 1]).contains(&j) && self.effects[i].sensing_only())
     }
 }
 
-/// Tip in the base, instant by instant; zero where nothing looks.
+/// Tip in the base frame, instant by instant; zero at instants that no sensor samples.
 pub type Motion = Vec<Matrix3<f64>>;
 
-/// The lines of a nominal parameter vector.
+/// The lines of a parameter vector.
 #[must_use]
 pub fn lines(theta: &[f64]) -> [Line; 3] {
     std::array::from_fn(|i| Line { k_epsilon: theta[i].exp() - 1.0, k_lambda_mm: theta[3 + i].max(0.0) })
 }
 
+/// The nominal parameter vector of lines and a lag, the inverse of [`lines`].
+#[must_use]
+pub fn nominal_theta(lines: &[Line; 3], lag_s: f64) -> Vec<f64> {
+    let mut theta: Vec<f64> = lines.iter().map(|l| (1.0 + l.k_epsilon).ln()).collect();
+    theta.extend(lines.iter().map(|l| l.k_lambda_mm));
+    theta.push(lag_s);
+    theta
+}
+
 /// Runs the model through the whole log.
 #[must_use]
 pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
-    let lines = lines(theta);
-    let geometry = Geometry::default();
     let lag_s = theta[6].max(1e-3);
-    let transport_s: f64 = model.each(theta).map(|(e, p)| e.transport_s(p)).sum();
-    let mut memory = vec![Memory::default(); model.effects.len()];
-    let (mut w_mm, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
-    let mut delayed = Delayed { log, behind_s: transport_s, at: 0 };
-    let start_s = log.start_s();
+    let behind_s: f64 = model.each(theta).map(|(e, p)| e.transport_s(p)).sum();
+    // a late sensor also samples between the middles of bins
     let every = model.each(theta).any(|(e, p)| e.latency_s(p) > 0.0);
-    let mut moment = Moment {
-        t_s: 0.0,
-        dt_s: 0.01,
-        counted_mm: Vector3::zeros(),
-        up_base: log.up_base,
-        k_epsilon: Vector3::from_fn(|i, _| lines[i].k_epsilon),
-        r_mm: geometry.r_mm,
-        idle_s: 10.0,
-    };
+    let mut chain = Chain::new(log, model, theta);
+    let mut delayed = Delayed { log, behind_s, at: 0 };
+    let (mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros());
     let (mut keep, mut keep_dt) = (0.0, -1.0);
     let mut out = Vec::with_capacity(log.t_s.len());
     for k in 0..log.t_s.len() {
-        let dt_s = if k == 0 { 0.01 } else { log.t_s[k] - log.t_s[k - 1] };
-        let u = delayed.piston(k);
-        (moment.t_s, moment.dt_s, moment.counted_mm, moment.idle_s) = (log.t_s[k] - start_s, dt_s, u, log.idle_s[k]);
+        let dt_s = if k == 0 { FIRST_STEP_S } else { log.t_s[k] - log.t_s[k - 1] };
+        let m = &mut chain.moment;
+        (m.t_s, m.dt_s, m.counted_mm, m.idle_s) = (log.t_s[k] - log.start_s(), dt_s, delayed.piston(k), log.idle_s[k]);
         if (dt_s - keep_dt).abs() > 1e-7 {
             (keep, keep_dt) = ((-dt_s / lag_s).exp(), dt_s);
         }
-        let q = bellows(model, theta, &mut memory, &moment, &lines, &mut w_mm);
-        // a ramp is followed at the distance slope · τ₀
+        let q = chain.bellows();
+        // the response to a ramp trails it by slope · τ₀
         let behind = (q - before) * (lag_s / dt_s);
         lagged = q - behind + (lagged - before + behind) * keep;
         before = q;
-        // between the middles of bins only a late sensor looks
-        let seen = every || log.middle[k];
-        out.push(if seen { orientation(model, theta, &mut memory, &moment, &geometry, &lagged) } else { Matrix3::zeros() });
+        out.push(if every || log.middle[k] { chain.orientation(&lagged) } else { Matrix3::zeros() });
     }
     from_rest(&mut out);
     out
 }
 
-/// The rest *defines* zero bend and the base frame: a tip that sags before anything moves is straight
-/// by definition, and everything later is seen from there.
+/// Expresses the motion relative to its first orientation: the initial rest *defines* zero bend and the base frame,
+/// also for a tip that sags before anything moves.
 fn from_rest(motion: &mut Motion) {
     let Some(back) = motion.first().map(Matrix3::transpose) else { return };
     if back != Matrix3::identity() {
@@ -123,53 +130,67 @@ fn from_rest(motion: &mut Motion) {
     }
 }
 
-/// Pistons, play, extension and the rubber: bellow length changes before the mechanical lag.
-fn bellows(
-    model: &Model<'_>,
-    theta: &[f64],
-    memory: &mut [Memory],
-    at: &Moment,
-    lines: &[Line; 3],
-    w_mm: &mut Vector3<f64>,
-) -> Vector3<f64> {
-    let mut u = at.counted_mm;
-    for (i, e) in model.effects.iter().enumerate() {
-        e.pistons(model.of(theta, i), &mut memory[i], at, &mut u);
-    }
-    for c in 0..3 {
-        w_mm[c] = lines[c].play(w_mm[c], u[c]);
-    }
-    let mut play_output = *w_mm;
-    for (i, e) in model.effects.iter().enumerate() {
-        e.play_output(model.of(theta, i), &mut memory[i], at, &mut play_output);
-    }
-    let mut q = Vector3::from_fn(|c, _| lines[c].bellow_mm(play_output[c]));
-    for (i, e) in model.effects.iter().enumerate() {
-        e.bellows(model.of(theta, i), &mut memory[i], at, &mut q);
-    }
-    q
+/// The model with its state.
+struct Chain<'a> {
+    model: &'a Model<'a>,
+    theta: &'a [f64],
+    lines: [Line; 3],
+    geometry: Geometry,
+    memory: Vec<Memory>,
+    w_mm: Vector3<f64>,
+    moment: Moment,
 }
 
-/// Constant curvature, and what bends it.
-fn orientation(
-    model: &Model<'_>,
-    theta: &[f64],
-    memory: &mut [Memory],
-    at: &Moment,
-    geometry: &Geometry,
-    q: &Vector3<f64>,
-) -> Matrix3<f64> {
-    let Shape { bend, length: Mm(_) } = geometry.shape(q);
-    let mut pose = Pose { bend: bend.0, twist: 0.0, bellow_mm: *q };
-    for (i, e) in model.effects.iter().enumerate() {
-        e.shape(model.of(theta, i), &mut memory[i], at, &mut pose);
+impl<'a> Chain<'a> {
+    fn new(log: &Observed, model: &'a Model<'a>, theta: &'a [f64]) -> Self {
+        let (lines, geometry) = (lines(theta), log.rig.geometry);
+        let moment = Moment {
+            t_s: 0.0,
+            dt_s: FIRST_STEP_S,
+            counted_mm: Vector3::zeros(),
+            up_base: log.up_base,
+            k_epsilon: Vector3::from_fn(|i, _| lines[i].k_epsilon),
+            r_mm: geometry.r_mm,
+            idle_s: 0.0,
+        };
+        Self { model, theta, lines, geometry, memory: vec![Memory::default(); model.effects.len()], w_mm: Vector3::zeros(), moment }
     }
-    let bent = rotation(&Bend(pose.bend));
-    if pose.twist == 0.0 {
-        return bent;
+
+    /// Pistons, play, extension and rubber: bellow length changes before the mechanical lag, mm.
+    fn bellows(&mut self) -> Vector3<f64> {
+        let (model, theta, at) = (self.model, self.theta, &self.moment);
+        let mut u = at.counted_mm;
+        for (i, e) in model.effects.iter().enumerate() {
+            e.pistons(model.of(theta, i), &mut self.memory[i], at, &mut u);
+        }
+        for c in 0..3 {
+            self.w_mm[c] = self.lines[c].play(self.w_mm[c], u[c]);
+        }
+        let mut play_output = self.w_mm;
+        for (i, e) in model.effects.iter().enumerate() {
+            e.play_output(model.of(theta, i), &mut self.memory[i], at, &mut play_output);
+        }
+        let mut q = Vector3::from_fn(|c, _| self.lines[c].bellow_mm(play_output[c]));
+        for (i, e) in model.effects.iter().enumerate() {
+            e.bellows(model.of(theta, i), &mut self.memory[i], at, &mut q);
+        }
+        q
     }
-    let (s, c) = pose.twist.sin_cos();
-    bent * Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+
+    /// Constant curvature with the effects on the shape: tip → base.
+    fn orientation(&mut self, q_mm: &Vector3<f64>) -> Matrix3<f64> {
+        let Shape { bend, length: Mm(_) } = self.geometry.shape(q_mm);
+        let mut pose = Pose { bend: bend.0, twist: 0.0, bellow_mm: *q_mm };
+        for (i, e) in self.model.effects.iter().enumerate() {
+            e.shape(self.model.of(self.theta, i), &mut self.memory[i], &self.moment, &mut pose);
+        }
+        let bent = rotation(&Bend(pose.bend));
+        if pose.twist == 0.0 {
+            return bent;
+        }
+        let (s, c) = pose.twist.sin_cos();
+        bent * Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+    }
 }
 
 /// Rodrigues' formula for the axis (b_y, b_x, 0): Eq. 7 as a matrix.
@@ -181,7 +202,7 @@ fn rotation(bend: &Bend) -> Matrix3<f64> {
     Matrix3::new(1.0 - v * y * y, v * x * y, s * y, v * x * y, 1.0 - v * x * x, -s * x, -s * y, s * x, 1.0 - v * beta2)
 }
 
-/// Reads the pistons as they were a while ago, from the log's own rows.
+/// Pistons as counted a dead time ago.
 struct Delayed<'a> {
     log: &'a Observed,
     behind_s: f64,
@@ -189,6 +210,7 @@ struct Delayed<'a> {
 }
 
 impl Delayed<'_> {
+    /// Pistons for instant `k`, mm; `k` must not decrease from call to call.
     fn piston(&mut self, k: usize) -> Vector3<f64> {
         if self.behind_s <= 0.0 {
             return self.log.piston_mm[k];
@@ -206,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_matrix_is_the_models_rotation() {
+    fn the_matrix_equals_the_rotation_of_the_bend_model() {
         for (x, y) in [(0.0, 0.0), (0.5, -0.3), (-1.2, 0.9), (1e-8, 0.0)] {
             let b = Bend(nalgebra::Vector2::new(x, y));
             assert!((rotation(&b) - b.rotation().matrix()).norm() < 1e-12);

@@ -1,11 +1,11 @@
-//! Who is credited with what: shares of the gap by effect and by stage.
+//! Shares of the gap by effect and by stage.
 //!
-//! An effect alone is credited with what it closes on held-out blocks. Of two, each is credited with the
-//! mean of what it closes first and what it closes last (Shapley 1953), because what two close together
-//! is not the sum of what each closes. What no effect of the verdict closes is laid to the stages in
-//! proportion to the belief in their effects.
+//! A single effect is credited with what it closes on held-out blocks. Each of two effects is credited with the mean of
+//! what it closes when added first and when added last (Shapley 1953), because two effects together do not close the sum
+//! of what each closes alone. What the verdict leaves is attributed to the stages in proportion to the probabilities of
+//! their effects.
 
-use crate::diagnosis::search::{Candidate, Found};
+use crate::diagnosis::search::{Candidate, Candidates};
 use crate::model::effects::{Effect, Stage};
 use serde::Serialize;
 
@@ -18,11 +18,11 @@ pub struct StageShare {
     pub share: f64,
 }
 
-/// Part of the gap `gap` (deg²) that each effect of the set closes.
+/// Part of the gap (deg²) that each effect of the set closes.
 #[must_use]
-pub fn credits(found: &Found, chosen: &Candidate, gap: f64) -> Vec<(&'static str, f64)> {
+pub fn credits(found: &Candidates, chosen: &Candidate, gap: f64) -> Vec<(&'static str, f64)> {
     let (nominal, all) = (found.nominal.energy(), chosen.energy());
-    let alone = |name: &str| found.singles.iter().find(|s| s.names[0] == name).map_or(nominal, Candidate::energy);
+    let alone = |name: &str| found.single(name).map_or(nominal, Candidate::energy);
     let share = |name: &&'static str| {
         let closed = match chosen.names.iter().find(|n| *n != name) {
             None => nominal - all,
@@ -35,16 +35,17 @@ pub fn credits(found: &Found, chosen: &Candidate, gap: f64) -> Vec<(&'static str
 
 /// Shares of the seven stages, the largest first.
 #[must_use]
-pub fn stages(catalogue: &[Box<dyn Effect>], credits: &[(&'static str, f64)], believed: &[(&'static str, f64)]) -> Vec<StageShare> {
+pub fn stages(catalogue: &[Box<dyn Effect>], credits: &[(&'static str, f64)], probabilities: &[(&'static str, f64)]) -> Vec<StageShare> {
     let of = |list: &[(&'static str, f64)], stage: Stage| -> f64 {
         let here = |name: &str| catalogue.iter().any(|e| e.name() == name && e.stage() == stage);
         list.iter().filter(|(name, _)| here(name)).map(|(_, share)| share).sum()
     };
-    let (credited, belief) = (credits.iter().map(|c| c.1).sum::<f64>().max(1e-9), believed.iter().map(|b| b.1).sum::<f64>().max(1e-9));
+    let (credited, probable) =
+        (credits.iter().map(|c| c.1).sum::<f64>().max(1e-9), probabilities.iter().map(|b| b.1).sum::<f64>().max(1e-9));
     let known = credited.min(1.0);
     let mut out: Vec<StageShare> = Stage::ALL
         .iter()
-        .map(|&s| StageShare { name: s.name(), share: known * of(credits, s) / credited + (1.0 - known) * of(believed, s) / belief })
+        .map(|&s| StageShare { name: s.name(), share: known * of(credits, s) / credited + (1.0 - known) * of(probabilities, s) / probable })
         .collect();
     let total: f64 = out.iter().map(|s| s.share).sum::<f64>().max(1e-12);
     out.iter_mut().for_each(|s| s.share /= total);
@@ -58,16 +59,16 @@ mod tests {
     use crate::model::effects::catalogue;
 
     #[test]
-    fn shares_are_seven_and_add_up() {
+    fn the_seven_shares_add_up_to_one() {
         let shares = stages(&catalogue(), &[("leak", 0.6), ("gravity", 0.3)], &[("leak", 0.9), ("torsion", 0.1)]);
         assert_eq!(shares.len(), 7);
         assert!((shares.iter().map(|s| s.share).sum::<f64>() - 1.0).abs() < 1e-12);
         assert_eq!((shares[0].name, shares[1].name), ("transmission", "shape"));
-        assert!((shares[0].share - 0.69).abs() < 1e-9, "0.6 closed and nine tenths of the rest");
+        assert!((shares[0].share - 0.69).abs() < 1e-9, "0.6 closed and nine tenths of the remainder");
     }
 
     #[test]
-    fn without_a_verdict_belief_speaks() {
+    fn without_a_verdict_the_shares_follow_the_probabilities() {
         let shares = stages(&catalogue(), &[], &[("hard_iron", 0.3), ("leak", 0.1)]);
         assert_eq!(shares[0].name, "sensor");
         assert!((shares[0].share - 0.75).abs() < 1e-6);

@@ -1,30 +1,30 @@
 //! 95 % intervals of the part of a gap that is closed.
 //!
-//! Blocks of the log are drawn with replacement (block bootstrap: Künsch 1989), which says how much the
-//! figure depends on what the log happens to hold. A fresh log holds another schedule, and a law of
-//! another form than the truth's leaves another part of it unexplained; that is not in the blocks of one
-//! log. Both act on what is *left*, `1 − closed`, by a factor, so the interval is built on its logarithm.
+//! A block bootstrap (Künsch 1989) gives the spread due to the contents of the log. A fresh log has another schedule,
+//! and a law that differs from the true one leaves another part of it unexplained; one log cannot show that spread, so
+//! a constant is added. Both spreads scale the part that is *left*, `1 − closed`; the interval is formed on its
+//! logarithm.
 
-use crate::diagnosis::search::HeldOut;
+use crate::diagnosis::holdout::HeldOut;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
-/// Standard deviation of the logarithm of what is left, from one log of a unit to the next: 0.44 on the single
-/// effects of `retroflex gap exam` with seeds 201 and 202, 0.45 on logs of another simulator.
+/// Standard deviation of the logarithm of what is left from one log of a unit to the next: 0.44 on the single effects
+/// of `retroflex gap exam` with seeds 201 and 202, 0.45 on logs of another simulator.
 const BETWEEN_LOGS: f64 = 0.45;
-/// What is left is at least this, of the gap: below, the floor is not known well enough.
+/// Least part of the gap that is left: the noise is not known more precisely.
 const LEFT_MIN: f64 = 0.01;
 /// Draws of the bootstrap.
 const DRAWS: usize = 400;
 
-/// What is compared: energies before and after, and the whole gap, block by block.
+/// Scores that are compared.
 #[derive(Debug, Clone, Copy)]
 pub struct Compared<'a> {
     /// Without the effect.
     pub before: &'a HeldOut,
-    /// With it.
+    /// With the effect.
     pub after: &'a HeldOut,
-    /// The nominal model.
+    /// Nominal model.
     pub nominal: &'a HeldOut,
     /// Energy of noise alone, deg².
     pub floor: f64,
@@ -41,14 +41,14 @@ pub fn closed_ci95(c: &Compared<'_>, value: f64, seed: u64) -> [f64; 2] {
     let mut rng = StdRng::seed_from_u64(seed);
     let square: f64 = (0..DRAWS)
         .map(|_| {
-            let (mut b, mut a, mut whole) = (0.0, 0.0, -c.floor);
+            let (mut before, mut after, mut gap) = (0.0, 0.0, -c.floor);
             for _ in 0..n {
                 let i = rng.random_range(0..n);
-                b += c.before.blocks[i];
-                a += c.after.blocks[i];
-                whole += c.nominal.blocks[i];
+                before += c.before.blocks[i];
+                after += c.after.blocks[i];
+                gap += c.nominal.blocks[i];
             }
-            let closed = if whole > 0.0 { (b - a) / whole } else { value };
+            let closed = if gap > 0.0 { (before - after) / gap } else { value };
             ((1.0 - closed).max(LEFT_MIN) / left).ln().powi(2)
         })
         .sum();
@@ -64,11 +64,11 @@ mod tests {
     use super::*;
 
     fn held(blocks: &[f64]) -> HeldOut {
-        HeldOut { rmse_deg: [0.0; 4], blocks: blocks.to_vec(), residual: Default::default() }
+        HeldOut { rmse_deg: Default::default(), blocks: blocks.to_vec(), residual: Default::default() }
     }
 
     #[test]
-    fn the_value_lies_inside_and_uneven_blocks_widen() {
+    fn the_interval_contains_the_value_and_uneven_blocks_widen_it() {
         let (even, after) = (held(&[1.0; 20]), held(&[0.1; 20]));
         let uneven = held(&std::array::from_fn::<f64, 20, _>(|i| if i % 5 == 0 { 0.5 } else { 0.0 }));
         let ci = |after: &HeldOut| closed_ci95(&Compared { before: &even, after, nominal: &even, floor: 0.0 }, 0.9, 1);
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_closed_is_nothing_closed() {
+    fn an_effect_that_closes_nothing_has_an_interval_of_zero_width() {
         let even = held(&[1.0; 20]);
         let ci = closed_ci95(&Compared { before: &even, after: &even, nominal: &even, floor: 0.0 }, 0.0, 1);
         assert!(ci[0].abs() < 1e-9 && ci[1].abs() < 1e-9, "{ci:?}");

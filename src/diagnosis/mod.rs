@@ -1,24 +1,33 @@
-//! Diagnosis of the sim-to-real gap: where it lies, which effect causes it, how far it shrinks.
+//! Diagnosis of the sim-to-real gap: where it lies, which effect causes it, and how much of it the effect closes.
 //!
-//! `observe` turns a log into bins with weights; `chain` runs the controller's own model forward from
-//! the pistons with any set of catalogue effects in it; `fit` estimates nominal gains and effect
-//! parameters jointly; `search` finds the smallest set that explains the log on parts that no fit has
-//! seen; `diagnose` puts the answers together.
+//! [`observe`] turns a log into weighted bins. [`chain`] and [`sense`] run the controller's own model forward from the
+//! pistons to the readings, with any set of catalogue effects in it. [`fit`] estimates nominal gains and effect
+//! parameters jointly, [`holdout`] scores a fit on parts of the log it has not seen, [`search`] tries sets of effects,
+//! [`decide`] chooses one, and [`diagnose`] assembles the answer. [`map`] diagnoses other rigs, [`excite`] designs
+//! schedules, and [`exam`] tests the diagnosis on the built-in plant.
 
-pub mod begin;
+pub mod bins;
 pub mod chain;
+pub mod confusion;
 pub mod credit;
 pub mod decide;
 pub mod diagnose;
+pub mod document;
 pub mod exam;
 pub mod excite;
 pub mod fit;
 pub mod holdout;
 pub mod interval;
+pub mod location;
 pub mod map;
 pub mod observe;
+pub mod predictable;
+pub mod problem;
+pub mod quantity;
+pub mod refuse;
+pub mod rig;
 pub mod saved;
 pub mod search;
 pub mod sense;
-pub mod slope;
-pub mod structure;
+pub mod start;
+pub mod tangent;

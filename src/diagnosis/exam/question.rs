@@ -1,11 +1,10 @@
 //! Questions of an exam: a unit with zero, one or two effects, drawn from a seed, and its logs.
 //!
-//! Units differ in gains, play, lag, attitude and field, and all have the small imperfections that no
-//! real unit is without. The calibration is a few percent off. Effects are drawn from small to large;
-//! one that nobody could see, because it moves no signal by `SEEN_DEG`, is drawn again.
+//! Units differ in gains, play, lag, attitude and field, and all have the small imperfections of real units. The
+//! calibration is a few percent off. The size of an effect is drawn; one that changes no signal by [`VISIBLE_DEG`] is
+//! drawn again.
 
 use crate::diagnosis::exam::record::record;
-use crate::diagnosis::exam::schedule::seed;
 use crate::log::bend_log::BendLog;
 use crate::model::transmission::Line;
 use crate::simulation::plant::config::BaseConfig;
@@ -15,74 +14,74 @@ use crate::simulation::plant::{EffectName, PlantConfig, PlantError, effect_names
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
-use rand::{RngExt, SeedableRng};
+use rand::{Rng, RngExt, SeedableRng};
 
-/// Least RMS difference that an effect must make to some signal, degrees (°/s for the gyroscope).
-const SEEN_DEG: f64 = 0.8;
-/// Draws until an effect is given up as invisible and taken at its largest.
+/// Least RMS change of some signal by an effect, degrees (°/s for the gyroscope).
+const VISIBLE_DEG: f64 = 0.8;
+/// Draws of the size of an effect; the last is the largest size.
 const DRAWS: usize = 6;
 
-/// What a log holds.
+/// Effects in a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Holds {
+pub enum Content {
     /// No effect.
     None,
     /// One effect of the catalogue.
     Single,
-    /// Two.
+    /// Two effects of the catalogue.
     Pair,
-    /// One that the catalogue does not hold.
+    /// One effect outside the catalogue.
     Outside,
 }
 
-/// One question, before it is drawn.
+/// One question.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Question {
-    /// What it holds.
-    pub holds: Holds,
-    /// The truth.
+    /// Effects in the log.
+    pub content: Content,
+    /// Names of the effects.
     pub names: Vec<&'static str>,
-    /// With a tracker.
+    /// Whether a tracker records the log.
     pub lab: bool,
     /// Seed of everything else.
     pub seed: u64,
 }
 
-/// Logs of a question: to be diagnosed, and a fresh one of the same unit.
+/// Logs of a question.
 #[derive(Debug, Clone)]
 pub struct Logs {
-    /// To be diagnosed.
+    /// The log to be diagnosed.
     pub log: BendLog,
-    /// Another schedule, other noise.
+    /// A fresh log of the same unit, with another schedule and other noise.
     pub fresh: BendLog,
-    /// Calibration they are driven with.
+    /// Calibration that both are driven with.
     pub lines: [Line; 3],
 }
 
-/// Questions of one sitting: every single effect and the outside ones `rounds` times with and without
-/// a tracker, and as many pairs and empty logs as makes sense beside them.
+/// Questions of an exam, in random order: every effect of the catalogue and outside it `rounds` times with and without a
+/// tracker, and one pair and one effect-free log per catalogue effect and round.
 #[must_use]
-pub fn paper(sitting: u64, rounds: usize) -> Vec<Question> {
-    let mut rng = StdRng::seed_from_u64(sitting);
+pub fn questions(seed: u64, rounds: usize) -> Vec<Question> {
+    let mut rng = StdRng::seed_from_u64(seed);
     let (inside, outside): (Vec<&EffectName>, Vec<&EffectName>) = effect_names().partition(|e| e.in_catalogue);
     let mut out = Vec::new();
     for round in 0..rounds {
         for (n, e) in inside.iter().enumerate() {
             let other = inside[(n + rng.random_range(1..inside.len())) % inside.len()];
             for lab in [true, false] {
-                out.push(Question { holds: Holds::Single, names: vec![e.name], lab, seed: seed(&mut rng) });
+                out.push(Question { content: Content::Single, names: vec![e.name], lab, seed: rng.next_u64() });
             }
             let lab = (n + round) % 2 == 0;
-            out.push(Question { holds: Holds::Pair, names: vec![e.name, other.name], lab, seed: seed(&mut rng) });
-            out.push(Question { holds: Holds::None, names: vec![], lab, seed: seed(&mut rng) });
+            out.push(Question { content: Content::Pair, names: vec![e.name, other.name], lab, seed: rng.next_u64() });
+            out.push(Question { content: Content::None, names: vec![], lab, seed: rng.next_u64() });
         }
         for e in &outside {
             for lab in [true, false] {
-                out.push(Question { holds: Holds::Outside, names: vec![e.name], lab, seed: seed(&mut rng) });
+                out.push(Question { content: Content::Outside, names: vec![e.name], lab, seed: rng.next_u64() });
             }
         }
     }
-    // so that a part of the paper is a sample of all of it
+    // so that a part of the questions is a sample of all
     out.shuffle(&mut rng);
     out
 }
@@ -99,7 +98,7 @@ impl Question {
             k_epsilon: bare.line.k_epsilon[i] * rng.random_range(0.94..1.06),
             k_lambda_mm: bare.line.k_lambda_mm[i] * rng.random_range(0.9..1.1),
         });
-        let (first, second) = (seed(&mut rng), seed(&mut rng));
+        let (first, second) = (rng.next_u64(), rng.next_u64());
         let without = record(&bare, &lines, first, true)?;
         let mut make = bare;
         let mut log = without.clone();
@@ -107,10 +106,10 @@ impl Question {
             for draw in 0..DRAWS {
                 let severity = if draw + 1 == DRAWS { 1.0 } else { rng.random_range(0.0..1.0) };
                 let with = make.clone().with_effect(name, severity, &mut rng)?;
-                let seen = record(&with, &lines, first, true)?;
-                let enough = difference_deg(&log, &seen) > SEEN_DEG;
+                let log_with = record(&with, &lines, first, true)?;
+                let enough = difference_deg(&log, &log_with) > VISIBLE_DEG;
                 if enough || draw + 1 == DRAWS {
-                    (make, log) = (with, seen);
+                    (make, log) = (with, log_with);
                     break;
                 }
             }
@@ -122,7 +121,7 @@ impl Question {
     }
 }
 
-/// A unit of the make, imperfect as all are.
+/// A unit with the spread and the small imperfections of real units.
 fn unit(rng: &mut StdRng) -> PlantConfig {
     let loud = rng.random_range(0.8..2.2);
     let chip = ImuConfig::default();
@@ -149,10 +148,10 @@ fn unit(rng: &mut StdRng) -> PlantConfig {
         },
         ..PlantConfig::default()
     };
-    make.drawn(seed(rng)).background(rng)
+    make.drawn(rng.next_u64()).background(rng)
 }
 
-/// Largest RMS difference over the signals, in degrees (°/s for the gyroscope).
+/// Largest RMS difference of a signal between two logs, degrees (°/s for the gyroscope).
 fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
     let rms = |x: &[Vector3<f64>], y: &[Vector3<f64>], unit: f64| {
         let (sum, n) =
@@ -162,7 +161,7 @@ fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
     let mut out: f64 = 0.0;
     if let (Some(x), Some(y)) = (&a.imu, &b.imu) {
         let field = y.mag.iter().find(|m| !m.x.is_nan()).map_or(48.0, Vector3::norm);
-        // a constant difference of rates is nobody's effect
+        // recalibration removes a constant difference of rates
         let apart: Vec<Vector3<f64>> = x.gyr.iter().zip(&y.gyr).map(|(x, y)| x - y).filter(|d| !d.x.is_nan()).collect();
         let mean = apart.iter().sum::<Vector3<f64>>() / apart.len().max(1) as f64;
         let rate = rms(&apart, &vec![mean; apart.len()], 1.0);

@@ -1,7 +1,6 @@
-//! Bend logs of the built-in plant, as a rig would record them.
+//! Bend logs of the built-in plant.
 
-use crate::diagnosis::exam::schedule;
-use crate::diagnosis::exam::schedule::{DT_S, drive};
+use crate::diagnosis::exam::schedule::{self, DT_S, drive};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::transmission::Line;
 use crate::primitives::units::Steps;
@@ -11,12 +10,12 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 
-/// Steps of the truth between two rows.
+/// Plant steps per row.
 const INNER: usize = 2;
 /// White noise of the tracker per row and axis, degrees.
 const TRACKER_DEG: f64 = 0.12;
 
-/// Records a log: a random schedule driven with `lines` on the plant; `lab` adds the tracker.
+/// Records a log of the plant on a random schedule driven with `lines`; `lab` adds the tracker.
 ///
 /// # Errors
 /// [`PlantError`] for a plant that cannot run.

@@ -1,17 +1,17 @@
-//! Motions of an exam: what a log of about 250 s should hold, in an order and with sizes of its own.
+//! Random schedules of an exam, about 250 s long.
 //!
-//! A tour of directions at rising bends, ladders out and back at several lengths, sweeps round the
-//! cone, long holds with a return to rest between them, and quick moves. The pistons follow by Eq. 16
-//! with the calibration, straight lines at a speed of the fastest piston, corners rounded.
+//! A tour of directions at increasing bends, ladders out and back at several lengths, sweeps around the cone, long holds
+//! with a return to rest between them, and quick moves. The pistons follow Eq. 16 with the calibration on straight lines
+//! at the speed of the fastest piston, with rounded corners.
 
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
 use crate::model::transmission::Line;
 use crate::primitives::units::Mm;
 use nalgebra::Vector3;
+use rand::RngExt;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
-use rand::{Rng, RngExt};
 
 /// Time between rows, s.
 pub const DT_S: f64 = 0.01;
@@ -25,7 +25,7 @@ pub struct Leg {
     pub dir_deg: f64,
     /// Centre length, mm.
     pub len_mm: f64,
-    /// How long it is held, s.
+    /// Hold, s.
     pub hold_s: f64,
     /// Speed of the fastest piston on the way, mm/s.
     pub speed_mm_s: f64,
@@ -68,11 +68,11 @@ pub fn draw(rng: &mut StdRng) -> Vec<Leg> {
     out
 }
 
-/// Counted pistons row by row, mm, and the wanted bend, direction and length beside them.
+/// Counted pistons row by row, mm, and the commanded bend, direction and length.
 pub fn drive(legs: &[Leg], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
     let geometry = Geometry::default();
     let (mut at, mut play_output, mut side) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
-    let (mut path, mut wanted) = (Vec::new(), Vec::new());
+    let (mut path, mut command) = (Vec::new(), Vec::new());
     for l in legs {
         let q = geometry.lengths(&Shape { bend: Bend::from_deg(l.bend_deg, l.dir_deg), length: Mm(l.len_mm) });
         let want = Vector3::from_fn(|i, _| lines[i].play_output_mm(q[i]));
@@ -88,13 +88,13 @@ pub fn drive(legs: &[Leg], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f
         let still = (l.hold_s / DT_S) as usize;
         path.extend((1..=moving).map(|k| at + (to - at) * (k as f64 / moving as f64)));
         path.extend((0..still).map(|_| to));
-        wanted.extend((0..moving + still).map(|_| Vector3::new(l.bend_deg, l.dir_deg, l.len_mm)));
+        command.extend((0..moving + still).map(|_| Vector3::new(l.bend_deg, l.dir_deg, l.len_mm)));
         at = to;
     }
-    (rounded(&path, rounding), wanted)
+    (rounded(&path, rounding), command)
 }
 
-/// Mean over a window of rows: corners become ramps of speed.
+/// Moving average over a window of rows: corners become ramps of speed.
 fn rounded(path: &[Vector3<f64>], window: usize) -> Vec<Vector3<f64>> {
     let mut sum = path[0] * window as f64;
     (0..path.len())
@@ -103,9 +103,4 @@ fn rounded(path: &[Vector3<f64>], window: usize) -> Vec<Vector3<f64>> {
             sum / window as f64
         })
         .collect()
-}
-
-/// A random number generator's next seed.
-pub fn seed(rng: &mut StdRng) -> u64 {
-    rng.next_u64()
 }

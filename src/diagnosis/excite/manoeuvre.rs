@@ -1,10 +1,10 @@
-//! Manoeuvres: what a schedule is composed of, and how the search changes them.
+//! Manoeuvres: the elements of a schedule, and how the search changes them.
 //!
-//! Each is there because it separates something: a circle shows what is periodic in δ, a ladder what
-//! grows with amplitude and what a reversal costs, nested loops memory, quick reversals time, a stroke
-//! at constant bend pressure, a hold creep and leak, and a stay at rest what follows the clock.
+//! Each kind separates certain effects: a circle shows a dependence on δ, a ladder a dependence on amplitude and the cost
+//! of a reversal, nested loops memory, quick reversals delays, a stroke at constant bend pressure, a hold creep and leak,
+//! and a rest a dependence on time.
 
-use crate::diagnosis::excite::rows::{Rig, Row};
+use crate::diagnosis::excite::rows::{Machine, Row};
 use rand::RngExt;
 use rand::rngs::StdRng;
 use std::f64::consts::TAU;
@@ -16,19 +16,19 @@ pub enum ManoeuvreKind {
     Circle,
     /// Up to the bend in `count` rungs and down again.
     Ladder,
-    /// Through zero from side to side with a reach that shrinks to nothing in `count` swings.
+    /// From side to side with an amplitude that shrinks to zero in `count` swings.
     Nested,
-    /// From side to side `count` times without a rest.
+    /// From side to side `count` times without a pause.
     Reversals,
     /// All bellows longer and shorter `count` times at constant bend.
     Stroke,
     /// Out for `hold_s`, then to rest for a third of it.
     Hold,
-    /// One bellow after the other, in and out, the other two left alone.
+    /// One bellow after the other in and out, the other two at rest length.
     Single,
 }
 
-/// Kinds a new manoeuvre is drawn from.
+/// All kinds.
 const KINDS: [ManoeuvreKind; 7] = [
     ManoeuvreKind::Circle,
     ManoeuvreKind::Ladder,
@@ -42,11 +42,11 @@ const KINDS: [ManoeuvreKind; 7] = [
 /// One manoeuvre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Manoeuvre {
-    /// What is done.
+    /// Kind.
     pub kind: ManoeuvreKind,
     /// Largest bend, degrees.
     pub bend_deg: f64,
-    /// Direction it starts in, degrees.
+    /// Direction of the first pose, degrees.
     pub dir_deg: f64,
     /// Centre-line length, mm.
     pub len_mm: f64,
@@ -59,10 +59,10 @@ pub struct Manoeuvre {
 }
 
 impl Manoeuvre {
-    /// Its rows; a pose that the machine cannot reach is bent less until it can.
+    /// Rows of the manoeuvre; the bend of a pose out of reach is reduced until the machine reaches it.
     #[must_use]
-    pub fn rows(&self, rig: &Rig) -> Vec<Row> {
-        let rest_mm = rig.geometry.rest_length_mm;
+    pub fn rows(&self, machine: &Machine) -> Vec<Row> {
+        let rest_mm = machine.rig.geometry.rest_length_mm;
         let pose = |bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64| Row {
             bend_deg,
             dir_deg: dir_deg + if bend_deg < 0.0 { 180.0 } else { 0.0 },
@@ -86,27 +86,27 @@ impl Manoeuvre {
             }
             ManoeuvreKind::Hold => vec![here(self.bend_deg), pose(0.0, 0.0, rest_mm, self.hold_s / 3.0)],
             ManoeuvreKind::Single => {
-                (0..3).flat_map(|i| single(rig, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))).collect()
+                (0..3).flat_map(|i| single(machine, i, self.bend_deg).map(|(b, d, l)| pose(b, d, l, self.hold_s))).collect()
             }
         };
         for row in &mut rows {
-            *row = within(rig, row);
+            *row = within(machine, row);
         }
         rows
     }
 
-    /// Another manoeuvre near this one, or now and then one of another kind.
+    /// A manoeuvre of the same kind with one to three values changed.
     #[must_use]
-    pub fn varied(&self, rng: &mut StdRng) -> Self {
+    pub fn varied(&self, machine: &Machine, rng: &mut StdRng) -> Self {
         let mut m = *self;
         let by = |rng: &mut StdRng, x: f64, range: (f64, f64)| (x * rng.random_range(0.6..1.6f64)).clamp(range.0, range.1);
         for _ in 0..rng.random_range(1..=3) {
             match rng.random_range(0..7) {
                 0 => m.bend_deg = by(rng, m.bend_deg, BEND_DEG),
                 1 => m.dir_deg = rng.random_range(0.0..360.0),
-                2 => m.len_mm = rng.random_range(LENGTH_MM.0..LENGTH_MM.1),
+                2 => m.len_mm = random_length_mm(machine, rng),
                 3 => m.hold_s = by(rng, m.hold_s, hold_range(m.kind)),
-                4 => m.speed_mm_s = by(rng, m.speed_mm_s, SPEED_MM_S),
+                4 => m.speed_mm_s = by(rng, m.speed_mm_s, machine.speed_mm_s.into()),
                 5 => m.count = rng.random_range(COUNT.0..=COUNT.1),
                 _ => m.dir_deg += 30.0 * f64::from(rng.random_range(-2i32..=2)),
             }
@@ -114,115 +114,125 @@ impl Manoeuvre {
         m
     }
 
-    /// Any manoeuvre.
+    /// A random manoeuvre.
     #[must_use]
-    pub fn any(rng: &mut StdRng) -> Self {
+    pub fn any(machine: &Machine, rng: &mut StdRng) -> Self {
         let kind = KINDS[rng.random_range(0..KINDS.len())];
         let hold = hold_range(kind);
         Self {
             kind,
             bend_deg: rng.random_range(BEND_DEG.0..BEND_DEG.1),
             dir_deg: rng.random_range(0.0..360.0),
-            len_mm: rng.random_range(LENGTH_MM.0..LENGTH_MM.1),
+            len_mm: random_length_mm(machine, rng),
             count: rng.random_range(COUNT.0..=COUNT.1),
-            // most holds short, a few long: even in the logarithm
+            // uniform in the logarithm: most holds are short, a few are long
             hold_s: hold.0 * (hold.1 / hold.0).powf(rng.random_range(0.0..1.0)),
-            speed_mm_s: rng.random_range(SPEED_MM_S.0..SPEED_MM_S.1),
+            speed_mm_s: rng.random_range(machine.speed_mm_s[0]..machine.speed_mm_s[1]),
         }
     }
 }
 
+/// Range of the bend, degrees.
 const BEND_DEG: (f64, f64) = (10.0, 85.0);
-const LENGTH_MM: (f64, f64) = (17.5, 24.0);
-const SPEED_MM_S: (f64, f64) = (3.0, 28.0);
+/// Range of the change of the centre-line length, mm.
+const STRETCH_MM: (f64, f64) = (-2.5, 4.0);
+/// Range of the count.
 const COUNT: (usize, usize) = (2, 8);
+
+fn random_length_mm(machine: &Machine, rng: &mut StdRng) -> f64 {
+    let rest_mm = machine.rig.geometry.rest_length_mm;
+    rng.random_range(rest_mm + STRETCH_MM.0..rest_mm + STRETCH_MM.1)
+}
+
+/// Range of a hold, s.
 
 fn hold_range(kind: ManoeuvreKind) -> (f64, f64) {
     if kind == ManoeuvreKind::Hold { (6.0, 30.0) } else { (0.15, 2.5) }
 }
 
-/// Poses (β, δ, l) that pull bellow `i` in and push it out while the other two keep their length.
-fn single(rig: &Rig, i: usize, bend_deg: f64) -> [(f64, f64, f64); 2] {
+/// Poses (β, δ, l) that shorten and lengthen bellow `i` while the other two keep their length.
+fn single(machine: &Machine, i: usize, bend_deg: f64) -> [(f64, f64, f64); 2] {
     // one bellow changed by q bends by 2 q / (3 r) towards it and lengthens the middle by q / 3
-    let q_mm = 1.5 * rig.geometry.r_mm * bend_deg.to_radians();
+    let q_mm = 1.5 * machine.rig.geometry.r_mm * bend_deg.to_radians();
     let towards_deg = -(i as f64) * (TAU / 3.0).to_degrees();
-    let l = rig.geometry.rest_length_mm;
+    let l = machine.rig.geometry.rest_length_mm;
     [(bend_deg, towards_deg, l - q_mm / 3.0), (bend_deg, towards_deg + 180.0, l + q_mm / 3.0)]
 }
 
-/// The pose with its bend (and what it differs from the rest length) scaled down until it is in reach.
-fn within(rig: &Rig, row: &Row) -> Row {
-    let rest_mm = rig.geometry.rest_length_mm;
+/// The pose with its bend and its change of length scaled down until it is in reach.
+fn within(machine: &Machine, row: &Row) -> Row {
+    let rest_mm = machine.rig.geometry.rest_length_mm;
     let scaled = |s: f64| Row { bend_deg: row.bend_deg.abs() * s, len_mm: rest_mm + (row.len_mm - rest_mm) * s, ..*row }.rounded();
-    (0..40).map(|k| scaled(1.0 - 0.025 * f64::from(k))).find(|r| rig.reaches(r)).unwrap_or_else(|| scaled(0.0))
+    (0..40).map(|k| scaled(1.0 - 0.025 * f64::from(k))).find(|r| machine.reaches(r)).unwrap_or_else(|| scaled(0.0))
 }
 
-/// Rows of a whole schedule: rest, the manoeuvres, and the way home.
+/// Rows of a whole schedule: rest, manoeuvres, rest.
 #[must_use]
-pub fn schedule(rig: &Rig, manoeuvres: &[Manoeuvre]) -> Vec<Row> {
-    let mut rows = vec![Row::rest(REST_S, &rig.geometry)];
-    rows.extend(manoeuvres.iter().flat_map(|m| m.rows(rig)));
-    rows.push(Row::rest(2.0, &rig.geometry));
+pub fn schedule(machine: &Machine, manoeuvres: &[Manoeuvre]) -> Vec<Row> {
+    let mut rows = vec![Row::rest(REST_S, &machine.rig.geometry)];
+    rows.extend(manoeuvres.iter().flat_map(|m| m.rows(machine)));
+    rows.push(Row::rest(2.0, &machine.rig.geometry));
     rows
 }
 
-/// Still lead-in, s: it defines zero bend, gravity, field and gyroscope bias.
+/// Initial rest, s: it defines zero bend, gravity, field and gyroscope bias.
 const REST_S: f64 = 5.0;
 
-/// Where the search starts: one or two of each kind, at two lengths and three speeds.
+/// Start of the search: one or more manoeuvres of each kind at several lengths and speeds.
 #[must_use]
-pub fn first_guess() -> Vec<Manoeuvre> {
-    let m = |kind, bend_deg, dir_deg, len_mm, count, hold_s, speed_mm_s| Manoeuvre {
+pub fn first_guess(rest_mm: f64) -> Vec<Manoeuvre> {
+    let m = |kind, bend_deg, dir_deg, stretch_mm: f64, count, hold_s, speed_mm_s| Manoeuvre {
         kind,
         bend_deg,
         dir_deg,
-        len_mm,
+        len_mm: rest_mm + stretch_mm,
         count,
         hold_s,
         speed_mm_s,
     };
     vec![
-        m(ManoeuvreKind::Circle, 35.0, 0.0, 20.0, 6, 0.4, 25.0),
-        m(ManoeuvreKind::Ladder, 70.0, 90.0, 22.0, 4, 0.8, 15.0),
-        m(ManoeuvreKind::Reversals, 20.0, 30.0, 20.0, 4, 0.15, 28.0),
-        m(ManoeuvreKind::Single, 40.0, 0.0, 20.0, 2, 0.8, 20.0),
-        m(ManoeuvreKind::Nested, 65.0, 150.0, 20.0, 6, 0.3, 6.0),
-        m(ManoeuvreKind::Hold, 70.0, 240.0, 20.0, 2, 18.0, 25.0),
-        m(ManoeuvreKind::Stroke, 45.0, 300.0, 23.0, 2, 1.0, 20.0),
-        m(ManoeuvreKind::Circle, 70.0, 15.0, 21.5, 8, 0.6, 12.0),
-        m(ManoeuvreKind::Hold, 65.0, 60.0, 23.0, 2, 18.0, 25.0),
-        m(ManoeuvreKind::Ladder, 75.0, 330.0, 20.0, 4, 0.6, 25.0),
-        m(ManoeuvreKind::Nested, 60.0, 270.0, 22.0, 5, 0.3, 25.0),
-        m(ManoeuvreKind::Reversals, 35.0, 120.0, 20.0, 3, 0.15, 28.0),
-        m(ManoeuvreKind::Hold, 60.0, 150.0, 18.5, 2, 15.0, 25.0),
+        m(ManoeuvreKind::Circle, 35.0, 0.0, 0.0, 6, 0.4, 25.0),
+        m(ManoeuvreKind::Ladder, 70.0, 90.0, 2.0, 4, 0.8, 15.0),
+        m(ManoeuvreKind::Reversals, 20.0, 30.0, 0.0, 4, 0.15, 28.0),
+        m(ManoeuvreKind::Single, 40.0, 0.0, 0.0, 2, 0.8, 20.0),
+        m(ManoeuvreKind::Nested, 65.0, 150.0, 0.0, 6, 0.3, 6.0),
+        m(ManoeuvreKind::Hold, 70.0, 240.0, 0.0, 2, 18.0, 25.0),
+        m(ManoeuvreKind::Stroke, 45.0, 300.0, 3.0, 2, 1.0, 20.0),
+        m(ManoeuvreKind::Circle, 70.0, 15.0, 1.5, 8, 0.6, 12.0),
+        m(ManoeuvreKind::Hold, 65.0, 60.0, 3.0, 2, 18.0, 25.0),
+        m(ManoeuvreKind::Ladder, 75.0, 330.0, 0.0, 4, 0.6, 25.0),
+        m(ManoeuvreKind::Nested, 60.0, 270.0, 2.0, 5, 0.3, 25.0),
+        m(ManoeuvreKind::Reversals, 35.0, 120.0, 0.0, 3, 0.15, 28.0),
+        m(ManoeuvreKind::Hold, 60.0, 150.0, -1.5, 2, 15.0, 25.0),
     ]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::rig::Rig;
     use crate::model::transmission::Line;
     use rand::SeedableRng;
 
     #[test]
     fn every_manoeuvre_stays_within_the_machine() {
-        let rig = Rig::new([Line { k_epsilon: 2.5, k_lambda_mm: 0.9 }; 3]);
+        let machine = Machine::new(Rig::default(), [Line { k_epsilon: 2.5, k_lambda_mm: 0.9 }; 3]);
         let mut rng = StdRng::seed_from_u64(3);
         for _ in 0..300 {
-            let m = Manoeuvre::any(&mut rng).varied(&mut rng);
-            for row in m.rows(&rig) {
-                assert!(rig.reaches(&row) && row.bend_deg >= 0.0 && (0.0..360.0).contains(&row.dir_deg), "{m:?} {row:?}");
-                assert!(row.hold_s > 0.0 && (rig.speed_mm_s[0]..=rig.speed_mm_s[1]).contains(&row.speed_mm_s), "{row:?}");
+            let m = Manoeuvre::any(&machine, &mut rng).varied(&machine, &mut rng);
+            for row in m.rows(&machine) {
+                assert!(machine.reaches(&row) && row.bend_deg >= 0.0 && (0.0..360.0).contains(&row.dir_deg), "{m:?} {row:?}");
+                assert!(row.hold_s > 0.0 && (machine.speed_mm_s[0]..=machine.speed_mm_s[1]).contains(&row.speed_mm_s), "{row:?}");
             }
         }
     }
 
     #[test]
-    fn a_single_moves_one_bellow() {
-        let rig = Rig::new([Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3]);
+    fn a_single_bellow_manoeuvre_moves_one_bellow() {
+        let machine = Machine::new(Rig::default(), [Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3]);
         for i in 0..3 {
-            for (bend_deg, dir_deg, len_mm) in single(&rig, i, 30.0) {
-                let q = Row { bend_deg, dir_deg, len_mm, hold_s: 1.0, speed_mm_s: 9.0 }.lengths(&rig.geometry);
+            for (bend_deg, dir_deg, len_mm) in single(&machine, i, 30.0) {
+                let q = Row { bend_deg, dir_deg, len_mm, hold_s: 1.0, speed_mm_s: 9.0 }.lengths(&machine.rig.geometry);
                 for k in 0..3 {
                     assert!((q[k].abs() > 1.0) == (k == i), "bellow {i}: {q}");
                 }

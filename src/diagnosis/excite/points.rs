@@ -1,7 +1,7 @@
-//! Where in its parameters each effect is looked at: draws from its prior, or the values of a model.
+//! Parameter values at which each effect is evaluated: draws from its prior, or the values of a saved model.
 //!
-//! Distances between effects depend on their sizes. Draws give the shape; sizes are set alike by
-//! [`crate::diagnosis::excite::distance`], so that a generous prior does not look easy to find.
+//! Distances between effects grow with their sizes. The draws determine the direction only; the design gives all effects
+//! the same size, so that a wide prior does not make an effect look easy to find.
 
 use crate::diagnosis::saved::SavedModel;
 use crate::model::effects::{Effect, Param};
@@ -10,12 +10,12 @@ use rand::rngs::StdRng;
 
 /// Draws per effect.
 const DRAWS: usize = 2;
-/// A time with a prior wider than this is a date: it is drawn within the log, s.
-const DATE_SIGMA_S: f64 = 50.0;
-/// Dates are drawn from here to there, s.
-const DATES_S: (f64, f64) = (20.0, 150.0);
+/// A time with a wider prior than this is that of an event and is drawn within the log, s.
+const EVENT_SIGMA_S: f64 = 50.0;
+/// Range of the times of events, s.
+const EVENTS_S: (f64, f64) = (20.0, 150.0);
 
-/// One effect with the points it is looked at; the first one is where slopes are taken.
+/// An effect with the points at which it is evaluated; slopes are taken at the first.
 pub struct Rival {
     /// The effect.
     pub effect: Box<dyn Effect>,
@@ -24,25 +24,26 @@ pub struct Rival {
 }
 
 impl Rival {
-    /// The effect at draws from its prior.
+    /// An effect at draws from its prior.
     pub fn drawn(effect: Box<dyn Effect>, rng: &mut StdRng) -> Self {
         let params = effect.params();
         let points = (0..DRAWS).map(|_| params.iter().map(|p| draw(p, rng)).collect()).collect();
         Self { effect, points }
     }
 
-    /// The effect as a saved model has it.
-    #[must_use]
-    pub fn saved(effect: Box<dyn Effect>, model: &SavedModel) -> Option<Self> {
-        let point = model.params_of(effect.as_ref())?;
-        Some(Self { effect, points: vec![point] })
+    /// An effect at the values of a saved model, or at draws if the model does not have it. The draws are taken in either
+    /// case, so that they do not depend on the model.
+    pub fn new(effect: Box<dyn Effect>, model: Option<&SavedModel>, rng: &mut StdRng) -> Self {
+        let saved = model.and_then(|m| m.params_of(effect.as_ref()));
+        let drawn = Self::drawn(effect, rng);
+        Self { points: saved.map_or(drawn.points, |point| vec![point]), effect: drawn.effect }
     }
 }
 
-/// A value at a usual distance from where the effect does nothing, either side if it has two.
+/// A value 0.3 to 1.2 prior σ from the value without effect, on either side if the limits allow both.
 fn draw(p: &Param, rng: &mut StdRng) -> f64 {
-    if p.unit == "s" && p.scale > DATE_SIGMA_S {
-        return rng.random_range(DATES_S.0..DATES_S.1);
+    if p.unit == "s" && p.scale > EVENT_SIGMA_S {
+        return rng.random_range(EVENTS_S.0..EVENTS_S.1);
     }
     let two_sided = p.low < p.start - 0.1 * p.scale;
     let sign = if two_sided && rng.random_bool(0.5) { -1.0 } else { 1.0 };
@@ -56,7 +57,7 @@ mod tests {
     use rand::SeedableRng;
 
     #[test]
-    fn draws_are_physical_and_not_nothing() {
+    fn draws_are_within_the_limits_and_away_from_zero_effect() {
         let mut rng = StdRng::seed_from_u64(5);
         for e in catalogue() {
             let params = e.params();

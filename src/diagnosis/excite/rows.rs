@@ -1,9 +1,10 @@
-//! Rows of a schedule, what they mean in pistons, and which of them a machine can run.
+//! Rows of a schedule, the pistons that drive them, and the poses a machine can reach.
 //!
-//! A row is a pose and how to get there: bend, direction and length (paper, Eq. 3), the speed of the
-//! fastest piston on the way, and how long the pose is held after the arrival. All pistons leave and
-//! arrive together, in straight lines; Eq. 10-11 and Eq. 16 turn poses into pistons.
+//! A row is a pose and how to get there: bend, direction and length (paper, Eq. 3), the speed of the fastest piston on
+//! the way, and the hold after arrival. All pistons start and arrive together on straight lines. Eq. 10-11 and Eq. 16
+//! turn poses into piston positions.
 
+use crate::diagnosis::rig::Rig;
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
 use crate::model::arc::{Geometry, Shape};
@@ -14,6 +15,17 @@ use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::Path;
 
+/// Part of the travel that a schedule uses: the rest is left to units whose gains differ by up to 8 %.
+const TRAVEL_SHARE: f64 = 0.92;
+/// Slowest piston of a schedule, mm/s.
+const SPEED_MIN_MM_S: f64 = 3.0;
+/// Speed left below the largest, mm/s.
+const SPEED_MARGIN_MM_S: f64 = 2.0;
+/// Speed of the fastest piston to a rest, mm/s.
+const REST_SPEED_MM_S: f64 = 20.0;
+/// Dead band of a reversal, mm.
+const BAND_MM: f64 = 0.03;
+
 /// One pose of a schedule.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
@@ -23,24 +35,26 @@ pub struct Row {
     pub dir_deg: f64,
     /// Centre-line length l, mm.
     pub len_mm: f64,
-    /// Time at the pose after the arrival, s.
+    /// Time at the pose after arrival, s.
     pub hold_s: f64,
     /// Speed of the fastest piston on the way there, mm/s.
     pub speed_mm_s: f64,
 }
 
 impl Row {
-    /// Rest for so long: where every schedule begins.
+    /// A rest.
     #[must_use]
     pub fn rest(hold_s: f64, geometry: &Geometry) -> Self {
-        Self { bend_deg: 0.0, dir_deg: 0.0, len_mm: geometry.rest_length_mm, hold_s, speed_mm_s: 20.0 }
+        Self { bend_deg: 0.0, dir_deg: 0.0, len_mm: geometry.rest_length_mm, hold_s, speed_mm_s: REST_SPEED_MM_S }
     }
+
     /// Change of bellow lengths, mm.
     #[must_use]
     pub fn lengths(&self, geometry: &Geometry) -> Vector3<f64> {
         geometry.lengths(&Shape { bend: Bend::from_deg(self.bend_deg, self.dir_deg), length: Mm(self.len_mm) })
     }
-    /// The row as a file holds it: what is designed is what is written, to the last digit.
+
+    /// The row rounded to the digits that a file holds, so that the designed schedule is the written one.
     #[must_use]
     pub fn rounded(&self) -> Self {
         let to = |x: f64, digits: f64| (x * digits).round() / digits;
@@ -54,49 +68,47 @@ impl Row {
     }
 }
 
-/// What a schedule is run on: the nominal machine and its limits.
+/// The nominal machine that a schedule is designed for.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Rig {
-    /// Dimensions.
-    pub geometry: Geometry,
-    /// Gains that turn poses into pistons.
+pub struct Machine {
+    /// Geometry and prior lag.
+    pub rig: Rig,
+    /// Gains that turn poses into piston positions.
     pub lines: [Line; 3],
-    /// Shortest and longest bellow, mm.
-    pub bellow_mm: [f64; 2],
-    /// Travel of a piston either way, mm, with what is kept free for other gains than these.
+    /// Largest piston displacement of a schedule, mm.
     pub travel_mm: f64,
-    /// Slowest and fastest piston, mm/s.
+    /// Slowest and fastest piston of a schedule, mm/s.
     pub speed_mm_s: [f64; 2],
 }
 
-impl Rig {
-    /// The machine of the paper with these gains; 8 % of the 30 mm of travel are kept free, because a
-    /// schedule is also run with gains that are not these.
+impl Machine {
+    /// A rig with these gains.
     #[must_use]
-    pub fn new(lines: [Line; 3]) -> Self {
-        Self { geometry: Geometry::default(), lines, bellow_mm: [14.0, 29.0], travel_mm: 27.6, speed_mm_s: [3.0, 28.0] }
+    pub fn new(rig: Rig, lines: [Line; 3]) -> Self {
+        let speed_mm_s = [SPEED_MIN_MM_S, (rig.speed_max_mm_s - SPEED_MARGIN_MM_S).max(SPEED_MIN_MM_S + 1.0)];
+        Self { rig, lines, travel_mm: TRAVEL_SHARE * rig.travel_mm, speed_mm_s }
     }
 
-    /// Whether the machine can be asked for this pose at all, coming from either side.
+    /// Whether the machine reaches a pose from either side of the backlash.
     #[must_use]
     pub fn reaches(&self, row: &Row) -> bool {
-        let q = row.lengths(&self.geometry);
+        let q = row.lengths(&self.rig.geometry);
         (0..3).all(|i| {
-            let bellow = self.geometry.rest_length_mm + q[i];
+            let bellow = self.rig.geometry.rest_length_mm + q[i];
             let piston = self.lines[i].piston_mm(q[i], q[i].signum());
-            (self.bellow_mm[0]..=self.bellow_mm[1]).contains(&bellow) && piston.abs() <= self.travel_mm
+            (self.rig.bellow_mm[0]..=self.rig.bellow_mm[1]).contains(&bellow) && piston.abs() <= self.travel_mm
         })
     }
 
-    /// Pistons along a schedule, every `period_s`; they start at zero with the play centred.
+    /// Pistons along a schedule, every `period_s`. They start at zero with the play centred.
     #[must_use]
     pub fn drive(&self, rows: &[Row], period_s: f64) -> Driven {
-        let side = Side::Band { band_mm: 0.03 };
+        let side = Side::Band { band_mm: BAND_MM };
         let mut states = [SideState::default(); 3];
         let (mut from, mut begun_s) = (Vector3::zeros(), 0.0);
         let mut out = Driven { t_s: vec![], piston_mm: vec![], duration_s: 0.0 };
         for row in rows {
-            let q = row.lengths(&self.geometry);
+            let q = row.lengths(&self.rig.geometry);
             let to = Vector3::from_fn(|i, _| {
                 let (piston, next) = side.invert(&self.lines[i], states[i], &Wanted { q_mm: q[i], dt_s: 1.0, reach: 1.0 });
                 states[i] = next;
@@ -126,18 +138,18 @@ impl Rig {
     }
 }
 
-/// Counted pistons of a schedule that was run.
+/// Counted pistons of a schedule.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Driven {
     /// Time, s.
     pub t_s: Vec<f64>,
     /// Pistons, mm.
     pub piston_mm: Vec<Vector3<f64>>,
-    /// When the last hold ends, s.
+    /// End of the last hold, s.
     pub duration_s: f64,
 }
 
-/// The file of a schedule.
+/// A schedule as CSV text.
 #[must_use]
 pub fn csv(rows: &[Row]) -> String {
     let mut out = String::from("bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n");
@@ -182,40 +194,41 @@ mod tests {
     const PAPER: Line = Line { k_epsilon: 2.2, k_lambda_mm: 0.87 };
 
     #[test]
-    fn the_fastest_piston_has_the_rows_speed_and_all_arrive_together() {
-        let rig = Rig::new([PAPER; 3]);
-        let rows = [Row::rest(4.0, &rig.geometry), Row { bend_deg: 60.0, dir_deg: 30.0, len_mm: 21.0, hold_s: 2.0, speed_mm_s: 10.0 }];
-        let d = rig.drive(&rows, 0.01);
+    fn the_fastest_piston_has_the_speed_of_the_row_and_all_arrive_together() {
+        let machine = Machine::new(Rig::default(), [PAPER; 3]);
+        let rows =
+            [Row::rest(4.0, &machine.rig.geometry), Row { bend_deg: 60.0, dir_deg: 30.0, len_mm: 21.0, hold_s: 2.0, speed_mm_s: 10.0 }];
+        let d = machine.drive(&rows, 0.01);
         let speed = d.piston_mm.windows(2).map(|w| (w[1] - w[0]).amax() / 0.01).fold(0.0, f64::max);
         assert!((speed - 10.0).abs() < 0.01, "{speed}");
-        assert!(d.piston_mm[398].amax() == 0.0, "rest is rest");
-        let q = rows[1].lengths(&rig.geometry);
+        assert!(d.piston_mm[398].amax() == 0.0, "the pistons stand during the rest");
+        let q = rows[1].lengths(&machine.rig.geometry);
         let end = d.piston_mm[d.piston_mm.len() - 1];
         for i in 0..3 {
             assert!((end[i] - PAPER.piston_mm(q[i], q[i].signum())).abs() < 1e-9);
         }
         assert!((d.duration_s - (4.0 + end.amax() / 10.0 + 2.0)).abs() < 1e-9);
-        assert!((rig.duration_s(&rows) - d.duration_s).abs() < 1e-12);
+        assert!((machine.duration_s(&rows) - d.duration_s).abs() < 1e-12);
     }
 
     #[test]
     fn a_pose_beyond_bellow_or_travel_is_out_of_reach() {
-        let rig = Rig::new([PAPER; 3]);
+        let machine = Machine::new(Rig::default(), [PAPER; 3]);
         let row = |bend_deg, len_mm| Row { bend_deg, dir_deg: 0.0, len_mm, hold_s: 1.0, speed_mm_s: 10.0 };
-        assert!(rig.reaches(&row(75.0, 20.0)));
-        assert!(!rig.reaches(&row(75.0, 17.0)), "a bellow of less than 14 mm");
-        assert!(!rig.reaches(&row(0.0, 29.0)), "a piston beyond its rack");
+        assert!(machine.reaches(&row(75.0, 20.0)));
+        assert!(!machine.reaches(&row(75.0, 17.0)), "a bellow is shorter than 14 mm");
+        assert!(!machine.reaches(&row(0.0, 29.0)), "a piston is beyond its travel");
     }
 
     #[test]
-    fn the_file_holds_what_was_rounded() {
+    fn a_file_holds_the_rounded_row() {
         let row = Row { bend_deg: 33.333_3, dir_deg: -0.04, len_mm: 20.0, hold_s: 0.5, speed_mm_s: 12.34 }.rounded();
         assert_eq!(csv(&[row]), "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n33.33,0.0,20.00,0.50,12.3\n");
         assert_eq!(row.rounded(), row);
     }
 
     #[test]
-    fn what_is_written_is_read_and_what_is_wrong_is_named() {
+    fn a_written_schedule_reads_back_and_errors_name_line_and_column() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.csv");
         let rows =
@@ -230,10 +243,10 @@ mod tests {
             (head.to_owned(), "no rows"),
             ("bend_deg,dir_deg\n1,2\n".to_owned(), "len_mm"),
         ];
-        for (text, words) in cases {
+        for (text, expected) in cases {
             std::fs::write(&path, &text).unwrap();
-            let why = read(&path).unwrap_err().to_string();
-            assert!(why.contains(words), "{why}");
+            let message = read(&path).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
         }
     }
 }

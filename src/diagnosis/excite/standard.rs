@@ -1,18 +1,18 @@
-//! The schedule that a bench runs when nothing is designed: what a design is measured by.
+//! The standard bench schedule, with which a design is compared.
 //!
-//! Circles at three bends, ladders in twelve directions at three lengths, poses at random and at
-//! three speeds, and three long holds: about four minutes.
+//! Circles at three bends, ladders in twelve directions at three lengths, random poses at three speeds, and three long
+//! holds: about four minutes.
 
-use crate::diagnosis::excite::rows::{Rig, Row};
+use crate::diagnosis::excite::rows::{Machine, Row};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
-/// Its rows.
+/// Rows of the standard schedule.
 #[must_use]
-pub fn rows(rig: &Rig) -> Vec<Row> {
-    let rest_mm = rig.geometry.rest_length_mm;
+pub fn rows(machine: &Machine) -> Vec<Row> {
+    let rest_mm = machine.rig.geometry.rest_length_mm;
     let mut rng = StdRng::seed_from_u64(42);
-    let mut rows = vec![Row::rest(4.0, &rig.geometry)];
+    let mut rows = vec![Row::rest(4.0, &machine.rig.geometry)];
     let mut add = |bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64, speed_mm_s: f64| {
         rows.push(Row { bend_deg, dir_deg, len_mm, hold_s, speed_mm_s }.rounded());
     };

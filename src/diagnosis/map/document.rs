@@ -1,27 +1,28 @@
 //! The diagnosis of a mapped rig as a document.
 
+use crate::diagnosis::decide::VerdictKind;
 use crate::diagnosis::map::file::MapFile;
 use serde::Serialize;
 
-/// RMSE in the output's unit.
+/// RMSE in the unit of the output.
 #[derive(Debug, Clone, Serialize)]
 pub struct Figures {
-    /// Nominal model, on left-out blocks.
+    /// Nominal model, on held-out blocks.
     pub recalibrated: f64,
-    /// With the verdict's effects.
+    /// With the verdict's effects, on held-out blocks.
     pub explained: f64,
     /// White noise of a row.
     pub noise_floor: f64,
 }
 
-/// A number that an effect is not linear in.
+/// A nonlinear parameter of an effect.
 #[derive(Debug, Clone, Serialize)]
 pub struct Parameter {
     /// Effect.
     pub of: &'static str,
-    /// What it is.
+    /// Meaning.
     pub name: &'static str,
-    /// Value; times in s (rows without a clock), periods in the unit of what moves.
+    /// Value; times in s (rows without a clock), periods in the unit of the moving signal.
     pub value: f64,
 }
 
@@ -34,33 +35,33 @@ pub struct Entry {
     pub rmse_before: f64,
     /// RMSE with it.
     pub rmse_after: f64,
-    /// Part of the gap it closes.
+    /// Part of the gap that it closes.
     pub closed: f64,
     /// 95 % interval of that part.
     pub closed_ci95: [f64; 2],
-    /// Its numbers.
+    /// Parameters.
     pub params: Vec<Parameter>,
 }
 
-/// The answer.
+/// The verdict.
 #[derive(Debug, Clone, Serialize)]
 pub struct MapVerdict {
-    /// `none`, `effects` or `unknown`.
-    pub kind: &'static str,
+    /// Kind.
+    pub kind: VerdictKind,
     /// Names.
     pub names: Vec<&'static str>,
-    /// Groups that this log cannot tell apart.
+    /// Groups of effects that this log cannot separate.
     pub equivalent: Vec<Vec<&'static str>>,
 }
 
-/// Another log of the rig.
+/// The fitted model on another log of the rig.
 #[derive(Debug, Clone, Serialize)]
 pub struct Fresh {
-    /// Its name.
+    /// Name of the log.
     pub log: String,
-    /// RMSE of the nominal model as fitted.
+    /// RMSE of the nominal model.
     pub before: f64,
-    /// RMSE with the effects as fitted.
+    /// RMSE with the effects.
     pub after: f64,
 }
 
@@ -75,20 +76,20 @@ pub struct Document {
     pub unit: String,
     /// The gap.
     pub gap: Figures,
-    /// The verdict's set as a whole; empty if there is none.
+    /// The verdict's set as a whole; empty for a verdict without effects.
     pub set: Vec<Entry>,
     /// Every single effect, most closed first.
     pub effects: Vec<Entry>,
-    /// The answer.
+    /// The verdict.
     pub verdict: MapVerdict,
-    /// What this log cannot show, whatever the scores say.
+    /// What this log cannot show, regardless of the scores.
     pub notes: Vec<String>,
     /// The fitted model on other logs.
     pub fresh: Vec<Fresh>,
 }
 
 impl Document {
-    /// What is said when not even the nominal model can be fixed.
+    /// The document of a log that does not determine the nominal model.
     #[must_use]
     pub fn empty(map: &MapFile) -> Self {
         Self {
@@ -98,8 +99,10 @@ impl Document {
             gap: Figures { recalibrated: 0.0, explained: 0.0, noise_floor: 0.0 },
             set: vec![],
             effects: vec![],
-            verdict: MapVerdict { kind: "unknown", names: vec![], equivalent: vec![] },
-            notes: vec!["the inputs do not fix the nominal model: they move together or not at all. Record them one by one".to_owned()],
+            verdict: MapVerdict { kind: VerdictKind::Unknown, names: vec![], equivalent: vec![] },
+            notes: vec![
+                "the inputs do not determine the nominal model: they move together or not at all. Record them one by one".to_owned(),
+            ],
             fresh: vec![],
         }
     }

@@ -1,20 +1,20 @@
-//! Map files: what the columns of a foreign bench log are.
+//! Map files: the meaning of the columns of a bench log of another rig.
 //!
-//! Every key has its paragraph in `docs/other-rigs.md`; unknown keys are errors.
+//! `docs/other-rigs.md` documents every key; unknown keys are errors.
 
 use crate::primitives::{check::Checker, parameters::Check};
 use serde::Deserialize;
 
-/// What the nominal model of a rig is.
+/// Nominal model of a rig.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Nominal {
     /// `y = a + Σ b_i u_i`.
     #[default]
     Line,
-    /// `y = a`: there is no input, the output is left to itself.
+    /// `y = a`: no input.
     Still,
-    /// A linear oscillator of second order driven by the input.
+    /// A linear second-order oscillator driven by the input.
     Resonance,
 }
 
@@ -29,7 +29,7 @@ pub enum Columns {
 }
 
 impl Columns {
-    /// Their names.
+    /// Names of the columns.
     #[must_use]
     pub fn names(&self) -> Vec<&str> {
         match self {
@@ -43,31 +43,30 @@ impl Columns {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MapFile {
-    /// Column (or columns, whose best linear combination is taken) that drives the rig; left out when
-    /// the output is left to itself.
+    /// Column that drives the rig, or columns, whose best linear combination does; none for `still`.
     #[serde(default)]
     pub input: Option<Columns>,
-    /// Column that answers; of several the norm is taken.
+    /// Output column; of several columns the norm is used.
     pub output: Columns,
-    /// Column whose speed friction follows; default the input.
+    /// Column whose speed friction depends on; default the first input.
     #[serde(default)]
     pub motion: Option<String>,
     /// Column of time, s.
     #[serde(default)]
     pub time: Option<String>,
-    /// Rows per second, if there is no column of time.
+    /// Rows per second, without a column of time.
     #[serde(default)]
     pub rate_hz: Option<f64>,
-    /// Unit of the input, for people.
+    /// Unit of the input, for display.
     #[serde(default)]
     pub input_unit: String,
-    /// Unit of the output, for people.
+    /// Unit of the output, for display.
     #[serde(default)]
     pub output_unit: String,
     /// Nominal model: `line` (default), `still` or `resonance`.
     #[serde(default)]
     pub nominal: Nominal,
-    /// Every how many rows one is taken. Default 1; larger is faster and sees less.
+    /// Use every n-th row. Default 1; larger is faster and resolves less.
     #[serde(default = "one")]
     pub every: usize,
 }
@@ -78,18 +77,18 @@ fn one() -> usize {
 
 impl Check for MapFile {
     fn check(&self, to: &mut Checker) {
-        to.range("every", self.every as f64, 1.0..=10_000.0, "", "1 takes every row");
+        to.range("every", self.every as f64, 1.0..=10_000.0, "", "1 uses every row");
         if let Some(rate) = self.rate_hz {
             to.range("rate_hz", rate, 1e-6..=1e7, "Hz", "rows per second");
-            to.holds("rate_hz", self.time.is_none(), "stands beside `time`", "a log has one clock: take one of the two out");
+            to.holds("rate_hz", self.time.is_none(), "is given together with `time`", "a log has one clock: remove one of the two");
         }
-        to.holds("output", !self.output.names().is_empty(), "names no column", "name the column that answers");
+        to.holds("output", !self.output.names().is_empty(), "names no column", "name the output column");
         let driven = self.input.as_ref().is_some_and(|i| !i.names().is_empty());
         match self.nominal {
             Nominal::Still => {
-                to.holds("input", !driven, "is given although nominal = \"still\" has none", "take the input out, or nominal = \"line\"")
+                to.holds("input", !driven, "is given although nominal = \"still\" has none", "remove the input, or set nominal = \"line\"")
             }
-            Nominal::Line => to.holds("output", driven, "has no input beside it", "name the input, or set nominal = \"still\""),
+            Nominal::Line => to.holds("output", driven, "has no input", "name the input, or set nominal = \"still\""),
             Nominal::Resonance => {
                 let one = self.input.as_ref().is_some_and(|i| i.names().len() == 1);
                 to.holds("nominal", one, "an oscillator has one input", "name one column");

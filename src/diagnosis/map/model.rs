@@ -1,25 +1,25 @@
-//! The nominal model of a mapped rig, and a set of operators beside it.
+//! The nominal model of a mapped rig with a set of operators.
 
 use crate::diagnosis::map::file::{MapFile, Nominal};
 use crate::diagnosis::map::operators::{Drive, Operator, oscillator};
 use crate::diagnosis::map::regress::{Regressed, Task};
 use crate::diagnosis::map::table::Signals;
 
-/// An operator at one η, with its columns on the log.
+/// An operator at one value of η.
 #[derive(Clone)]
 pub struct Member {
     /// The operator.
     pub operator: Operator,
-    /// Its η.
+    /// Value of η.
     pub eta: f64,
-    /// Its columns.
+    /// Columns on the log.
     pub columns: Vec<Vec<f64>>,
 }
 
-/// Nominal predictions this many times as far from the middle as any that was fitted are not tried.
+/// Largest nominal prediction on a fresh log, in half ranges of the fitted one.
 const OUTSIDE: f64 = 2.5;
 
-/// How raw signals become the operators' drive; fixed by the log that was diagnosed.
+/// Scaling of raw signals to the [`Drive`] of the operators, fixed by the diagnosed log.
 #[derive(Debug, Clone)]
 struct Scale {
     weights: Vec<f64>,
@@ -30,16 +30,16 @@ struct Scale {
     swing: Option<(f64, f64)>,
 }
 
-/// The nominal model on the log.
+/// The nominal model on a log.
 pub struct MapBase {
     scale: Scale,
-    /// What the operators work on.
+    /// Signals that the operators act on.
     pub drive: Drive,
     base: Vec<Vec<f64>>,
 }
 
-/// What an oscillator may have beyond the linear one: the response to the force that its own
-/// deflection makes, to first and second order (perturbation, Nayfeh 1973).
+/// Operators for an oscillator: the response to a nonlinear spring force, to first and second order of a perturbation
+/// (Nayfeh 1973).
 pub const RESONANT: [Operator; 2] = [
     Operator {
         name: "cubic",
@@ -62,7 +62,7 @@ pub const RESONANT: [Operator; 2] = [
 ];
 
 fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
-    // an oscillator's frequency and damping travel in the two last places of the moving signal
+    // `Scale::drive` stores frequency and damping of the oscillator in the first two samples of `m`
     let (wh, zeta) = (d.m[0], d.m[1]);
     let first = oscillator(&d.v.iter().map(|v| v.powi(power)).collect::<Vec<_>>(), wh, zeta);
     let force: Vec<f64> = d.v.iter().zip(&first).map(|(v, f)| f64::from(power) * v.powi(power - 1) * f).collect();
@@ -88,17 +88,17 @@ impl MapBase {
         Self { scale, drive, base }
     }
 
-    /// Scores a set; the last member's first coefficient must have `sign`.
+    /// Scores a set; `None` if the first coefficient of the last member does not have `sign` (0: either).
     #[must_use]
-    pub fn scored(&self, task: &Task<'_>, _log: &Signals, members: &[Member], sign: i8) -> Option<Regressed> {
+    pub fn scored(&self, task: &Task<'_>, members: &[Member], sign: i8) -> Option<Regressed> {
         let own = members.iter().flat_map(|m| m.columns.iter().map(Vec::as_slice));
         let columns: Vec<&[f64]> = self.base.iter().map(Vec::as_slice).chain(own).collect();
         let last = members.last().map_or(0, |m| m.columns.len());
         task.regress(&columns, (columns.len() - last).min(columns.len() - 1), sign)
     }
 
-    /// RMSE of a fitted set on another log of the rig; only the offset is set anew. `None` if that log
-    /// runs so far outside the range that was fitted that nothing can be expected.
+    /// RMSE of a fitted set on another log of the rig; only the offset is set again. `None` if that log is too far
+    /// outside the fitted range for an extrapolation.
     #[must_use]
     pub fn rmse_on(&self, other: &Signals, members: &[Member], coefficients: &[f64]) -> Option<f64> {
         let inputs = driven(other, self.scale.swing);
@@ -137,7 +137,7 @@ fn range(x: &[f64]) -> (f64, f64) {
     x.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)))
 }
 
-/// The inputs, through the oscillator if there is one.
+/// The inputs, filtered by the oscillator if there is one.
 fn driven(log: &Signals, swing: Option<(f64, f64)>) -> Vec<Vec<f64>> {
     match swing {
         Some((wh, zeta)) => log.inputs.iter().map(|u| oscillator(u, wh, zeta)).collect(),
@@ -145,7 +145,7 @@ fn driven(log: &Signals, swing: Option<(f64, f64)>) -> Vec<Vec<f64>> {
     }
 }
 
-/// Frequency (2 tan(ω h / 2)) and damping that explain most, by a grid and ever smaller steps.
+/// Frequency (2 tan(ω h / 2)) and damping with the least cost, from a grid and a pattern search.
 fn resonance(log: &Signals) -> (f64, f64) {
     let ones = vec![1.0; log.output.len()];
     let task = Task::new(&log.output);

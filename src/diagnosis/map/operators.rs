@@ -1,20 +1,19 @@
-//! What may stand between the input and the output of a single channel.
+//! Operators between the input and the output of a single channel.
 //!
-//! Each operator gives, for one value η of the one number that it is not linear in, columns of a
-//! linear regression beside the nominal ones. `v` is the nominal prediction over its range, −1..=1;
-//! `m` what moves, over its range; times are in seconds, or rows if the log has no clock. State runs
-//! through the whole log.
+//! For one value η of its only nonlinear parameter, an operator gives columns of a linear regression beside the nominal
+//! ones. `v` is the nominal prediction scaled to −1..=1, `m` the moving signal scaled to 0..=1; times are in seconds, or
+//! rows if the log has no clock. The state runs through the whole log.
 
 use std::f64::consts::TAU;
 
-/// The signals an operator works on.
+/// Signals that an operator acts on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drive {
     /// Nominal prediction, scaled to −1..=1.
     pub v: Vec<f64>,
-    /// What moves, scaled to 0..=1.
+    /// Moving signal, scaled to 0..=1.
     pub m: Vec<f64>,
-    /// Its range, in its own unit.
+    /// Range of the moving signal, in its own unit.
     pub m_range: f64,
     /// Time, s or rows.
     pub t: Vec<f64>,
@@ -25,17 +24,17 @@ pub struct Drive {
 pub struct Operator {
     /// Name in reports.
     pub name: &'static str,
-    /// What η is; empty if there is none.
+    /// Meaning of η; empty without η.
     pub eta: &'static str,
     /// Law and source.
     pub law: &'static str,
-    /// Manoeuvre that separates it from the others.
+    /// Manoeuvre that separates it from other operators.
     pub separated_by: &'static str,
-    /// Values of η to try.
+    /// Grid of η.
     pub grid: fn(&Drive) -> Vec<f64>,
-    /// Columns for one η.
+    /// Columns at one η.
     pub columns: fn(&Drive, f64) -> Vec<Vec<f64>>,
-    /// Sign that the first coefficient must have; 0 if either.
+    /// Required sign of the first coefficient; 0 for either.
     pub sign: i8,
 }
 
@@ -53,7 +52,7 @@ pub const DRIVEN: [Operator; 15] = [
     Operator {
         name: "hysteresis",
         eta: "",
-        law: "Prandtl-Ishlinskii: eight plays with weights of their own (Kuhnen 2003)",
+        law: "Prandtl-Ishlinskii: eight weighted plays (Kuhnen 2003)",
         separated_by: "nested loops of several sizes",
         grid: none,
         columns: |d, _| (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect(),
@@ -98,7 +97,7 @@ pub const DRIVEN: [Operator; 15] = [
     Operator {
         name: "cubic",
         eta: "",
-        law: "third power: stiffening or softening alike both ways",
+        law: "third power: symmetric stiffening or softening",
         separated_by: "several amplitudes",
         grid: none,
         columns: |d, _| vec![d.v.iter().map(|v| v * v * v).collect()],
@@ -125,7 +124,7 @@ pub const DRIVEN: [Operator; 15] = [
     Operator {
         name: "delay",
         eta: "dead time",
-        law: "the input as it was a while ago",
+        law: "delayed input",
         separated_by: "a chirp: phase that grows with frequency",
         grid: |d| times_from(d, 1.0, 0.02),
         columns: |d, tau| vec![late(&d.v, &d.t, tau)],
@@ -143,8 +142,8 @@ pub const DRIVEN: [Operator; 15] = [
     Operator {
         name: "leak",
         eta: "time constant",
-        law: "what was put in flows off again",
-        separated_by: "a long hold, then back to zero",
+        law: "exponential return after an input",
+        separated_by: "a long hold, then a return to zero",
         grid: |d| times_from(d, 20.0, 0.5),
         columns: |d, tau| vec![follow(&d.v, &d.t, tau)],
         sign: -1,
@@ -170,24 +169,24 @@ pub const DRIVEN: [Operator; 15] = [
     DRIFT,
 ];
 
-/// Follows the clock and nothing else.
+/// A dependence on time alone.
 const DRIFT: Operator = Operator {
     name: "drift",
     eta: "",
     law: "straight line in time",
-    separated_by: "the same motion again, later",
+    separated_by: "the same motion repeated later",
     grid: none,
     columns: |d, _| vec![since(&d.t)],
     sign: 0,
 };
 
-/// Operators for an output that is left to itself.
+/// Operators for a rig without an input.
 pub const STILL: [Operator; 3] = [
     Operator {
         name: "leak",
         eta: "time constant",
         law: "exponential decay",
-        separated_by: "two pressures, and a temperature beside them",
+        separated_by: "two pressures, and a temperature record",
         grid: |d| times_from(d, 3.0, 30.0),
         columns: |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()],
         sign: 0,
@@ -196,7 +195,7 @@ pub const STILL: [Operator; 3] = [
         name: "creep",
         eta: "onset",
         law: "logarithm of time",
-        separated_by: "the same again after a long rest",
+        separated_by: "a repetition after a long rest",
         grid: |d| times_from(d, 1.0, 0.2),
         columns: |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()],
         sign: 0,
@@ -210,14 +209,14 @@ fn none(_: &Drive) -> Vec<f64> {
 fn widths(_: &Drive) -> Vec<f64> {
     (0..24).map(|k| 0.005 * 100f64.powf(f64::from(k) / 23.0)).collect()
 }
-/// From so many rows to a share of the log, evenly in the logarithm.
+/// 24 times from a number of rows to a share of the log, uniform in the logarithm.
 fn times_from(d: &Drive, rows: f64, share: f64) -> Vec<f64> {
     let span = d.t[d.t.len() - 1] - d.t[0];
     let low = rows * span / (d.t.len() - 1) as f64;
     let high = (share * span).max(2.0 * low);
     (0..24).map(|k| low * (high / low).powf(f64::from(k) / 23.0)).collect()
 }
-/// From six to 150 periods in a range, a quarter apart; fewer would be a curve, not a period.
+/// Periods of which 6 to 150 fit in a range, a quarter apart; fewer than six are a trend.
 fn periods(range: f64) -> Vec<f64> {
     (24..=600).map(|k| range * 4.0 / f64::from(k)).collect()
 }
@@ -241,7 +240,7 @@ fn bouc_wen(v: &[f64], z0: f64) -> Vec<f64> {
     };
     v.iter().map(one).collect()
 }
-/// Speed of what moves, ranges a second, over five rows.
+/// Speed of the moving signal over five rows, ranges per second.
 fn speed(m: &[f64], t: &[f64]) -> Vec<f64> {
     let last = m.len() - 1;
     (0..m.len()).map(|k| (k.saturating_sub(2), (k + 2).min(last))).map(|(a, b)| (m[b] - m[a]) / (t[b] - t[a])).collect()
@@ -310,12 +309,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn play_is_dragged_and_rests_in_its_gap() {
+    fn play_is_dragged_and_stands_within_its_gap() {
         assert_eq!(play(&[0.0, 1.0, 0.5, -1.0], 0.25), [0.0, 0.75, 0.75, -0.75]);
     }
 
     #[test]
-    fn a_lag_follows_and_a_delay_repeats() {
+    fn a_lag_trails_a_ramp_by_its_time_constant_and_a_delay_shifts_it() {
         let t: Vec<f64> = (0..200).map(|k| f64::from(k) * 0.01).collect();
         let ramp: Vec<f64> = t.clone();
         assert!((late(&ramp, &t, 0.05)[100] - 0.95).abs() < 1e-9);
@@ -323,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn an_oscillator_keeps_what_is_still_and_swings_at_its_frequency() {
+    fn an_oscillator_passes_a_constant_and_rings_at_its_frequency() {
         assert!(oscillator(&[1.0; 50], 0.3, 0.1).iter().all(|y| (y - 1.0).abs() < 1e-12));
         let mut kick = vec![0.0; 2000];
         kick[10] = 1.0;

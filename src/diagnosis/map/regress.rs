@@ -1,16 +1,16 @@
-//! Linear regression with blocks left out: contiguous blocks alternate between two folds, each is
-//! predicted by a fit that has only seen the other.
+//! Linear regression with held-out blocks: contiguous blocks alternate between two folds, and each fold is predicted by
+//! a fit to the other.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Blocks a log is cut into.
+/// Blocks of a log.
 const BLOCKS: usize = 12;
-/// Part of a block at either end that is neither fitted nor scored.
+/// Margin at either end of a block that is neither fitted nor scored, as a part of the block.
 const MARGIN: f64 = 0.03;
 
-/// Columns and what they are to explain.
+/// A signal to be explained, in blocks.
 pub struct Task<'a> {
-    /// What is to be explained.
+    /// The signal.
     pub y: &'a [f64],
     /// Block of each row; `None` in a margin.
     pub block: Vec<Option<usize>>,
@@ -23,19 +23,19 @@ struct Normal {
     square: f64,
 }
 
-/// Residuals with the blocks left out, and the fit of everything.
+/// Scores on held-out blocks, and the fit to all rows.
 #[derive(Debug, Clone)]
 pub struct Regressed {
-    /// Sum of squares that the two fits left of what they saw.
+    /// Sum of squares that the two fits leave in sample.
     pub cost: f64,
-    /// Sum of squares and rows of each block as predicted by the fit that has not seen it.
+    /// Sum of squares and number of rows of each block, predicted by the fit to the other fold.
     pub blocks: Vec<(f64, f64)>,
-    /// Coefficients of the fit of everything.
+    /// Coefficients of the fit to all rows.
     pub coefficients: Vec<f64>,
 }
 
 impl Regressed {
-    /// Mean square over the left-out blocks.
+    /// Mean square over the held-out blocks.
     #[must_use]
     pub fn energy(&self) -> f64 {
         let (s, n) = self.blocks.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
@@ -44,7 +44,7 @@ impl Regressed {
 }
 
 impl<'a> Task<'a> {
-    /// Cuts the rows into blocks.
+    /// Divides the rows of a signal into blocks.
     #[must_use]
     pub fn new(y: &'a [f64]) -> Self {
         let length = y.len() as f64 / BLOCKS as f64;
@@ -55,8 +55,8 @@ impl<'a> Task<'a> {
         Self { block: (0..y.len()).map(of).collect(), y }
     }
 
-    /// Regresses on `columns`; `None` if the columns do not fix the coefficients, or if coefficient
-    /// `first` has not the sign asked for (0: either).
+    /// Regresses on `columns`; `None` if the columns do not determine the coefficients, or if coefficient `first` does not
+    /// have `sign` (0: either).
     #[must_use]
     pub fn regress(&self, columns: &[&[f64]], first: usize, sign: i8) -> Option<Regressed> {
         let normals = [self.normal(columns, 0), self.normal(columns, 1)];
@@ -64,9 +64,9 @@ impl<'a> Task<'a> {
         let mut blocks = vec![(0.0, 0.0); BLOCKS];
         let mut cost = 0.0;
         for fold in 0..2 {
-            let seen = &normals[1 - fold];
-            let c = solve(&seen.gram, &seen.right).filter(right_sign)?;
-            cost += seen.square - 2.0 * c.dot(&seen.right) + c.dot(&(&seen.gram * &c));
+            let fitted = &normals[1 - fold];
+            let c = solve(&fitted.gram, &fitted.right).filter(right_sign)?;
+            cost += fitted.square - 2.0 * c.dot(&fitted.right) + c.dot(&(&fitted.gram * &c));
             for (k, block) in self.block.iter().enumerate() {
                 if let Some(b) = block.filter(|b| b % 2 == fold) {
                     let left = self.y[k] - columns.iter().zip(c.iter()).map(|(x, c)| x[k] * c).sum::<f64>();
@@ -98,7 +98,7 @@ impl<'a> Task<'a> {
     }
 }
 
-/// Scaled to a unit diagonal, with a ridge that only matters when columns are alike.
+/// Solves the normal equations scaled to a unit diagonal, with a ridge that matters only for nearly equal columns.
 fn solve(gram: &DMatrix<f64>, right: &DVector<f64>) -> Option<DVector<f64>> {
     let size = gram.diagonal().map(|d| d.max(1e-300).sqrt());
     let n = gram.nrows();
@@ -112,8 +112,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn blocks_are_predicted_by_fits_that_have_not_seen_them() {
-        // the slope differs between the folds: left-out blocks must show it, a fit of everything need not
+    fn each_block_is_predicted_by_a_fit_to_the_other_fold() {
+        // the slope differs between the folds, so the held-out error is large and the in-sample error is zero
         let x: Vec<f64> = (0..1200).map(|k| (f64::from(k) * 0.1).sin()).collect();
         let y: Vec<f64> = x.iter().enumerate().map(|(k, x)| x * if (k / 100) % 2 == 0 { 1.0 } else { 3.0 }).collect();
         let r = Task::new(&y).regress(&[&x], 0, 0).unwrap();

@@ -4,7 +4,8 @@
 pub mod evidence;
 pub mod words;
 
-use crate::diagnosis::diagnose::Diagnosis;
+use crate::diagnosis::decide::VerdictKind;
+use crate::diagnosis::document::{Diagnosis, EffectEntry, ParamValue};
 use crate::report::bars::{self, Bar};
 use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::gap::evidence::{Evidence, Trace};
@@ -127,8 +128,8 @@ fn trace(t: &Trace) -> Option<Chart> {
 
 fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
     let named = |name: &str| d.verdict.names.contains(&name) || d.verdict.equivalent.iter().any(|g| g.contains(&name));
-    let bars = |share: fn(&crate::diagnosis::diagnose::EffectEntry) -> (f64, Option<[f64; 2]>)| -> Vec<Bar> {
-        let one = |e: &crate::diagnosis::diagnose::EffectEntry| {
+    let bars = |share: fn(&EffectEntry) -> (f64, Option<[f64; 2]>)| -> Vec<Bar> {
+        let one = |e: &EffectEntry| {
             let (share, interval) = share(e);
             Bar { name: words::plain(e.name), share, interval, strong: named(e.name) }
         };
@@ -139,7 +140,12 @@ fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
         .stages
         .iter()
         .enumerate()
-        .map(|(k, s)| Bar { name: s.name.to_owned(), share: s.share, interval: None, strong: k == 0 && d.verdict.kind != "none" })
+        .map(|(k, s)| Bar {
+            name: s.name.to_owned(),
+            share: s.share,
+            interval: None,
+            strong: k == 0 && d.verdict.kind != VerdictKind::None,
+        })
         .collect();
     let chance = bars::svg("Probability / %", Ink::GREEN, &bars(|e| (e.probability, None)));
     let closed = bars::svg("Part of the gap closed / %", Ink::BLUE, &bars(|e| (e.closed, Some(e.closed_ci95))));
@@ -170,7 +176,7 @@ fn rows(d: &Diagnosis) -> Vec<[String; 7]> {
 
 fn parameters(d: &Diagnosis) -> Vec<[String; 6]> {
     let chosen = d.effects.iter().filter(|e| d.verdict.names.contains(&e.name));
-    let one = |e: &crate::diagnosis::diagnose::EffectEntry, p: &crate::diagnosis::diagnose::ParamValue| {
+    let one = |e: &EffectEntry, p: &ParamValue| {
         let channel = if p.channel == 0 { "–".to_owned() } else { p.channel.to_string() };
         let range = format!("{} to {}", words::short(p.ci95[0]), words::short(p.ci95[1]));
         [

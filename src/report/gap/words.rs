@@ -1,6 +1,7 @@
 //! A diagnosis in words for somebody who has been at the bench since morning.
 
-use crate::diagnosis::diagnose::{Diagnosis, EffectEntry, ParamValue};
+use crate::diagnosis::decide::VerdictKind;
+use crate::diagnosis::document::{Diagnosis, EffectEntry, ParamValue};
 use crate::model::effects::by_name;
 
 /// An effect's name as people say it.
@@ -33,22 +34,22 @@ fn group<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a Vec<&'static str>> {
 pub fn headline(d: &Diagnosis) -> String {
     let g = &d.gap;
     match d.verdict.kind {
-        "none" => format!(
+        VerdictKind::None => format!(
             "The nominal model suffices: once recalibrated it misses by {:.2}°, and no effect of the catalogue improves on that by what is worth a name.",
             g.recalibrated_deg
         ),
-        "unknown" if d.verdict.names.is_empty() => format!(
+        VerdictKind::Unknown if d.verdict.names.is_empty() => format!(
             "Something is at work that the catalogue does not hold: {:.2}° remain after recalibration, they are not noise ({:.2}°), and no known effect explains them.",
             g.recalibrated_deg, g.noise_floor_deg
         ),
-        "unknown" => format!(
+        VerdictKind::Unknown => format!(
             "{} explains a part, from {:.2}° to {:.2}°; what remains is not noise ({:.2}°), and no known effect explains it.",
             capital(&causes(d)),
             g.recalibrated_deg,
             g.explained_deg,
             g.noise_floor_deg
         ),
-        _ => format!(
+        VerdictKind::Effects => format!(
             "{} {} the gap: it shrinks from {:.2}° to {:.2}° on parts of the log that no fit has seen; noise alone is {:.2}°.",
             capital(&causes(d)),
             if d.verdict.names.len() > 1 { "together explain" } else { "explains" },
@@ -87,7 +88,7 @@ pub fn place(d: &Diagnosis) -> String {
             unit_of(k.name)
         )
     });
-    if d.verdict.kind == "none" {
+    if d.verdict.kind == VerdictKind::None {
         return format!("There is no gap to place.{seen}");
     }
     let merged = d.location.merged.iter().find(|m| m.contains(&first.name));
@@ -106,7 +107,7 @@ pub fn unit_of(kind: &str) -> &'static str {
 pub fn doubts(d: &Diagnosis) -> Vec<String> {
     let groups = d.verdict.equivalent.iter().map(|g| format!("This log cannot tell {} apart.", listed(g, "from")));
     let mut out: Vec<String> = groups.collect();
-    if d.verdict.kind != "none" && d.unknown.probability > 0.05 {
+    if d.verdict.kind != VerdictKind::None && d.unknown.probability > 0.05 {
         out.push(format!(
             "With a probability of {:.0} % something outside the catalogue has a part in it ({:.2}° are left above the noise).",
             100.0 * d.unknown.probability,
@@ -127,13 +128,13 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
         out.push(format!("To tell {} apart: {}; {design}.", listed(g, "from"), how.join("; or ")));
     }
     match d.verdict.kind {
-        "none" => out.push("Nothing needs to be added to the model. Keep the recalibrated gains.".to_owned()),
-        "unknown" => {
+        VerdictKind::None => out.push("Nothing needs to be added to the model. Keep the recalibrated gains.".to_owned()),
+        VerdictKind::Unknown => {
             out.push(format!(
                 "Look where the map is darkest and when the residual is largest; {design}, on which a cause shows more plainly."
             ));
         }
-        _ => out.push(
+        VerdictKind::Effects => out.push(
             "Confirm on a fresh log of the same unit: `retroflex gap check model.toml FRESH`. It refits nothing but the base frame."
                 .to_owned(),
         ),

@@ -1,11 +1,12 @@
-//! `retroflex gap diagnose --map`: the bench log of another rig.
+//! `retroflex gap diagnose --map`: diagnoses a bench log of another rig.
 
 use crate::cli::CommandOutcome;
 use crate::cli::output;
 use crate::config::source;
-use crate::diagnosis::map::document::Document;
+use crate::diagnosis::map::diagnose::diagnose;
+use crate::diagnosis::map::document::{Document, Entry};
 use crate::diagnosis::map::file::MapFile;
-use crate::diagnosis::map::{diagnose, table};
+use crate::diagnosis::map::table;
 use miette::{IntoDiagnostic, Result};
 use std::path::{Path, PathBuf};
 
@@ -25,7 +26,7 @@ pub fn run(log: &Path, map: &Path, fresh: &[PathBuf], json: Option<&Path>, seed:
 }
 
 fn summary(d: &Document) -> String {
-    let rows = d.set.iter().filter(|s| s.name.contains('+')).chain(d.effects.iter().take(6)).map(|e| {
+    let row = |e: &Entry| {
         let params: Vec<String> = e.params.iter().map(|p| format!("{} {:.4}", p.name, p.value)).collect();
         [
             e.name.clone(),
@@ -35,19 +36,20 @@ fn summary(d: &Document) -> String {
             format!("{:.0} to {:.0} %", e.closed_ci95[0] * 100.0, e.closed_ci95[1] * 100.0),
             params.join(", "),
         ]
-    });
-    let table = output::table(&["effect", "before", "after", "closed", "95 %", ""], 1..5, rows);
+    };
+    let sets = d.set.iter().filter(|s| s.name.contains('+'));
+    let table = output::table(&["effect", "before", "after", "closed", "95 %", ""], 1..5, sets.chain(d.effects.iter().take(6)).map(row));
     let names = if d.verdict.names.is_empty() { String::new() } else { format!(": {}", d.verdict.names.join(" and ")) };
     let mut out = vec![
-        format!("verdict {}{names}", d.verdict.kind),
+        format!("verdict {}{names}", d.verdict.kind.name()),
         format!(
-            "RMSE {:.4} {} nominal, {:.4} explained, {:.4} noise, on parts of the log that no fit has seen",
+            "RMSE {:.4} {} nominal, {:.4} explained, {:.4} noise, on parts of the log that the fit has not seen",
             d.gap.recalibrated, d.unit, d.gap.explained, d.gap.noise_floor
         ),
     ];
-    out.extend(d.verdict.equivalent.iter().map(|g| format!("not distinguishable here: {}", g.join(", "))));
+    out.extend(d.verdict.equivalent.iter().map(|g| format!("this log cannot separate: {}", g.join(", "))));
     out.extend(d.notes.iter().map(|n| format!("note: {n}")));
-    out.extend(d.fresh.iter().map(|f| format!("on {}, as fitted: {:.4} before, {:.4} after", f.log, f.before, f.after)));
+    out.extend(d.fresh.iter().map(|f| format!("on {}, without a new fit: {:.4} before, {:.4} after", f.log, f.before, f.after)));
     out.push(table.to_string());
     out.join("\n")
 }

@@ -1,12 +1,9 @@
-//! `retroflex gap diagnose`: a log in, an answer in words, and the files that hold it.
+//! `retroflex gap diagnose`: diagnoses a log, prints the answer and writes it to files.
 
-use crate::cli::CommandOutcome;
-use crate::cli::gap::{PAPER, observe};
-use crate::cli::gap_map;
-use crate::cli::output::{self, write};
-use crate::config::calib::Calibration;
-use crate::config::source;
-use crate::diagnosis::diagnose::{Diagnosed, Diagnosis, diagnose};
+use crate::cli::gap::{input, map};
+use crate::cli::{CommandOutcome, inputs, output};
+use crate::diagnosis::diagnose::{Diagnosed, diagnose};
+use crate::diagnosis::document::{Diagnosis, EffectEntry};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::saved::SavedModel;
 use crate::model::effects::catalogue;
@@ -17,25 +14,28 @@ use std::path::{Path, PathBuf};
 
 /// Arguments of `gap diagnose`.
 #[derive(Debug, clap::Args)]
-pub struct DiagnoseArgs {
+pub struct Args {
     /// Bend log, *.csv or *.csv.gz.
     log: PathBuf,
-    /// The log is of another rig: what its columns are.
-    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["calib", "html", "save"])]
+    /// Map of the columns of a log of another rig.
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["board", "calib", "html", "save"])]
     map: Option<PathBuf>,
-    /// With --map: another log of the rig, on which the fitted model is tried as it is; may be repeated.
+    /// With --map: another log of the rig, on which the fitted model is evaluated; may be repeated.
     #[arg(long, value_name = "LOG", requires = "map")]
     fresh: Vec<PathBuf>,
+    /// Board file of the machine; default: the machine of the paper.
+    #[arg(long, value_name = "FILE.toml")]
+    board: Option<PathBuf>,
     /// Calibration the log was driven with.
     #[arg(long)]
     calib: Option<PathBuf>,
     /// Write the diagnosis as JSON.
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Write the diagnosis as one page to look at and to print.
+    /// Write the diagnosis as one printable page.
     #[arg(long)]
     html: Option<PathBuf>,
-    /// Keep the recalibrated and the explained model for `gap check` and `gap excite --like`.
+    /// Save the recalibrated and the explained model for `gap check` and `gap excite --like`.
     #[arg(long, value_name = "MODEL.toml")]
     save: Option<PathBuf>,
     /// Seed of the block bootstrap.
@@ -43,31 +43,30 @@ pub struct DiagnoseArgs {
     seed: u64,
 }
 
-/// Diagnoses and writes; nothing is written unless everything can be.
+/// Diagnoses and writes. No file is written unless all can be.
 ///
 /// # Errors
-/// A report that names what is wrong with the input.
-pub fn run(args: &DiagnoseArgs) -> Result<CommandOutcome> {
+/// A report that names the faulty input.
+pub fn run(args: &Args) -> Result<CommandOutcome> {
     let results = [("--json", args.json.as_deref()), ("--html", args.html.as_deref()), ("--save", args.save.as_deref())];
-    let mut inputs = vec![args.log.as_path()];
-    inputs.extend(args.fresh.iter().chain(&args.map).chain(&args.calib).map(PathBuf::as_path));
-    output::check(&results, &inputs)?;
+    let mut read = vec![args.log.as_path()];
+    read.extend(args.fresh.iter().chain(&args.map).chain(&args.board).chain(&args.calib).map(PathBuf::as_path));
+    output::check(&results, &read)?;
     if let Some(map) = &args.map {
-        return gap_map::run(&args.log, map, &args.fresh, args.json.as_deref(), args.seed);
+        return map::run(&args.log, map, &args.fresh, args.json.as_deref(), args.seed);
     }
-    let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
-    let lines = calibration.map_or(PAPER, |c| c.lines());
-    let observed = observe(&args.log)?;
+    let lines = inputs::calibration(args.calib.as_deref())?.lines();
+    let observed = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
     let done = diagnose(&observed, &catalogue(), &lines, args.seed);
     for (path, text) in files(args, &observed, &done)? {
-        write(path, &text)?;
+        output::write(path, &text)?;
     }
     eprintln!("{}", summary(&done.document));
     Ok(CommandOutcome::Good)
 }
 
-/// Every file that was asked for, with its text.
-fn files<'a>(args: &'a DiagnoseArgs, observed: &Observed, done: &Diagnosed) -> Result<Vec<(&'a Path, String)>> {
+/// Requested files with their contents.
+fn files<'a>(args: &'a Args, observed: &Observed, done: &Diagnosed) -> Result<Vec<(&'a Path, String)>> {
     let mut out: Vec<(&Path, String)> = Vec::new();
     if let Some(path) = &args.json {
         out.push((path, json(&done.document)?));
@@ -77,23 +76,22 @@ fn files<'a>(args: &'a DiagnoseArgs, observed: &Observed, done: &Diagnosed) -> R
         out.push((path, page(&name, &done.document, &Evidence::new(observed, done))));
     }
     if let Some(path) = &args.save {
-        let equivalent = &done.document.verdict.equivalent;
-        let model = SavedModel::new(&args.log.display().to_string(), &catalogue(), &done.found, &done.chosen, equivalent);
+        let model = SavedModel::new(&args.log.display().to_string(), &catalogue(), done);
         out.push((path, toml::to_string(&model).into_diagnostic()?));
     }
     Ok(out)
 }
 
-/// The document as JSON, which has no word for a figure that is not finite.
+/// The document as JSON. JSON cannot represent a number that is not finite, so such a number is an error.
 fn json(document: &Diagnosis) -> Result<String> {
     let value = serde_json::to_value(document).into_diagnostic()?;
     if let Some(key) = not_finite(&value, "") {
-        return Err(miette!("{key} is not a finite number; the log may hold values far outside what a sensor can give: check its units"));
+        return Err(miette!("{key} is not a finite number; the log may have values outside the range of any sensor: check its units"));
     }
     Ok(serde_json::to_string_pretty(&value).into_diagnostic()? + "\n")
 }
 
-/// First key whose value is null.
+/// Key of the first null.
 fn not_finite(value: &serde_json::Value, key: &str) -> Option<String> {
     match value {
         serde_json::Value::Null => Some(key.to_owned()),
@@ -105,13 +103,13 @@ fn not_finite(value: &serde_json::Value, key: &str) -> Option<String> {
     }
 }
 
-/// Effects that are shown: the probable ones, and at least three.
+/// Number of effects in the table: the probable ones, and at least three.
 fn shown(d: &Diagnosis) -> usize {
     d.effects.iter().take_while(|e| e.probability >= 0.01).count().clamp(3, 6)
 }
 
 fn summary(d: &Diagnosis) -> String {
-    let rows = d.effects.iter().take(shown(d)).map(|e| {
+    let row = |e: &EffectEntry| {
         [
             e.name.to_owned(),
             e.stage.to_owned(),
@@ -121,10 +119,11 @@ fn summary(d: &Diagnosis) -> String {
             format!("{:.0} %", e.closed * 100.0),
             format!("{:.0} to {:.0} %", e.closed_ci95[0] * 100.0, e.closed_ci95[1] * 100.0),
         ]
-    });
-    let table = output::table(&["effect", "stage", "probability", "gap before", "after", "closed", "95 %"], 2..7, rows);
+    };
+    let header = ["effect", "stage", "probability", "gap before", "after", "closed", "95 %"];
+    let table = output::table(&header, 2..7, d.effects.iter().take(shown(d)).map(row));
     let names = if d.verdict.names.is_empty() { String::new() } else { format!(": {}", d.verdict.names.join(" and ")) };
-    let mut out = vec![format!("verdict {}{names}", d.verdict.kind), words::headline(d), words::place(d)];
+    let mut out = vec![format!("verdict {}{names}", d.verdict.kind.name()), words::headline(d), words::place(d)];
     for e in d.effects.iter().filter(|e| d.verdict.names.contains(&e.name)) {
         let values: Vec<String> = e.params.iter().map(words::value).collect();
         out.push(format!("{}: {}", words::plain(e.name), values.join("; ")));
@@ -141,7 +140,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_figure_that_is_not_finite_is_found_by_its_key() {
+    fn a_number_that_is_not_finite_is_named_by_its_key() {
         assert_eq!(not_finite(&json!({"a": [1.0, {"b": null}]}), ""), Some("a[1].b".to_owned()));
         assert_eq!(not_finite(&json!({"a": [1.0, "x", true]}), ""), None);
     }

@@ -1,0 +1,51 @@
+//! Inputs that the gap commands share: machine, log and saved model.
+
+use crate::cli::inputs;
+use crate::config::source;
+use crate::diagnosis::observe::Observed;
+use crate::diagnosis::rig::Rig;
+use crate::diagnosis::saved::SavedModel;
+use crate::log::bend_log;
+use crate::model::effects::catalogue;
+use miette::{IntoDiagnostic, Result, miette};
+use std::path::Path;
+
+/// The machine of a board file; by default the paper twin. A board file has no gains, so the priors are the paper's.
+///
+/// # Errors
+/// A report that names file and key.
+pub fn rig(board: Option<&Path>) -> Result<Rig> {
+    let board = inputs::board(board)?;
+    Ok(Rig {
+        geometry: board.geometry.law(),
+        bellow_mm: [board.geometry.bellow_min_mm, board.geometry.bellow_max_mm],
+        travel_mm: board.limits.travel_mm,
+        speed_max_mm_s: board.motion.speed_max_mm_s,
+        ..Rig::default()
+    })
+}
+
+/// Reads a bend log of a machine; a warning lists unknown columns.
+///
+/// # Errors
+/// A report that names file, line and column, or says what to record instead.
+pub fn observe(path: &Path, rig: &Rig) -> Result<Observed> {
+    let log = bend_log::read(path).into_diagnostic()?;
+    let observed = Observed::new(&log, rig).map_err(|e| miette!("{}: {e}", path.display()))?;
+    if !log.ignored.is_empty() {
+        eprintln!("warning: {}: unknown columns ignored: {}", path.display(), log.ignored.join(", "));
+    }
+    Ok(observed)
+}
+
+/// Reads a saved model and checks its names against the catalogue.
+///
+/// # Errors
+/// A report that names file and key.
+pub fn saved(path: &Path) -> Result<SavedModel> {
+    let model: SavedModel = source::read(path)?;
+    match model.unknown_names(&catalogue()) {
+        Some(problem) => Err(miette!("{}: {problem}", path.display())),
+        None => Ok(model),
+    }
+}

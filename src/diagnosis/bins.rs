@@ -1,0 +1,187 @@
+//! Rows of a log averaged in bins of 50 ms, or of 200 ms in long holds.
+
+use crate::diagnosis::quantity::{PerQuantity, Quantity};
+use crate::log::bend_log::{BendLog, ImuColumns};
+use nalgebra::{Matrix3, Vector3};
+
+/// Length of a bin, s.
+pub const BIN_S: f64 = 0.05;
+/// Length of a bin in a long hold, s.
+const HOLD_BIN_S: f64 = 0.2;
+/// Idle time after which a hold counts as long, s.
+const HOLD_AFTER_S: f64 = 1.5;
+/// Idle time of the first row, s: the pistons have stood long before the log begins.
+const IDLE_BEFORE_S: f64 = 10.0;
+/// Gravity, m/s².
+pub const G_M_S2: f64 = 9.80665;
+/// Median of a chi-squared variable with three degrees of freedom.
+const CHI2_3_MEDIAN: f64 = 2.366;
+
+/// One bin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bin {
+    /// First row and one past the last.
+    pub rows: (usize, usize),
+    /// Index of the bin's middle among the instants of the log.
+    pub at: usize,
+    /// Time of the middle, s.
+    pub t_s: f64,
+    /// Length, s.
+    pub lasting_s: f64,
+    /// Mean tracker orientation as a matrix, tip → base; NaN where missing.
+    pub reference: Matrix3<f64>,
+    /// Mean specific force, m/s²; NaN where missing.
+    pub acc: Vector3<f64>,
+    /// Mean field, µT; NaN where missing.
+    pub mag: Vector3<f64>,
+    /// Mean rate since the middle of the bin before, rad/s; NaN where missing.
+    pub gyr: Vector3<f64>,
+    /// 1/σ of each quantity's residual, 1/rad (gyroscope: s/rad); 0 where missing.
+    pub weight: PerQuantity<f64>,
+    /// Time since a piston last moved, s.
+    pub idle_s: f64,
+    /// Speed of the fastest piston, mm/s.
+    pub speed_mm_s: f64,
+}
+
+/// Pistons row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rows {
+    /// Times, s.
+    pub t_s: Vec<f64>,
+    /// Counted pistons, mm.
+    pub piston_mm: Vec<Vector3<f64>>,
+    /// Time since a piston last moved, s.
+    pub idle_s: Vec<f64>,
+}
+
+impl Rows {
+    /// The rows of a log.
+    #[must_use]
+    pub fn new(log: &BendLog) -> Self {
+        let mut idle_s = vec![IDLE_BEFORE_S];
+        for k in 1..log.t_s.len() {
+            let moved = log.piston_mm[k] != log.piston_mm[k - 1];
+            idle_s.push(if moved { 0.0 } else { idle_s[k - 1] + log.t_s[k] - log.t_s[k - 1] });
+        }
+        Self { t_s: log.t_s.clone(), piston_mm: log.piston_mm.clone(), idle_s }
+    }
+
+    /// Counted pistons at time `t_s`, interpolated linearly between rows `k` and `k + 1`.
+    #[must_use]
+    pub fn piston_after(&self, k: usize, t_s: f64) -> Vector3<f64> {
+        let Some(next) = self.t_s.get(k + 1) else { return self.piston_mm[k] };
+        let share = ((t_s - self.t_s[k]) / (next - self.t_s[k])).clamp(0.0, 1.0);
+        self.piston_mm[k].lerp(&self.piston_mm[k + 1], share)
+    }
+}
+
+/// Mean of the values that are not missing.
+pub fn mean(values: impl Iterator<Item = Vector3<f64>>) -> Option<Vector3<f64>> {
+    let (sum, n) = values.filter(|v| !v.x.is_nan()).fold((Vector3::zeros(), 0), |(s, n), v| (s + v, n + 1));
+    (n > 0).then(|| sum / f64::from(n))
+}
+
+fn mean_or_nan(values: impl Iterator<Item = Vector3<f64>>) -> Vector3<f64> {
+    mean(values).unwrap_or(Vector3::repeat(f64::NAN))
+}
+
+/// The log averaged down to about 100 Hz if it is faster than 120 Hz; the pistons keep their last count.
+#[must_use]
+pub fn thinned(log: &BendLog) -> BendLog {
+    let rate = (log.t_s.len() - 1) as f64 / (log.t_s[log.t_s.len() - 1] - log.t_s[0]);
+    let by = (rate / 100.0).round() as usize;
+    if rate < 120.0 || by < 2 {
+        return log.clone();
+    }
+    let groups: Vec<(usize, usize)> = (0..log.t_s.len() / by).map(|g| (g * by, (g + 1) * by)).collect();
+    let last = |v: &[Vector3<f64>]| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<_>>();
+    let average = |v: &[Vector3<f64>]| groups.iter().map(|g| mean_or_nan(v[g.0..g.1].iter().copied())).collect::<Vec<_>>();
+    let imu = |i: &ImuColumns| ImuColumns { acc: average(&i.acc), gyr: average(&i.gyr), mag: average(&i.mag) };
+    BendLog {
+        t_s: groups.iter().map(|g| log.t_s[g.1 - 1]).collect(),
+        command: last(&log.command),
+        piston_mm: last(&log.piston_mm),
+        imu: log.imu.as_ref().map(imu),
+        base: log.base.as_ref().map(imu),
+        reference: log.reference.as_ref().map(|r| groups.iter().map(|g| r[(g.0 + g.1) / 2]).collect()),
+        pressure_kpa: log.pressure_kpa.as_ref().map(|p| average(p)),
+        temp_c: log.temp_c.as_ref().map(|t| groups.iter().map(|g| t[g.1 - 1]).collect()),
+        file: log.file.clone(),
+        ignored: log.ignored.clone(),
+    }
+}
+
+/// Bins of a log, without weights.
+#[must_use]
+pub fn bins(log: &BendLog, rows: &Rows) -> Vec<Bin> {
+    let mut out: Vec<Bin> = Vec::new();
+    let (mut from, mut middle) = (0, 0);
+    while from < log.t_s.len() {
+        let long = rows.idle_s[from] > HOLD_AFTER_S && rows.t_s[from] - rows.t_s[0] > 1.0;
+        let until = log.t_s[from] + if long { HOLD_BIN_S } else { BIN_S } - 1e-6;
+        // a long bin ends where the motion begins
+        let ends = |k: usize| log.t_s[k] >= until || (long && rows.idle_s[k] == 0.0);
+        let to = (from + 1..log.t_s.len()).find(|&k| ends(k)).unwrap_or(log.t_s.len());
+        out.push(bin(log, rows, (from, to), middle));
+        middle = (from + to) / 2;
+        from = to;
+    }
+    out
+}
+
+/// One bin; its rate is averaged from row `since`, the middle of the bin before, to its own middle.
+fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> Bin {
+    let nan = Vector3::repeat(f64::NAN);
+    let of = |pick: fn(&ImuColumns) -> &Vec<Vector3<f64>>| log.imu.as_ref().map_or(nan, |i| mean_or_nan(pick(i)[from..to].iter().copied()));
+    let reference = log.reference.as_ref().map_or(Matrix3::repeat(f64::NAN), |r| {
+        let seen: Vec<_> = r[from..to].iter().flatten().collect();
+        let sum = seen.iter().fold(Matrix3::zeros(), |s, q| s + q.to_rotation_matrix().into_inner());
+        if seen.is_empty() { Matrix3::repeat(f64::NAN) } else { sum / seen.len() as f64 }
+    });
+    let step_s = (log.t_s[to - 1] - log.t_s[from]) / (to - from).max(2).saturating_sub(1) as f64;
+    let speed = |k: usize| (rows.piston_mm[k] - rows.piston_mm[k - 1]).amax() / (rows.t_s[k] - rows.t_s[k - 1]);
+    // trapezoids: both ends at half weight
+    let rate = |i: &ImuColumns| {
+        let end = ((from + to) / 2).max(since + 1).min(log.t_s.len() - 1);
+        mean_or_nan((since..end).map(|k| (i.gyr[k] + i.gyr[k + 1]) / 2.0))
+    };
+    Bin {
+        rows: (from, to),
+        at: 0,
+        t_s: (log.t_s[from] + log.t_s[to - 1]) / 2.0,
+        lasting_s: if to - from > 1 { step_s * (to - from) as f64 } else { BIN_S },
+        reference,
+        acc: of(|i| &i.acc),
+        mag: of(|i| &i.mag),
+        gyr: log.imu.as_ref().map_or(nan, rate),
+        weight: PerQuantity::default(),
+        idle_s: rows.idle_s[to - 1],
+        speed_mm_s: (from.max(1)..to).map(speed).fold(0.0, f64::max),
+    }
+}
+
+/// White noise of a bin, degrees (°/s), from the median squared difference of neighbouring bins in still stretches.
+/// The median ignores a tip that jumps or rings while the pistons are idle.
+#[must_use]
+pub fn noise(bins: &[Bin], field_ut: f64) -> PerQuantity<f64> {
+    let mut squares: PerQuantity<Vec<f64>> = PerQuantity::default();
+    let still = |b: &Bin| b.idle_s > 0.3 && b.lasting_s < 1.5 * BIN_S;
+    for w in bins.windows(2).filter(|w| still(&w[0]) && still(&w[1])) {
+        let turn = vee(&(w[0].reference.transpose() * w[1].reference));
+        let d = [turn, (w[1].acc - w[0].acc) / G_M_S2, (w[1].mag - w[0].mag) / field_ut, w[1].gyr - w[0].gyr];
+        for (q, v) in Quantity::ALL.into_iter().zip(d).filter(|(_, v)| !v.x.is_nan()) {
+            squares[q].push(v.norm_squared());
+        }
+    }
+    PerQuantity(squares.0.map(|mut s| {
+        s.sort_by(f64::total_cmp);
+        // the difference of two samples has twice the variance of one
+        s.get(s.len() / 2).map_or(0.0, |m| (m / CHI2_3_MEDIAN / 2.0).sqrt().to_degrees())
+    }))
+}
+
+/// Rotation vector of a small rotation given as a (mean) matrix: half of its antisymmetric part.
+fn vee(a: &Matrix3<f64>) -> Vector3<f64> {
+    Vector3::new(a[(2, 1)] - a[(1, 2)], a[(0, 2)] - a[(2, 0)], a[(1, 0)] - a[(0, 1)]) / 2.0
+}

@@ -1,0 +1,162 @@
+//! The diagnosis as a document. `docs/gap.md` describes the JSON form.
+
+use crate::diagnosis::credit::StageShare;
+use crate::diagnosis::decide::VerdictKind;
+use crate::diagnosis::quantity::PerQuantity;
+use serde::Serialize;
+
+/// The gap, degrees RMS over the logged quantities.
+#[derive(Debug, Clone, Serialize)]
+pub struct Gap {
+    /// With the calibration as given.
+    pub as_configured_deg: f64,
+    /// After recalibration, on left-out blocks.
+    pub recalibrated_deg: f64,
+    /// With the verdict's effects, on left-out blocks.
+    pub explained_deg: f64,
+    /// White noise alone.
+    pub noise_floor_deg: f64,
+}
+
+/// Error in a region of bend and direction.
+#[derive(Debug, Clone, Serialize)]
+pub struct Region {
+    /// Bend, degrees, from and to.
+    pub bend_deg: [f64; 2],
+    /// Direction, degrees, from and to.
+    pub dir_deg: [f64; 2],
+    /// RMSE of the recalibrated model, degrees.
+    pub rmse_deg: f64,
+    /// RMSE with the verdict's effects, degrees.
+    pub explained_deg: f64,
+}
+
+/// Error in a stretch of time.
+#[derive(Debug, Clone, Serialize)]
+pub struct When {
+    /// Start, s.
+    pub from_s: f64,
+    /// End, s.
+    pub to_s: f64,
+    /// RMSE of the recalibrated model, degrees.
+    pub rmse_deg: f64,
+    /// RMSE with the verdict's effects, degrees.
+    pub explained_deg: f64,
+}
+
+/// Error of one quantity.
+#[derive(Debug, Clone, Serialize)]
+pub struct QuantityShare {
+    /// Name of the quantity.
+    pub name: &'static str,
+    /// RMSE of the recalibrated model, degrees (°/s for the gyroscope).
+    pub rmse_deg: f64,
+    /// RMSE with the verdict's effects.
+    pub explained_deg: f64,
+}
+
+/// Location of the gap.
+#[derive(Debug, Clone, Serialize)]
+pub struct Location {
+    /// Stages, largest share first.
+    pub stages: Vec<StageShare>,
+    /// Groups of stages that this log cannot separate.
+    pub merged: Vec<Vec<&'static str>>,
+    /// By bend and direction.
+    pub regions: Vec<Region>,
+    /// By time.
+    pub when: Vec<When>,
+    /// By quantity.
+    pub kinds: Vec<QuantityShare>,
+}
+
+/// A fitted parameter.
+#[derive(Debug, Clone, Serialize)]
+pub struct ParamValue {
+    /// Name.
+    pub name: &'static str,
+    /// Unit; empty for a plain number.
+    pub unit: &'static str,
+    /// Estimate.
+    pub value: f64,
+    /// 95 % interval.
+    pub ci95: [f64; 2],
+    /// Channel 1 to 3; 0 if the parameter belongs to none.
+    pub channel: u8,
+}
+
+/// An effect of the catalogue.
+#[derive(Debug, Clone, Serialize)]
+pub struct EffectEntry {
+    /// Name.
+    pub name: &'static str,
+    /// Stage.
+    pub stage: &'static str,
+    /// Probability that the effect is present.
+    pub probability: f64,
+    /// RMSE without the effect, degrees.
+    pub gap_before_deg: f64,
+    /// RMSE with the effect, degrees.
+    pub gap_after_deg: f64,
+    /// Part of the gap that the effect closes.
+    pub closed: f64,
+    /// 95 % interval of that part.
+    pub closed_ci95: [f64; 2],
+    /// Parameters.
+    pub params: Vec<ParamValue>,
+}
+
+/// The verdict.
+#[derive(Debug, Clone, Serialize)]
+pub struct VerdictEntry {
+    /// Kind.
+    pub kind: VerdictKind,
+    /// Names of the effects.
+    pub names: Vec<&'static str>,
+    /// Groups of effects that this log cannot separate.
+    pub equivalent: Vec<Vec<&'static str>>,
+}
+
+/// The unexplained remainder.
+#[derive(Debug, Clone, Serialize)]
+pub struct UnknownEntry {
+    /// Probability that a cause outside the catalogue is present.
+    pub probability: f64,
+    /// RMSE left above the noise, degrees.
+    pub rmse_deg: f64,
+    /// RMS of the gyroscope's residual that its own reading predicts, °/s.
+    pub predictable_deg_s: f64,
+}
+
+/// A set of effects and what it leaves.
+#[derive(Debug, Clone, Serialize)]
+pub struct Rival {
+    /// Names; empty for the nominal model.
+    pub names: Vec<&'static str>,
+    /// Held-out energy over all quantities, deg².
+    pub energy_deg2: f64,
+    /// Held-out RMSE: reference, accelerometer, magnetometer (degrees) and gyroscope (°/s).
+    pub rmse_deg: PerQuantity<f64>,
+    /// Weighted sum of squares in sample.
+    pub cost: f64,
+}
+
+/// A whole diagnosis.
+#[derive(Debug, Clone, Serialize)]
+pub struct Diagnosis {
+    /// Version of this document.
+    pub schema: u32,
+    /// Size of the gap.
+    pub gap: Gap,
+    /// Location of the gap.
+    #[serde(rename = "where")]
+    pub location: Location,
+    /// All effects, most probable first.
+    pub effects: Vec<EffectEntry>,
+    /// Verdict.
+    pub verdict: VerdictEntry,
+    /// Unexplained remainder.
+    pub unknown: UnknownEntry,
+    /// Compared sets, best first.
+    pub rivals: Vec<Rival>,
+}

@@ -1,0 +1,73 @@
+//! Answers the questions of an exam.
+
+use crate::diagnosis::decide::VerdictKind;
+use crate::diagnosis::diagnose::diagnose;
+use crate::diagnosis::document::Diagnosis;
+use crate::diagnosis::exam::baseline::{self, Answers};
+use crate::diagnosis::exam::question::{Content, Logs, Question};
+use crate::diagnosis::observe::Observed;
+use crate::diagnosis::refuse::ObserveError;
+use crate::diagnosis::rig::Rig;
+use crate::diagnosis::saved::SavedModel;
+use crate::model::effects::{self, Effect};
+use crate::simulation::plant::PlantError;
+use rayon::prelude::*;
+use thiserror::Error;
+
+/// Every how many questions a single effect is diagnosed again without its own catalogue entry.
+const LEFT_OUT_EVERY: usize = 3;
+
+/// Why an exam cannot run.
+#[derive(Debug, Error)]
+pub enum ExamError {
+    /// A unit cannot run.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
+    /// A log cannot be diagnosed.
+    #[error("question {0}: {1}")]
+    Observe(usize, ObserveError),
+}
+
+/// The answer to one question.
+#[derive(Debug, Clone)]
+pub struct Answer {
+    /// The diagnosis.
+    pub diagnosis: Diagnosis,
+    /// Part of the gap that the saved model closes on the fresh log.
+    pub fresh_closed: f64,
+    /// Verdict without the catalogue entry of the true effect, if asked for.
+    pub left_out: Option<VerdictKind>,
+    /// Names given by the other methods.
+    pub others: Answers,
+}
+
+/// Answers all questions in parallel; `done` is called after each.
+///
+/// # Errors
+/// [`ExamError`].
+pub fn run(questions: &[Question], catalogue: &[Box<dyn Effect>], done: impl Fn() + Sync) -> Result<Vec<Answer>, ExamError> {
+    questions
+        .par_iter()
+        .enumerate()
+        .map(|(n, q)| {
+            let left_out = (q.content == Content::Single && n % LEFT_OUT_EVERY == 0).then(|| q.names[0]);
+            let answer = answer(n, &q.draw()?, catalogue, left_out);
+            done();
+            answer
+        })
+        .collect()
+}
+
+/// Answers question `n` from its logs and the calibration alone.
+fn answer(n: usize, logs: &Logs, catalogue: &[Box<dyn Effect>], left_out: Option<&str>) -> Result<Answer, ExamError> {
+    let observe = |log| Observed::new(log, &Rig::default()).map_err(|e| ExamError::Observe(n, e));
+    let (log, fresh) = (observe(&logs.log)?, observe(&logs.fresh)?);
+    let done = diagnose(&log, catalogue, &logs.lines, n as u64);
+    let fresh_closed = SavedModel::new("exam", catalogue, &done).check_on(&fresh, catalogue).closed;
+    let left_out = left_out.map(|name| {
+        let rest: Vec<Box<dyn Effect>> = effects::catalogue().into_iter().filter(|e| e.name() != name).collect();
+        diagnose(&log, &rest, &logs.lines, n as u64).document.verdict.kind
+    });
+    let others = baseline::answer(&log, catalogue, &logs.lines, &done.found);
+    Ok(Answer { diagnosis: done.document, fresh_closed, left_out, others })
+}

@@ -1,0 +1,243 @@
+//! Seeded search for the schedule that separates effects best.
+//!
+//! Every effect of the catalogue is run through the model on the schedule; the distance of two effects is what remains
+//! of one after a recalibration and after imitation by the other ([`crate::diagnosis::excite::distance`]). A local search
+//! over manoeuvres increases the small distances within the limits of bellows, travel, speed and duration. Optimal design
+//! for model discrimination: Atkinson and Fedorov, *Biometrika* 1975 (T-optimality); local search after Kirkpatrick,
+//! Gelatt and Vecchi, *Science* 1983. Equal requests give equal schedules.
+
+use crate::diagnosis::confusion::separable;
+use crate::diagnosis::excite::distance::{Distances, information};
+use crate::diagnosis::excite::manoeuvre::{Manoeuvre, first_guess, schedule};
+use crate::diagnosis::excite::points::Rival;
+use crate::diagnosis::excite::rows::{Machine, Row};
+use crate::diagnosis::excite::standard;
+use crate::diagnosis::saved::SavedModel;
+use crate::model::effects::catalogue;
+use nalgebra::DMatrix;
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+
+/// Longest schedule, s.
+pub const LONGEST_S: f64 = 285.0;
+/// Size given to every effect on the standard schedule, standard deviations.
+const SIZE: f64 = 30.0;
+/// Largest factor by which an effect is enlarged to that size.
+const ENLARGED_MAX: f64 = 5.0;
+/// Distance beyond which a pair gains nothing: in a search over all pairs, and over the pairs in question.
+const ENOUGH: [f64; 2] = [15.0, 150.0];
+/// Distance below which a schedule does not separate a pair.
+pub const APART: f64 = 3.0;
+/// Weight of a pair with no effect in question, and of one with one effect in question.
+const OUTSIDE: [f64; 2] = [0.02, 0.1];
+/// Neighbours drawn until one is short enough.
+const ATTEMPTS: usize = 50;
+
+/// A request for a schedule.
+#[derive(Debug, Clone)]
+pub struct Request {
+    /// The machine.
+    pub machine: Machine,
+    /// A saved diagnosis whose effects are separated first.
+    pub like: Option<SavedModel>,
+    /// Whether a tracker will record the schedule.
+    pub tracker: bool,
+    /// Seed of the search.
+    pub seed: u64,
+    /// Schedules to evaluate, at least 1.
+    pub rounds: usize,
+}
+
+/// A designed schedule.
+#[derive(Debug, Clone)]
+pub struct Design {
+    /// Rows.
+    pub rows: Vec<Row>,
+    /// Names of the effects, in the order of the distances.
+    pub names: Vec<&'static str>,
+    /// Names in question: the effects of the saved diagnosis and those confusable with them, or all.
+    pub focus: Vec<&'static str>,
+    /// Distances on the designed schedule.
+    pub distances: Distances,
+    /// Distances on the standard schedule.
+    pub standard: Distances,
+}
+
+/// Two effects with their distance on the designed and on the standard schedule.
+pub type Pair = (&'static str, &'static str, f64, f64);
+
+impl Design {
+    /// Pairs in question, nearest first.
+    #[must_use]
+    pub fn pairs(&self) -> Vec<Pair> {
+        let focus: Vec<usize> = self.focus.iter().filter_map(|n| self.names.iter().position(|name| name == n)).collect();
+        let pair = |i: usize, j: usize| (self.names[i], self.names[j], self.distances.of[(i, j)], self.standard.of[(i, j)]);
+        let mut out: Vec<Pair> =
+            (0..focus.len()).flat_map(|a| focus[a + 1..].iter().map(move |&j| (a, j))).map(|(a, j)| pair(focus[a], j)).collect();
+        out.sort_by(|a, b| a.2.total_cmp(&b.2));
+        out
+    }
+}
+
+/// Designs a schedule; `progress` receives the number of schedules evaluated.
+pub fn design(request: &Request, progress: &mut dyn FnMut(usize)) -> Design {
+    let mut rng = StdRng::seed_from_u64(request.seed);
+    let (machine, like) = (&request.machine, request.like.as_ref());
+    let rivals: Vec<Rival> = catalogue().into_iter().map(|e| Rival::new(e, like, &mut rng)).collect();
+    let names: Vec<&'static str> = rivals.iter().map(|r| r.effect.name()).collect();
+    let focus = focus(like, &names);
+    let evaluate = |rows: &[Row]| information(machine, rows, &rivals, request.tracker, request.seed);
+    let standard = evaluate(&standard::rows(machine));
+    let sizes = standard.as_ref().map(|i| i.sizes()).unwrap_or_default();
+    let scale: Vec<Vec<f64>> = sizes.iter().map(|s| s.iter().map(|x| (SIZE / x.max(1e-9)).min(ENLARGED_MAX)).collect()).collect();
+    let distances = |rows: &[Row]| evaluate(rows).map(|i| i.distances(&scale));
+    let mut search = LocalSearch {
+        machine,
+        distances: &distances,
+        weight: weights(&names, &focus, request.tracker),
+        enough: ENOUGH[usize::from(focus.len() < names.len())],
+        best: Evaluated { list: first_guess(machine.rig.geometry.rest_length_mm), cost: f64::INFINITY, distances: None },
+    };
+    search.best = search.evaluate(search.best.list.clone());
+    progress(1);
+    for tried in 2..=request.rounds {
+        search.step(&mut rng);
+        progress(tried);
+    }
+    let rows = schedule(machine, &search.best.list);
+    let empty = || Distances { of: DMatrix::zeros(names.len(), names.len()), duration_s: machine.duration_s(&rows) };
+    let distances = search.best.distances.clone().unwrap_or_else(empty);
+    let standard = standard.map_or_else(empty, |i| i.distances(&scale));
+    Design { names: names.clone(), focus, distances, standard, rows }
+}
+
+fn focus(like: Option<&SavedModel>, names: &[&'static str]) -> Vec<&'static str> {
+    let asked = like.map(SavedModel::in_question).unwrap_or_default();
+    names.iter().copied().filter(|n| asked.is_empty() || asked.iter().any(|a| a == n)).collect()
+}
+
+fn weights(names: &[&str], focus: &[&str], tracker: bool) -> DMatrix<f64> {
+    let inside = |i: usize| focus.contains(&names[i]);
+    DMatrix::from_fn(names.len(), names.len(), |i, j| match (inside(i), inside(j)) {
+        _ if !separable(names[i], names[j], tracker) => 0.0,
+        (true, true) => 1.0,
+        (false, false) => OUTSIDE[0],
+        _ => OUTSIDE[1],
+    })
+}
+
+/// A list of manoeuvres with its cost.
+struct Evaluated {
+    list: Vec<Manoeuvre>,
+    cost: f64,
+    distances: Option<Distances>,
+}
+
+/// The search.
+struct LocalSearch<'a> {
+    machine: &'a Machine,
+    distances: &'a dyn Fn(&[Row]) -> Option<Distances>,
+    weight: DMatrix<f64>,
+    enough: f64,
+    best: Evaluated,
+}
+
+impl LocalSearch<'_> {
+    /// Cost `Σ w / (1 + min(D, enough)²)`, dominated by the nearest pairs; infinite for a schedule that is too long or
+    /// cannot be diagnosed.
+    fn evaluate(&self, list: Vec<Manoeuvre>) -> Evaluated {
+        let rows = schedule(self.machine, &list);
+        let distances = if self.is_short(&list) { (self.distances)(&rows) } else { None };
+        let cost = distances.as_ref().map_or(f64::INFINITY, |d| {
+            let mut cost = 0.0;
+            for i in 0..d.of.nrows() {
+                for j in 0..=i {
+                    cost += self.weight[(i, j)] / (1.0 + d.of[(i, j)].min(self.enough).powi(2));
+                }
+            }
+            cost
+        });
+        Evaluated { list, cost, distances }
+    }
+
+    fn is_short(&self, list: &[Manoeuvre]) -> bool {
+        self.machine.duration_s(&schedule(self.machine, list)) <= LONGEST_S
+    }
+
+    /// Evaluates a neighbour that is short enough, and keeps it if it is better.
+    fn step(&mut self, rng: &mut StdRng) {
+        let near = (0..ATTEMPTS).map(|_| neighbour(&self.best.list, self.machine, rng)).find(|l| self.is_short(l));
+        let Some(list) = near else { return };
+        let next = self.evaluate(list);
+        if next.cost < self.best.cost {
+            self.best = next;
+        }
+    }
+}
+
+/// A list with one manoeuvre changed, replaced, added, removed or moved.
+fn neighbour(list: &[Manoeuvre], machine: &Machine, rng: &mut StdRng) -> Vec<Manoeuvre> {
+    let mut out = list.to_vec();
+    let at = rng.random_range(0..out.len());
+    match rng.random_range(0..10) {
+        0..=4 => out[at] = out[at].varied(machine, rng),
+        5 | 6 => out[at] = Manoeuvre::any(machine, rng),
+        7 => out.insert(at, Manoeuvre::any(machine, rng)),
+        8 if out.len() > 4 => {
+            out.remove(at);
+            out[at % (list.len() - 1)] = Manoeuvre::any(machine, rng);
+        }
+        _ => {
+            let m = out.remove(at);
+            out.insert(rng.random_range(0..=out.len()), m);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::rig::Rig;
+    use crate::model::transmission::Line;
+
+    const PAPER: [Line; 3] = [
+        Line { k_epsilon: 2.22, k_lambda_mm: 0.87 },
+        Line { k_epsilon: 2.53, k_lambda_mm: 0.92 },
+        Line { k_epsilon: 2.21, k_lambda_mm: 0.81 },
+    ];
+
+    fn request(rounds: usize) -> Request {
+        Request { machine: Machine::new(Rig::default(), PAPER), like: None, tracker: false, seed: 1, rounds }
+    }
+
+    #[test]
+    fn effects_lie_further_apart_per_second_than_on_the_standard_schedule() {
+        let d = design(&request(6), &mut |_| ());
+        let nearest = |of: &Distances| {
+            let pairs = (0..d.names.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
+            let separable = pairs.filter(|&(i, j)| separable(d.names[i], d.names[j], false));
+            separable.map(|p| of.of[p]).fold(f64::INFINITY, f64::min) / of.duration_s.sqrt()
+        };
+        let (here, there) = (nearest(&d.distances), nearest(&d.standard));
+        println!("nearest pair per root second: {here:.3} designed, {there:.3} standard");
+        assert!(here > there && d.distances.duration_s <= LONGEST_S);
+    }
+
+    #[test]
+    fn equal_requests_give_equal_schedules() {
+        let mut evaluated = Vec::new();
+        let first = design(&request(3), &mut |n| evaluated.push(n));
+        assert_eq!(first.rows, design(&request(3), &mut |_| ()).rows);
+        assert_eq!(evaluated, [1, 2, 3], "the budget is a number of schedules");
+    }
+
+    #[test]
+    fn a_smaller_machine_gets_a_schedule_within_its_limits() {
+        let mut small = request(2);
+        let rig = Rig { travel_mm: 20.0, speed_max_mm_s: 15.0, bellow_mm: [16.0, 26.0], ..Rig::default() };
+        small.machine = Machine::new(rig, PAPER);
+        let d = design(&small, &mut |_| ());
+        assert!(d.rows.iter().all(|r| small.machine.reaches(r)));
+    }
+}

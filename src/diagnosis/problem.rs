@@ -1,0 +1,126 @@
+//! A model to be fitted to a log: priors, limits and the weighted residuals at a point of its parameter space.
+
+use crate::diagnosis::chain::{LAG_MAX_S, Model, Motion, NOMINAL, run};
+use crate::diagnosis::observe::Observed;
+use crate::diagnosis::sense::{Residuals, every_bin, sense};
+
+/// Slope of the priors, residual per unit of scale. One prior σ is one scale for white residuals; neighbouring bins
+/// are correlated, so a prior counts as much as four bins.
+pub const PRIOR_SLOPE: f64 = 2.0;
+
+/// Prior and limits of one parameter.
+#[derive(Debug, Clone, Copy)]
+pub struct Bound {
+    /// Mean of the prior.
+    pub start: f64,
+    /// Unit step of the fit.
+    pub scale: f64,
+    /// Least value.
+    pub low: f64,
+    /// Largest value.
+    pub high: f64,
+}
+
+/// A model, the log it is fitted to, and the bounds of its parameters.
+#[derive(Clone)]
+pub struct Problem<'a> {
+    /// The log.
+    pub log: &'a Observed,
+    /// The model.
+    pub model: Model<'a>,
+    /// One bound per parameter.
+    pub bounds: Vec<Bound>,
+}
+
+/// A point of the parameter space with everything that follows from it.
+#[derive(Debug, Clone)]
+pub struct Point {
+    /// Parameters.
+    pub theta: Vec<f64>,
+    /// Motion of the tip.
+    pub motion: Motion,
+    /// Weighted residuals: bin by bin, the logged quantities, three components each.
+    pub residual: Vec<f64>,
+    /// Sum of squares of the priors.
+    pub prior: f64,
+}
+
+impl Point {
+    /// Sum of squares including the priors.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        self.data() + self.prior
+    }
+
+    /// Sum of squares of the data.
+    #[must_use]
+    pub fn data(&self) -> f64 {
+        self.residual.iter().map(|r| r * r).sum()
+    }
+}
+
+impl<'a> Problem<'a> {
+    /// The problem of fitting a model to a log.
+    #[must_use]
+    pub fn new(log: &'a Observed, model: Model<'a>) -> Self {
+        let prior = log.rig.prior;
+        let mut bounds = vec![Bound { start: (1.0 + prior.k_epsilon).ln(), scale: 0.3, low: 0.0, high: 2.0 }; 3];
+        bounds.extend([Bound { start: prior.k_lambda_mm, scale: 0.4, low: 0.0, high: 3.0 }; 3]);
+        bounds.push(Bound { start: log.rig.prior_lag_s, scale: 0.015, low: 0.002, high: LAG_MAX_S });
+        for e in &model.effects {
+            bounds.extend(e.params().iter().map(|p| Bound { start: p.start, scale: p.scale, low: p.low, high: p.high }));
+        }
+        Self { log, model, bounds }
+    }
+
+    /// Runs the model at `theta`.
+    #[must_use]
+    pub fn at(&self, theta: Vec<f64>) -> Point {
+        let motion = run(self.log, &self.model, &theta);
+        let residual = self.residual(&theta, &motion);
+        let prior = self.prior(&theta);
+        Point { theta, motion, residual, prior }
+    }
+
+    /// Runs the model at `theta` moved into the limits.
+    #[must_use]
+    pub fn at_clamped(&self, theta: &[f64]) -> Point {
+        self.at(theta.iter().zip(&self.bounds).map(|(t, b)| t.clamp(b.low, b.high)).collect())
+    }
+
+    /// Weighted residuals of a motion.
+    #[must_use]
+    pub fn residual(&self, theta: &[f64], motion: &Motion) -> Vec<f64> {
+        weighted(self.log, &sense(self.log, &self.model, theta, motion, every_bin))
+    }
+
+    /// Sum of squares of the priors.
+    #[must_use]
+    pub fn prior(&self, theta: &[f64]) -> f64 {
+        theta.iter().zip(&self.bounds).map(|(t, b)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2)).sum()
+    }
+
+    /// Parameters of this model from those of a smaller one: shared effects keep theirs, a new effect takes `fresh`.
+    #[must_use]
+    pub fn extended(&self, from: &Model<'_>, theta: &[f64], fresh: &[f64]) -> Vec<f64> {
+        let mut out = theta[..NOMINAL].to_vec();
+        for e in &self.model.effects {
+            match from.effects.iter().position(|x| x.name() == e.name()) {
+                Some(i) => out.extend_from_slice(from.of(theta, i)),
+                None => out.extend_from_slice(fresh),
+            }
+        }
+        out
+    }
+}
+
+fn weighted(log: &Observed, residual: &Residuals) -> Vec<f64> {
+    let mut r = Vec::with_capacity(log.bins.len() * log.quantities().count() * 3);
+    for (i, bin) in log.bins.iter().enumerate() {
+        for q in log.quantities() {
+            let v = residual[q][i] * bin.weight[q];
+            r.extend([v.x, v.y, v.z]);
+        }
+    }
+    r
+}
