@@ -1,4 +1,4 @@
-//! The gap commands from outside: what they refuse, what they write, and when they write nothing.
+//! The gap commands as a process: what they refuse, what they write, and when they write nothing.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use serde_json::Value;
@@ -22,7 +22,7 @@ fn retroflex(args: &[&str]) -> (i32, String) {
 
 const HEAD: &str = "time_s,piston1_mm,piston2_mm,piston3_mm,acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s\n";
 
-/// A log at 50 Hz: rest, then pistons to and fro; `row` may spoil a line (time, piston, acc x).
+/// A log at 50 Hz: rest, then oscillating pistons; `row` may modify a line.
 fn log(seconds: f64, rest_s: f64, reach_mm: f64, row: impl Fn(usize, String) -> String) -> String {
     let mut out = HEAD.to_owned();
     for k in 0..(seconds * 50.0) as usize {
@@ -48,23 +48,23 @@ fn good() -> String {
     log(40.0, 3.0, 12.0, |_, l| l)
 }
 
-/// Writes the log, runs `gap diagnose` with every output, expects code 2, one error and no output.
-fn refused(text: &str, words: &[&str]) {
+/// Runs `gap diagnose` with every output on a log, and expects exit code 2, one error and no output.
+fn refused(log: &str, expected: &[&str]) {
     let folder = TempDir::new().unwrap();
     let path = |n: &str| folder.path().join(n).to_str().unwrap().to_owned();
-    std::fs::write(path("bad.csv"), text).unwrap();
-    let (code, said) =
+    std::fs::write(path("bad.csv"), log).unwrap();
+    let (code, message) =
         retroflex(&["gap", "diagnose", &path("bad.csv"), "--json", &path("r.json"), "--html", &path("r.html"), "--save", &path("m.toml")]);
-    assert_eq!(code, 2, "{said}");
-    for w in words.iter().chain(&["bad.csv"]) {
-        assert!(said.contains(w), "`{w}` is not in: {said}");
+    assert_eq!(code, 2, "{message}");
+    for w in expected.iter().chain(&["bad.csv"]) {
+        assert!(message.contains(w), "`{w}` is not in: {message}");
     }
-    assert!(!said.contains("panicked") && said.matches("bad.csv").count() == 1, "one error: {said}");
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is written");
+    assert!(!message.contains("panicked") && message.matches("bad.csv").count() == 1, "one error: {message}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no file is written");
 }
 
 #[test]
-fn what_cannot_be_diagnosed_is_refused_with_what_to_record_instead() {
+fn an_undiagnosable_log_is_refused_with_advice_on_what_to_record() {
     let only = |k: usize, at: usize, with: &str, line: String| if k == at { with.to_owned() } else { line };
     let cases: [(String, &[&str]); 13] = [
         (String::new(), &["no rows"]),
@@ -81,12 +81,12 @@ fn what_cannot_be_diagnosed_is_refused_with_what_to_record_instead() {
         (log(40.0, 3.0, 40.0, |_, l| clipped(&l)), &["clipped", "larger range"]),
         (blind(&good()), &["neither a tip IMU", "reference", "record at least one"]),
     ];
-    for (text, words) in &cases {
-        refused(text, words);
+    for (input, expected) in &cases {
+        refused(input, expected);
     }
 }
 
-/// The x accelerometer at its stop.
+/// The line with a saturated x accelerometer.
 fn clipped(line: &str) -> String {
     let mut fields: Vec<String> = line.trim_end().split(',').map(str::to_owned).collect();
     let acc: f64 = fields[4].parse().unwrap();
@@ -94,29 +94,29 @@ fn clipped(line: &str) -> String {
     fields.join(",") + "\n"
 }
 
-/// The pistons alone.
+/// The log without sensors.
 fn blind(text: &str) -> String {
     text.lines().map(|l| l.split(',').take(4).collect::<Vec<_>>().join(",") + "\n").collect()
 }
 
 #[test]
-fn outputs_that_cannot_be_written_are_refused_before_the_work() {
+fn an_output_that_cannot_be_written_is_refused_before_the_diagnosis() {
     let folder = TempDir::new().unwrap();
     let log = folder.path().join("log.csv");
     std::fs::write(&log, good()).unwrap();
     let log = log.to_str().unwrap();
     let same = folder.path().join("r").to_str().unwrap().to_owned();
-    for (args, words) in [
+    for (args, expected) in [
         (vec!["--html", "/nowhere/r.html"], vec!["/nowhere/r.html", "does not exist"]),
         (vec!["--json", &same, "--html", &same], vec!["two results"]),
         (vec!["--calib", "/nowhere/c.toml"], vec!["/nowhere/c.toml"]),
         (vec!["--map", "docs/maps/silverbox_cubic.toml", "--html", &same], vec!["--map", "--html"]),
     ] {
         let all: Vec<&str> = ["gap", "diagnose", log].into_iter().chain(args).collect();
-        let (code, said) = retroflex(&all);
-        assert_eq!(code, 2, "{said}");
-        for w in words {
-            assert!(said.contains(w), "`{w}` is not in: {said}");
+        let (code, message) = retroflex(&all);
+        assert_eq!(code, 2, "{message}");
+        for w in expected {
+            assert!(message.contains(w), "`{w}` is not in: {message}");
         }
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
@@ -137,29 +137,29 @@ fn a_diagnosis_is_written_whole_and_serves_the_other_commands() {
     let path = |n: &str| folder.path().join(n).to_str().unwrap().to_owned();
     let noted: String = good().lines().enumerate().map(|(k, l)| format!("{l},{}\n", if k == 0 { "note,hum" } else { "x,1" })).collect();
     std::fs::write(path("log.csv"), noted).unwrap();
-    let (code, said) =
+    let (code, message) =
         retroflex(&["gap", "diagnose", &path("log.csv"), "--json", &path("r.json"), "--html", &path("r.html"), "--save", &path("m.toml")]);
-    assert_eq!(code, 0, "{said}");
-    assert_eq!(said.matches("warning").count(), 1, "{said}");
-    assert!(said.contains("note, hum") && said.contains("verdict") && said.contains("next:"), "{said}");
+    assert_eq!(code, 0, "{message}");
+    assert_eq!(message.matches("warning").count(), 1, "{message}");
+    assert!(message.contains("note, hum") && message.contains("verdict") && message.contains("next:"), "{message}");
     let r: Value = serde_json::from_str(&std::fs::read_to_string(path("r.json")).unwrap()).unwrap();
     assert!(!has_null(&r) && r["schema"] == 1 && r["effects"].as_array().unwrap().len() == 26);
     assert!(!r.to_string().contains("\"rad\""), "angles are in degrees");
     let html = std::fs::read_to_string(path("r.html")).unwrap();
     assert!(html.starts_with("<!DOCTYPE html>") && !html.contains("<script") && !html.contains("NaN"));
-    let (code, said) = retroflex(&["gap", "check", &path("m.toml"), &path("log.csv"), "--json", &path("c.json")]);
-    assert_eq!(code, 0, "{said}");
+    let (code, message) = retroflex(&["gap", "check", &path("m.toml"), &path("log.csv"), "--json", &path("c.json")]);
+    assert_eq!(code, 0, "{message}");
     let c: Value = serde_json::from_str(&std::fs::read_to_string(path("c.json")).unwrap()).unwrap();
     assert!(["before_deg", "after_deg", "closed"].iter().all(|k| c[k].is_number()), "{c}");
-    let (code, said) = retroflex(&["gap", "excite", "--like", &path("m.toml"), "--out", &path("s.csv"), "--rounds", "2", "--seed", "7"]);
-    assert_eq!(code, 0, "{said}");
-    assert!(said.contains("seed 7"), "{said}");
-    schedule_is_sound(Path::new(&path("s.csv")));
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 6, "nothing is left beside the results");
+    let (code, message) = retroflex(&["gap", "excite", "--like", &path("m.toml"), "--out", &path("s.csv"), "--rounds", "2", "--seed", "7"]);
+    assert_eq!(code, 0, "{message}");
+    assert!(message.contains("seed 7"), "{message}");
+    check_schedule(Path::new(&path("s.csv")));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 6, "no temporary file remains");
 }
 
-/// Header, rest first, everything within bellow, travel (with the paper's gains), speed and five minutes.
-fn schedule_is_sound(path: &Path) {
+/// Checks the header, the initial rest, and the limits of bellow, travel, speed and duration.
+fn check_schedule(path: &Path) {
     let text = std::fs::read_to_string(path).unwrap();
     let mut lines = text.lines();
     assert_eq!(lines.next(), Some("bend_deg,dir_deg,len_mm,hold_s,speed_mm_s"));
@@ -183,22 +183,22 @@ fn schedule_is_sound(path: &Path) {
 }
 
 #[test]
-fn models_that_are_wrong_are_refused_by_key_and_no_schedule_is_written() {
+fn a_faulty_model_is_refused_by_key_and_no_schedule_is_written() {
     let folder = TempDir::new().unwrap();
     let path = |n: &str| folder.path().join(n).to_str().unwrap().to_owned();
     let gains = "k_epsilon = [2.2, 2.5, 2.2]\nk_lambda_mm = [0.9, 0.9, 0.8]\nlag_s = 0.03\n";
     let model = |effect: &str| format!("schema = 1\nsource = \"x\"\n[nominal]\n{gains}[with_effects]\n{gains}{effect}");
-    for (text, words) in [
+    for (input, expected) in [
         (model("[[effect]]\nname = \"ghost\"\nparams = {}\n"), vec!["ghost", "catalogue"]),
         (model("[[effect]]\nname = \"creep\"\nparams = { depth = 1.0 }\n"), vec!["creep", "depth", "tau"]),
         (model("colour = 1\n"), vec!["line", "colour"]),
         (model("").replace("2.5", "25.0"), vec!["k_epsilon.1", "25"]),
     ] {
         std::fs::write(path("m.toml"), text).unwrap();
-        let (code, said) = retroflex(&["gap", "excite", "--like", &path("m.toml"), "--out", &path("s.csv")]);
-        assert_eq!(code, 2, "{said}");
-        for w in words {
-            assert!(said.contains(w), "`{w}` is not in: {said}");
+        let (code, message) = retroflex(&["gap", "excite", "--like", &path("m.toml"), "--out", &path("s.csv")]);
+        assert_eq!(code, 2, "{message}");
+        for w in expected {
+            assert!(message.contains(w), "`{w}` is not in: {message}");
         }
     }
     assert!(!Path::new(&path("s.csv")).exists());
@@ -207,7 +207,7 @@ fn models_that_are_wrong_are_refused_by_key_and_no_schedule_is_written() {
 }
 
 #[test]
-fn maps_of_other_rigs_answer_or_refuse() {
+fn a_mapped_log_is_diagnosed_and_a_faulty_map_refused() {
     let folder = TempDir::new().unwrap();
     let path = |n: &str| folder.path().join(n).to_str().unwrap().to_owned();
     let mut text = "t,u,y\n".to_owned();
@@ -221,12 +221,12 @@ fn maps_of_other_rigs_answer_or_refuse() {
     std::fs::write(path("log.csv"), text).unwrap();
     std::fs::write(path("m.toml"), "input = \"u\"\noutput = \"y\"\ntime = \"t\"\noutput_unit = \"N\"\n").unwrap();
     let run = |map: &str| retroflex(&["gap", "diagnose", &path("log.csv"), "--map", map, "--json", &path("r.json")]);
-    let (code, said) = run(&path("m.toml"));
-    assert_eq!(code, 0, "{said}");
+    let (code, message) = run(&path("m.toml"));
+    assert_eq!(code, 0, "{message}");
     let r: Value = serde_json::from_str(&std::fs::read_to_string(path("r.json")).unwrap()).unwrap();
-    assert_eq!((r["verdict"]["names"][0].as_str(), r["unit"].as_str(), has_null(&r)), (Some("play"), Some("N"), false), "{said}");
+    assert_eq!((r["verdict"]["names"][0].as_str(), r["unit"].as_str(), has_null(&r)), (Some("play"), Some("N"), false), "{message}");
     std::fs::remove_file(path("r.json")).unwrap();
-    for (map, words) in [
+    for (map, expected) in [
         ("input = \"x\"\noutput = \"y\"\n", vec!["log.csv", "line 1", "column x", "missing"]),
         ("input = \"u\"\noutput = \"y\"\nspeed = 3\n", vec!["bad.toml", "line 3", "speed"]),
         ("input = \"u\"\noutput = \"y\"\ntime = \"t\"\nrate_hz = 50.0\n", vec!["rate_hz", "one clock"]),
@@ -234,10 +234,10 @@ fn maps_of_other_rigs_answer_or_refuse() {
         ("output = \"y\"\n", vec!["no input", "still"]),
     ] {
         std::fs::write(path("bad.toml"), map).unwrap();
-        let (code, said) = run(&path("bad.toml"));
-        assert_eq!(code, 2, "{said}");
-        for w in words {
-            assert!(said.contains(w), "`{w}` is not in: {said}");
+        let (code, message) = run(&path("bad.toml"));
+        assert_eq!(code, 2, "{message}");
+        for w in expected {
+            assert!(message.contains(w), "`{w}` is not in: {message}");
         }
         assert!(!Path::new(&path("r.json")).exists());
     }
@@ -247,7 +247,7 @@ fn maps_of_other_rigs_answer_or_refuse() {
 fn real_recordings_are_diagnosed_through_their_maps() {
     let real = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/real");
     if !real.is_dir() {
-        println!("skipped: {} is not there", real.display());
+        println!("skipped: {} does not exist", real.display());
         return;
     }
     for (log, expected, same) in [
@@ -258,17 +258,17 @@ fn real_recordings_are_diagnosed_through_their_maps() {
         let folder = TempDir::new().unwrap();
         let json = folder.path().join("r.json");
         let map = format!("docs/maps/{}.toml", log.split('/').next().unwrap());
-        let (code, said) =
+        let (code, message) =
             retroflex(&["gap", "diagnose", real.join(log).to_str().unwrap(), "--map", &map, "--json", json.to_str().unwrap()]);
-        assert_eq!(code, 0, "{said}");
+        assert_eq!(code, 0, "{message}");
         let r: Value = serde_json::from_str(&std::fs::read_to_string(&json).unwrap()).unwrap();
         let held = |v: &Value| {
             v.as_array().unwrap().iter().flat_map(|g| g.as_array().cloned().unwrap_or_else(|| vec![g.clone()])).collect::<Vec<_>>()
         };
         let named: Vec<Value> = held(&r["verdict"]["names"]).into_iter().chain(held(&r["verdict"]["equivalent"])).collect();
-        assert!(named.contains(&Value::from(expected)), "{log}: {said}");
+        assert!(named.contains(&Value::from(expected)), "{log}: {message}");
         if let Some(same) = same {
-            assert!(named.contains(&Value::from(same)) && said.contains("one speed"), "{log}: {said}");
+            assert!(named.contains(&Value::from(same)) && message.contains("one speed"), "{log}: {message}");
         }
     }
 }

@@ -1,9 +1,13 @@
-//! The page of a diagnosis: whole, self-contained, and the same as last time.
+//! The page of a diagnosis: complete, self-contained, and equal to the stored snapshot.
 //!
-//! A change that is meant is taken over by `INSTA_UPDATE=always cargo test --test gap_report`.
+//! `INSTA_UPDATE=always cargo test --test gap_report` accepts an intended change.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use retroflex::diagnosis::diagnose::{Diagnosis, EffectEntry, Gap, KindShare, ParamValue, StageShare, UnknownEntry, VerdictEntry, Where};
+use retroflex::diagnosis::credit::StageShare;
+use retroflex::diagnosis::decide::VerdictKind;
+use retroflex::diagnosis::document::{
+    Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, UnknownEntry, VerdictEntry,
+};
 use retroflex::report::gap::evidence::{Evidence, Spot, Trace};
 use retroflex::report::gap::{page, words};
 
@@ -20,16 +24,16 @@ fn effect(name: &'static str, stage: &'static str, probability: f64, closed: f64
     }
 }
 
-fn diagnosis(kind: &'static str, names: &[&'static str], equivalent: &[&[&'static str]]) -> Diagnosis {
+fn diagnosis(kind: VerdictKind, names: &[&'static str], equivalent: &[&[&'static str]]) -> Diagnosis {
     Diagnosis {
         schema: 1,
         gap: Gap { as_configured_deg: 6.1, recalibrated_deg: 3.0, explained_deg: 0.4, noise_floor_deg: 0.15 },
-        location: Where {
+        location: Location {
             stages: vec![StageShare { name: "timing", share: 0.9 }, StageShare { name: "bellows", share: 0.1 }],
             merged: vec![],
             regions: vec![],
             when: vec![],
-            kinds: vec![KindShare { name: "gyroscope", rmse_deg: 4.0, explained_deg: 0.5 }],
+            kinds: vec![QuantityShare { name: "gyroscope", rmse_deg: 4.0, explained_deg: 0.5 }],
         },
         effects: vec![
             effect("sensor_latency", "timing", 0.5, 0.9),
@@ -37,7 +41,7 @@ fn diagnosis(kind: &'static str, names: &[&'static str], equivalent: &[&[&'stati
             effect("creep", "bellows", 0.02, 0.1),
         ],
         verdict: VerdictEntry { kind, names: names.to_vec(), equivalent: equivalent.iter().map(|g| g.to_vec()).collect() },
-        unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37, foretold_deg_s: 0.0 },
+        unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37, predictable_deg_s: 0.0 },
         rivals: vec![],
     }
 }
@@ -64,14 +68,14 @@ fn evidence() -> Evidence {
 }
 
 #[test]
-fn the_page_is_as_it_was() {
-    let d = diagnosis("effects", &["sensor_latency"], &[&["transport_delay", "sensor_latency"]]);
+fn the_page_equals_its_snapshot() {
+    let d = diagnosis(VerdictKind::Effects, &["sensor_latency"], &[&["transport_delay", "sensor_latency"]]);
     insta::assert_snapshot!(page("small.csv", &d, &evidence()));
 }
 
 #[test]
-fn the_page_is_one_file_without_scripts_and_says_everything() {
-    let d = diagnosis("effects", &["sensor_latency"], &[&["transport_delay", "sensor_latency"]]);
+fn the_page_is_complete_and_one_file_without_scripts() {
+    let d = diagnosis(VerdictKind::Effects, &["sensor_latency"], &[&["transport_delay", "sensor_latency"]]);
     let html = page("a<b>.csv", &d, &evidence());
     for word in ["a&lt;b&gt;.csv", "transport delay", "gap excite", "Residual over time", "3.00°", "90 %", "Recalibrated model"] {
         assert!(html.contains(word), "{word}");
@@ -84,18 +88,18 @@ fn the_page_is_one_file_without_scripts_and_says_everything() {
 }
 
 #[test]
-fn every_verdict_has_its_words() {
+fn every_verdict_is_put_in_words() {
     let cases = [
-        (diagnosis("none", &[], &[]), "nominal model suffices", "Nothing needs to be added"),
-        (diagnosis("effects", &["creep"], &[]), "Creep explains the gap", "gap check"),
-        (diagnosis("effects", &["creep", "sensor_latency"], &[]), "Creep and sensor latency together explain the gap", "gap check"),
+        (diagnosis(VerdictKind::None, &[], &[]), "nominal model suffices", "The model needs no addition"),
+        (diagnosis(VerdictKind::Effects, &["creep"], &[]), "Creep explains the gap", "gap check"),
+        (diagnosis(VerdictKind::Effects, &["creep", "sensor_latency"], &[]), "Creep and sensor latency together explain the gap", "gap check"),
         (
-            diagnosis("effects", &["sensor_latency"], &[&["transport_delay", "sensor_latency"]]),
+            diagnosis(VerdictKind::Effects, &["sensor_latency"], &[&["transport_delay", "sensor_latency"]]),
             "Either transport delay or sensor latency explains",
             "outside reference",
         ),
-        (diagnosis("unknown", &[], &[]), "that the catalogue does not hold", "gap excite"),
-        (diagnosis("unknown", &["creep"], &[]), "Creep explains a part", "gap excite"),
+        (diagnosis(VerdictKind::Unknown, &[], &[]), "not in the catalogue", "gap excite"),
+        (diagnosis(VerdictKind::Unknown, &["creep"], &[]), "Creep explains a part", "gap excite"),
     ];
     for (d, headline, next) in cases {
         assert!(words::headline(&d).contains(headline), "{}", words::headline(&d));

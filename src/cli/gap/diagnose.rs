@@ -128,7 +128,7 @@ fn summary(d: &Diagnosis) -> String {
         let values: Vec<String> = e.params.iter().map(words::value).collect();
         out.push(format!("{}: {}", words::plain(e.name), values.join("; ")));
     }
-    out.extend(words::doubts(d));
+    out.extend(words::limits(d));
     out.push(table.to_string());
     out.extend(words::next(d).iter().map(|n| format!("next: {n}")));
     out.join("\n")

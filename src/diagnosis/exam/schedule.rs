@@ -4,10 +4,9 @@
 //! with a return to rest between them, and quick moves. The pistons follow Eq. 16 with the calibration on straight lines
 //! at the speed of the fastest piston, with rounded corners.
 
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
+use crate::diagnosis::excite::rows::Row;
+use crate::model::arc::Geometry;
 use crate::model::transmission::Line;
-use crate::primitives::units::Mm;
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand::rngs::StdRng;
@@ -16,31 +15,16 @@ use rand::seq::SliceRandom;
 /// Time between rows, s.
 pub const DT_S: f64 = 0.01;
 
-/// One pose to go to.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Leg {
-    /// Bend, degrees.
-    pub bend_deg: f64,
-    /// Direction, degrees.
-    pub dir_deg: f64,
-    /// Centre length, mm.
-    pub len_mm: f64,
-    /// Hold, s.
-    pub hold_s: f64,
-    /// Speed of the fastest piston on the way, mm/s.
-    pub speed_mm_s: f64,
-}
-
 /// A random schedule of about 250 s.
-pub fn draw(rng: &mut StdRng) -> Vec<Leg> {
-    let leg = |bend_deg, dir_deg, len_mm, hold_s, speed_mm_s| Leg { bend_deg, dir_deg, len_mm, hold_s, speed_mm_s };
-    let rest = |hold_s| leg(0.0, 0.0, 20.0, hold_s, 20.0);
+pub fn draw(rng: &mut StdRng) -> Vec<Row> {
+    let row = |bend_deg, dir_deg, len_mm, hold_s, speed_mm_s| Row { bend_deg, dir_deg, len_mm, hold_s, speed_mm_s };
+    let rest = |hold_s| row(0.0, 0.0, 20.0, hold_s, 20.0);
     let mut out = vec![rest(4.0)];
     let top = rng.random_range(68.0..78.0);
     let turn = rng.random_range(0.0..60.0);
     for bend in [20.0, 40.0, 60.0] {
         for d in [0.0, 120.0, 240.0, 60.0, 180.0, 300.0] {
-            out.push(leg(bend, d + turn, 20.0, rng.random_range(0.3..0.8), 20.0));
+            out.push(row(bend, d + turn, 20.0, rng.random_range(0.3..0.8), 20.0));
         }
     }
     out.push(rest(1.0));
@@ -49,32 +33,32 @@ pub fn draw(rng: &mut StdRng) -> Vec<Leg> {
     for (n, d) in directions.iter().take(8).enumerate() {
         let len = 20.0 + [0.0, 1.5, 3.0][n % 3];
         let steps = [0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2];
-        out.extend(steps.map(|s| leg(top * s, *d, len, 0.5, rng.random_range(14.0..26.0))));
+        out.extend(steps.map(|s| row(top * s, *d, len, 0.5, rng.random_range(14.0..26.0))));
     }
     for (bend, speed, back) in [(45.0, 8.0, false), (60.0, 24.0, true)] {
         let way = |k: i32| f64::from(if back { -k } else { k }) * 15.0 + turn;
-        out.extend((0..=24).map(|k| leg(bend, way(k), 20.0, if k == 0 { 0.6 } else { 0.0 }, speed)));
+        out.extend((0..=24).map(|k| row(bend, way(k), 20.0, if k == 0 { 0.6 } else { 0.0 }, speed)));
     }
     for _ in 0..3 {
         let d = directions[rng.random_range(0..12)];
-        out.push(leg(rng.random_range(0.6..1.0) * top, d, 20.0 + rng.random_range(0.0..3.0), rng.random_range(7.0..14.0), 20.0));
+        out.push(row(rng.random_range(0.6..1.0) * top, d, 20.0 + rng.random_range(0.0..3.0), rng.random_range(7.0..14.0), 20.0));
         out.push(rest(rng.random_range(2.0..6.0)));
     }
     for _ in 0..10 {
         let d = directions[rng.random_range(0..12)];
-        out.push(leg(rng.random_range(10.0..top), d, 20.0, rng.random_range(0.2..1.0), rng.random_range(10.0..30.0)));
+        out.push(row(rng.random_range(10.0..top), d, 20.0, rng.random_range(0.2..1.0), rng.random_range(10.0..30.0)));
     }
     out.push(rest(4.0));
     out
 }
 
 /// Counted pistons row by row, mm, and the commanded bend, direction and length.
-pub fn drive(legs: &[Leg], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
+pub fn drive(rows: &[Row], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
     let geometry = Geometry::default();
     let (mut at, mut play_output, mut side) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut path, mut command) = (Vec::new(), Vec::new());
-    for l in legs {
-        let q = geometry.lengths(&Shape { bend: Bend::from_deg(l.bend_deg, l.dir_deg), length: Mm(l.len_mm) });
+    for row in rows {
+        let q = row.lengths(&geometry);
         let want = Vector3::from_fn(|i, _| lines[i].play_output_mm(q[i]));
         for i in 0..3 {
             let ahead: f64 = want[i] - play_output[i];
@@ -84,11 +68,11 @@ pub fn drive(legs: &[Leg], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f
         }
         play_output = want;
         let to = Vector3::from_fn(|i, _| want[i] + lines[i].k_lambda_mm * side[i]);
-        let moving = ((to - at).amax() / l.speed_mm_s / DT_S).ceil().max(1.0) as usize;
-        let still = (l.hold_s / DT_S) as usize;
+        let moving = ((to - at).amax() / row.speed_mm_s / DT_S).ceil().max(1.0) as usize;
+        let still = (row.hold_s / DT_S) as usize;
         path.extend((1..=moving).map(|k| at + (to - at) * (k as f64 / moving as f64)));
         path.extend((0..still).map(|_| to));
-        command.extend((0..moving + still).map(|_| Vector3::new(l.bend_deg, l.dir_deg, l.len_mm)));
+        command.extend((0..moving + still).map(|_| Vector3::new(row.bend_deg, row.dir_deg, row.len_mm)));
         at = to;
     }
     (rounded(&path, rounding), command)

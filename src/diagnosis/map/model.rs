@@ -1,7 +1,7 @@
 //! The nominal model of a mapped rig with a set of operators.
 
 use crate::diagnosis::map::file::{MapFile, Nominal};
-use crate::diagnosis::map::operators::{Drive, Operator, oscillator};
+use crate::diagnosis::map::operators::{Drive, Operator, none, oscillator};
 use crate::diagnosis::map::regress::{Regressed, Task};
 use crate::diagnosis::map::table::Signals;
 
@@ -41,24 +41,10 @@ pub struct MapBase {
 /// Operators for an oscillator: the response to a nonlinear spring force, to first and second order of a perturbation
 /// (Nayfeh 1973).
 pub const RESONANT: [Operator; 2] = [
-    Operator {
-        name: "cubic",
-        eta: "",
-        law: "spring with a third power (Duffing)",
-        separated_by: "several amplitudes",
-        grid: |_| vec![0.0],
-        columns: |d, _| spring(d, 3),
-        sign: 0,
-    },
-    Operator {
-        name: "asymmetry",
-        eta: "",
-        law: "spring with a square: stiffer to one side",
-        separated_by: "amplitudes to both sides",
-        grid: |_| vec![0.0],
-        columns: |d, _| spring(d, 2),
-        sign: 0,
-    },
+    // Spring with a third power (Duffing). Separated by several amplitudes.
+    Operator::new("cubic", "", none, |d, _| spring(d, 3)),
+    // Spring with a square: stiffer to one side. Separated by amplitudes to both sides.
+    Operator::new("asymmetry", "", none, |d, _| spring(d, 2)),
 ];
 
 fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {

@@ -26,10 +26,6 @@ pub struct Operator {
     pub name: &'static str,
     /// Meaning of η; empty without η.
     pub eta: &'static str,
-    /// Law and source.
-    pub law: &'static str,
-    /// Manoeuvre that separates it from other operators.
-    pub separated_by: &'static str,
     /// Grid of η.
     pub grid: fn(&Drive) -> Vec<f64>,
     /// Columns at one η.
@@ -38,172 +34,66 @@ pub struct Operator {
     pub sign: i8,
 }
 
+impl Operator {
+    /// An operator whose first coefficient may have either sign.
+    #[must_use]
+    pub const fn new(name: &'static str, eta: &'static str, grid: fn(&Drive) -> Vec<f64>, columns: fn(&Drive, f64) -> Vec<Vec<f64>>) -> Self {
+        Self { name, eta, grid, columns, sign: 0 }
+    }
+
+    /// The operator with a required sign of its first coefficient.
+    const fn signed(self, sign: i8) -> Self {
+        Self { sign, ..self }
+    }
+}
+
 /// Operators for a rig with an input.
 pub const DRIVEN: [Operator; 15] = [
-    Operator {
-        name: "play",
-        eta: "half-width / range",
-        law: "play operator of one half-width",
-        separated_by: "nested loops of several sizes",
-        grid: widths,
-        columns: |d, r| vec![play(&d.v, 2.0 * r)],
-        sign: 1,
-    },
-    Operator {
-        name: "hysteresis",
-        eta: "",
-        law: "Prandtl-Ishlinskii: eight weighted plays (Kuhnen 2003)",
-        separated_by: "nested loops of several sizes",
-        grid: none,
-        columns: |d, _| (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect(),
-        sign: 0,
-    },
-    Operator {
-        name: "bouc_wen",
-        eta: "yield / range",
-        law: "Bouc-Wen with n = 1 and β = γ (Wen 1976)",
-        separated_by: "nested loops of several sizes",
-        grid: widths,
-        columns: |d, r| vec![bouc_wen(&d.v, 2.0 * r)],
-        sign: 0,
-    },
-    Operator {
-        name: "coulomb",
-        eta: "",
-        law: "sign of the speed",
-        separated_by: "several speeds, and loops of several sizes",
-        grid: none,
-        columns: |d, _| vec![sign_of(&d.m, &d.t)],
-        sign: 0,
-    },
-    Operator {
-        name: "load_friction",
-        eta: "",
-        law: "sign of the speed times the load",
-        separated_by: "two loads",
-        grid: none,
-        columns: |d, _| vec![times(&sign_of(&d.m, &d.t), &d.v, 1.0)],
-        sign: 0,
-    },
-    Operator {
-        name: "viscous",
-        eta: "",
-        law: "speed",
-        separated_by: "several speeds",
-        grid: none,
-        columns: |d, _| vec![speed(&d.m, &d.t)],
-        sign: 0,
-    },
-    Operator {
-        name: "cubic",
-        eta: "",
-        law: "third power: symmetric stiffening or softening",
-        separated_by: "several amplitudes",
-        grid: none,
-        columns: |d, _| vec![d.v.iter().map(|v| v * v * v).collect()],
-        sign: 0,
-    },
-    Operator {
-        name: "asymmetry",
-        eta: "corner / range",
-        law: "another slope on one side of a corner",
-        separated_by: "amplitudes to both sides",
-        grid: |_| (1..10).map(|k| f64::from(k) * 0.1).collect(),
-        columns: |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()],
-        sign: 0,
-    },
-    Operator {
-        name: "lag",
-        eta: "time constant",
-        law: "first order",
-        separated_by: "a step and a chirp",
-        grid: |d| times_from(d, 1.0, 0.02),
-        columns: |d, tau| vec![follow(&d.v, &d.t, tau)],
-        sign: 1,
-    },
-    Operator {
-        name: "delay",
-        eta: "dead time",
-        law: "delayed input",
-        separated_by: "a chirp: phase that grows with frequency",
-        grid: |d| times_from(d, 1.0, 0.02),
-        columns: |d, tau| vec![late(&d.v, &d.t, tau)],
-        sign: 1,
-    },
-    Operator {
-        name: "creep",
-        eta: "time constant",
-        law: "two Kelvin-Voigt elements, a factor 12 apart",
-        separated_by: "hold, return, hold",
-        grid: |d| times_from(d, 20.0, 0.2),
-        columns: |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, 12.0 * tau)],
-        sign: 1,
-    },
-    Operator {
-        name: "leak",
-        eta: "time constant",
-        law: "exponential return after an input",
-        separated_by: "a long hold, then a return to zero",
-        grid: |d| times_from(d, 20.0, 0.5),
-        columns: |d, tau| vec![follow(&d.v, &d.t, tau)],
-        sign: -1,
-    },
-    Operator {
-        name: "periodic_position",
-        eta: "period",
-        law: "sine of position, with a second harmonic",
-        separated_by: "two speeds",
-        grid: |d| periods(d.m_range),
-        columns: |d, p| waves(d.m.iter().map(|m| m * d.m_range / p)),
-        sign: 0,
-    },
-    Operator {
-        name: "periodic_time",
-        eta: "period",
-        law: "sine of time, with a second harmonic",
-        separated_by: "two speeds",
-        grid: |d| periods(d.t[d.t.len() - 1] - d.t[0]),
-        columns: |d, p| waves(d.t.iter().map(|t| t / p)),
-        sign: 0,
-    },
+    // Play operator of one half-width. Separated by nested loops of several sizes.
+    Operator::new("play", "half-width / range", widths, |d, r| vec![play(&d.v, 2.0 * r)]).signed(1),
+    // Prandtl-Ishlinskii: eight weighted plays (Kuhnen 2003). Separated by nested loops of several sizes.
+    Operator::new("hysteresis", "", none, |d, _| (1..=8).map(|k| play(&d.v, 0.12 * f64::from(k))).collect()),
+    // Bouc-Wen with n = 1 and β = γ (Wen 1976). Separated by nested loops of several sizes.
+    Operator::new("bouc_wen", "yield / range", widths, |d, r| vec![bouc_wen(&d.v, 2.0 * r)]),
+    // Sign of the speed. Separated by several speeds, and loops of several sizes.
+    Operator::new("coulomb", "", none, |d, _| vec![sign_of(&d.m, &d.t)]),
+    // Sign of the speed times the load. Separated by two loads.
+    Operator::new("load_friction", "", none, |d, _| vec![times(&sign_of(&d.m, &d.t), &d.v, 1.0)]),
+    // Speed. Separated by several speeds.
+    Operator::new("viscous", "", none, |d, _| vec![speed(&d.m, &d.t)]),
+    // Third power: symmetric stiffening or softening. Separated by several amplitudes.
+    Operator::new("cubic", "", none, |d, _| vec![d.v.iter().map(|v| v * v * v).collect()]),
+    // Another slope on one side of a corner. Separated by amplitudes to both sides.
+    Operator::new("asymmetry", "corner / range", |_| (1..10).map(|k| f64::from(k) * 0.1).collect(), |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()]),
+    // First order. Separated by a step and a chirp.
+    Operator::new("lag", "time constant", |d| times_from(d, 1.0, 0.02), |d, tau| vec![follow(&d.v, &d.t, tau)]).signed(1),
+    // Delayed input. Separated by a chirp: phase that grows with frequency.
+    Operator::new("delay", "dead time", |d| times_from(d, 1.0, 0.02), |d, tau| vec![late(&d.v, &d.t, tau)]).signed(1),
+    // Two Kelvin-Voigt elements, a factor 12 apart. Separated by hold, return, hold.
+    Operator::new("creep", "time constant", |d| times_from(d, 20.0, 0.2), |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, 12.0 * tau)]).signed(1),
+    // Exponential return after an input. Separated by a long hold, then a return to zero.
+    Operator::new("leak", "time constant", |d| times_from(d, 20.0, 0.5), |d, tau| vec![follow(&d.v, &d.t, tau)]).signed(-1),
+    // Sine of position, with a second harmonic. Separated by two speeds.
+    Operator::new("periodic_position", "period", |d| periods(d.m_range), |d, p| waves(d.m.iter().map(|m| m * d.m_range / p))),
+    // Sine of time, with a second harmonic. Separated by two speeds.
+    Operator::new("periodic_time", "period", |d| periods(d.t[d.t.len() - 1] - d.t[0]), |d, p| waves(d.t.iter().map(|t| t / p))),
     DRIFT,
 ];
 
-/// A dependence on time alone.
-const DRIFT: Operator = Operator {
-    name: "drift",
-    eta: "",
-    law: "straight line in time",
-    separated_by: "the same motion repeated later",
-    grid: none,
-    columns: |d, _| vec![since(&d.t)],
-    sign: 0,
-};
+/// A dependence on time alone: a straight line. Separated by the same motion repeated later.
+const DRIFT: Operator = Operator::new("drift", "", none, |d, _| vec![since(&d.t)]);
 
 /// Operators for a rig without an input.
 pub const STILL: [Operator; 3] = [
-    Operator {
-        name: "leak",
-        eta: "time constant",
-        law: "exponential decay",
-        separated_by: "two pressures, and a temperature record",
-        grid: |d| times_from(d, 3.0, 30.0),
-        columns: |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()],
-        sign: 0,
-    },
-    Operator {
-        name: "creep",
-        eta: "onset",
-        law: "logarithm of time",
-        separated_by: "a repetition after a long rest",
-        grid: |d| times_from(d, 1.0, 0.2),
-        columns: |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()],
-        sign: 0,
-    },
+    // Exponential decay. Separated by two pressures, and a temperature record.
+    Operator::new("leak", "time constant", |d| times_from(d, 3.0, 30.0), |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()]),
+    // Logarithm of time. Separated by a repetition after a long rest.
+    Operator::new("creep", "onset", |d| times_from(d, 1.0, 0.2), |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()]),
     DRIFT,
 ];
 
-fn none(_: &Drive) -> Vec<f64> {
+/// The grid of an operator without η.
+pub fn none(_: &Drive) -> Vec<f64> {
     vec![0.0]
 }
 fn widths(_: &Drive) -> Vec<f64> {

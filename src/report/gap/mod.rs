@@ -1,5 +1,5 @@
-//! A diagnosis as one page: the verdict in words, where and when the gap lies, what the models make
-//! of the signals, the ranking, what cannot be told apart, and the next experiment.
+//! A diagnosis as one page: verdict in words, location of the gap in bend and time, measured and predicted signals,
+//! ranking of the effects, limits of the verdict, and next steps.
 
 pub mod evidence;
 pub mod words;
@@ -13,11 +13,11 @@ use crate::report::page::Page;
 use crate::report::polar::Polar;
 use crate::report::svg::Ink;
 
-/// Effects in the ranking's drawings.
+/// Effects in the ranking.
 const RANKED: usize = 10;
 /// Stretches of the residual over time.
 const STRETCHES: usize = 80;
-/// Length of a trace that is shown, s.
+/// Length of a shown trace, s.
 const TRACE_S: f64 = 25.0;
 
 /// The page; `source` names the log.
@@ -26,18 +26,18 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence) -> String {
     let mut page = Page::new(&format!("Gap diagnosis: {source}"));
     page.text(&words::headline(d));
     page.text(&words::place(d));
-    for doubt in words::doubts(d) {
-        page.text(&doubt);
+    for limit in words::limits(d) {
+        page.text(&limit);
     }
     page.table(&["gap, RMS over all sensors", "degrees"], &figures(d));
-    page.quiet("Every figure but the first is scored on parts of the log that the fit has not seen. Recalibration means the gains of the nominal model identified again on this log; what it closes is not credited to an effect.");
+    page.quiet("All numbers except the first are scored on parts of the log that the fit has not seen. Recalibration identifies the gains of the nominal model again on this log; what it closes is not credited to an effect.");
     page.heading("Next");
     for step in words::next(d) {
         page.text(&step);
     }
     page.heading("Where");
     page.charts(&places(evidence));
-    page.heading("What the models make of the signals");
+    page.heading("Measured and predicted signals");
     page.charts(&traces(evidence));
     page.heading("Which");
     page.charts(&ranking(d));
@@ -91,18 +91,18 @@ fn places(e: &Evidence) -> Vec<(String, String)> {
 fn merged(d: &Diagnosis) -> String {
     let groups: Vec<String> = d.location.merged.iter().map(|m| m.join(" and ")).collect();
     if groups.is_empty() {
-        "By the probabilities of the effects that live there.".to_owned()
+        "By the probabilities of the effects of the stage.".to_owned()
     } else {
-        format!("Not separable on this log: {}.", groups.join("; "))
+        format!("This log cannot separate: {}.", groups.join("; "))
     }
 }
 
-/// The signals in which most of the gap closes, each where it was largest.
+/// The signals with the largest closed gap, each in the window in which the gap is largest.
 fn traces(e: &Evidence) -> Vec<(String, String)> {
     e.traces
         .iter()
         .take(4)
-        .filter_map(|t| trace(t).map(|c| (c.svg(), format!("The {TRACE_S:.0} s in which the recalibrated model missed most."))))
+        .filter_map(|t| trace(t).map(|c| (c.svg(), format!("The {TRACE_S:.0} s with the largest error of the recalibrated model."))))
         .collect()
 }
 
@@ -151,8 +151,8 @@ fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
     let closed = bars::svg("Part of the gap closed / %", Ink::BLUE, &bars(|e| (e.closed, Some(e.closed_ci95))));
     vec![
         (bars::svg("Share of the gap by stage / %", Ink::PURPLE, &stages), merged(d)),
-        (chance, "That the effect is at work; the verdict in full colour.".to_owned()),
-        (closed, "By the effect alone or, within a set, by adding it last; whiskers 95 %.".to_owned()),
+        (chance, "Probability that the effect is present; the verdict in full colour.".to_owned()),
+        (closed, "Closed by the effect alone or, within a set, when added last; whiskers 95 %.".to_owned()),
     ]
 }
 
