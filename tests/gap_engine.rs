@@ -1,8 +1,8 @@
 //! The diagnosis on logs of the built-in plant, whose laws differ in form from the catalogue's.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use retroflex::diagnosis::diagnose::diagnose;
 use retroflex::diagnosis::decide::VerdictKind;
+use retroflex::diagnosis::diagnose::diagnose;
 use retroflex::diagnosis::exam::question::{Content, Question, questions};
 use retroflex::diagnosis::exam::run::run;
 use retroflex::diagnosis::exam::score::score;

@@ -5,9 +5,7 @@
 
 use retroflex::diagnosis::credit::StageShare;
 use retroflex::diagnosis::decide::VerdictKind;
-use retroflex::diagnosis::document::{
-    Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, UnknownEntry, VerdictEntry,
-};
+use retroflex::diagnosis::document::{Diagnosis, EffectEntry, Gap, Location, ParamValue, QuantityShare, UnknownEntry, VerdictEntry};
 use retroflex::report::gap::evidence::{Evidence, Spot, Trace};
 use retroflex::report::gap::{page, words};
 
@@ -92,7 +90,11 @@ fn every_verdict_is_put_in_words() {
     let cases = [
         (diagnosis(VerdictKind::None, &[], &[]), "nominal model suffices", "The model needs no addition"),
         (diagnosis(VerdictKind::Effects, &["creep"], &[]), "Creep explains the gap", "gap check"),
-        (diagnosis(VerdictKind::Effects, &["creep", "sensor_latency"], &[]), "Creep and sensor latency together explain the gap", "gap check"),
+        (
+            diagnosis(VerdictKind::Effects, &["creep", "sensor_latency"], &[]),
+            "Creep and sensor latency together explain the gap",
+            "gap check",
+        ),
         (
             diagnosis(VerdictKind::Effects, &["sensor_latency"], &[&["transport_delay", "sensor_latency"]]),
             "Either transport delay or sensor latency explains",

@@ -37,7 +37,12 @@ pub struct Operator {
 impl Operator {
     /// An operator whose first coefficient may have either sign.
     #[must_use]
-    pub const fn new(name: &'static str, eta: &'static str, grid: fn(&Drive) -> Vec<f64>, columns: fn(&Drive, f64) -> Vec<Vec<f64>>) -> Self {
+    pub const fn new(
+        name: &'static str,
+        eta: &'static str,
+        grid: fn(&Drive) -> Vec<f64>,
+        columns: fn(&Drive, f64) -> Vec<Vec<f64>>,
+    ) -> Self {
         Self { name, eta, grid, columns, sign: 0 }
     }
 
@@ -64,13 +69,24 @@ pub const DRIVEN: [Operator; 15] = [
     // Third power: symmetric stiffening or softening. Separated by several amplitudes.
     Operator::new("cubic", "", none, |d, _| vec![d.v.iter().map(|v| v * v * v).collect()]),
     // Another slope on one side of a corner. Separated by amplitudes to both sides.
-    Operator::new("asymmetry", "corner / range", |_| (1..10).map(|k| f64::from(k) * 0.1).collect(), |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()]),
+    Operator::new(
+        "asymmetry",
+        "corner / range",
+        |_| (1..10).map(|k| f64::from(k) * 0.1).collect(),
+        |d, c| vec![d.v.iter().map(|v| (v - (2.0 * c - 1.0)).abs()).collect()],
+    ),
     // First order. Separated by a step and a chirp.
     Operator::new("lag", "time constant", |d| times_from(d, 1.0, 0.02), |d, tau| vec![follow(&d.v, &d.t, tau)]).signed(1),
     // Delayed input. Separated by a chirp: phase that grows with frequency.
     Operator::new("delay", "dead time", |d| times_from(d, 1.0, 0.02), |d, tau| vec![late(&d.v, &d.t, tau)]).signed(1),
     // Two Kelvin-Voigt elements, a factor 12 apart. Separated by hold, return, hold.
-    Operator::new("creep", "time constant", |d| times_from(d, 20.0, 0.2), |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, 12.0 * tau)]).signed(1),
+    Operator::new(
+        "creep",
+        "time constant",
+        |d| times_from(d, 20.0, 0.2),
+        |d, tau| vec![follow(&d.v, &d.t, tau), follow(&d.v, &d.t, 12.0 * tau)],
+    )
+    .signed(1),
     // Exponential return after an input. Separated by a long hold, then a return to zero.
     Operator::new("leak", "time constant", |d| times_from(d, 20.0, 0.5), |d, tau| vec![follow(&d.v, &d.t, tau)]).signed(-1),
     // Sine of position, with a second harmonic. Separated by two speeds.
@@ -86,7 +102,12 @@ const DRIFT: Operator = Operator::new("drift", "", none, |d, _| vec![since(&d.t)
 /// Operators for a rig without an input.
 pub const STILL: [Operator; 3] = [
     // Exponential decay. Separated by two pressures, and a temperature record.
-    Operator::new("leak", "time constant", |d| times_from(d, 3.0, 30.0), |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()]),
+    Operator::new(
+        "leak",
+        "time constant",
+        |d| times_from(d, 3.0, 30.0),
+        |d, tau| vec![since(&d.t).iter().map(|t| (-t / tau).exp()).collect()],
+    ),
     // Logarithm of time. Separated by a repetition after a long rest.
     Operator::new("creep", "onset", |d| times_from(d, 1.0, 0.2), |d, tau| vec![since(&d.t).iter().map(|t| (1.0 + t / tau).ln()).collect()]),
     DRIFT,
