@@ -194,7 +194,7 @@ fn a_faulty_model_is_refused_by_key_and_no_schedule_is_written() {
         (model("colour = 1\n"), vec!["line", "colour"]),
         (model("").replace("2.5", "25.0"), vec!["k_epsilon.1", "25"]),
     ] {
-        std::fs::write(path("m.toml"), text).unwrap();
+        std::fs::write(path("m.toml"), input).unwrap();
         let (code, message) = retroflex(&["gap", "excite", "--like", &path("m.toml"), "--out", &path("s.csv")]);
         assert_eq!(code, 2, "{message}");
         for w in expected {
