@@ -164,6 +164,8 @@ impl Table {
             match (values.get(row.key), &row.shape) {
                 (Some(value), shape) => row.check(shape, value, &key, whole, to),
                 (None, Shape::Table(table)) => table.check_rows(&Values::new(), &key, whole, to),
+                // described elsewhere, and every entry of it may be absent
+                (None, Shape::Opaque) => {}
                 (None, _) if row.required && whole => to.refuse(at, format!("`{}` is missing", row.key), row.hint),
                 _ => {}
             }
