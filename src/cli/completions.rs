@@ -1,6 +1,6 @@
 //! `retroflex completions SHELL`: a completion script on standard output.
 
-use crate::cli::{CommandOutcome, command, output};
+use crate::cli::{CommandOutcome, output};
 use clap_complete::Shell;
 
 /// Arguments of `completions`.
@@ -11,11 +11,11 @@ pub struct Args {
     shell: Shell,
 }
 
-/// Runs the command.
+/// Runs the command; `command` is the whole command line.
 #[must_use]
-pub fn run(args: &Args) -> CommandOutcome {
+pub fn run(args: &Args, mut command: clap::Command) -> CommandOutcome {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut command(), "retroflex", &mut script);
+    clap_complete::generate(args.shell, &mut command, "retroflex", &mut script);
     output::print(&String::from_utf8_lossy(&script));
     CommandOutcome::Good
 }

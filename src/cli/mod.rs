@@ -19,9 +19,12 @@ pub mod inputs;
 pub mod jog;
 pub mod logging;
 pub mod manual_motion;
+mod outcome;
 pub mod output;
 pub mod replay;
 pub mod run;
+
+pub use outcome::{CommandOutcome, Unreachable};
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::fmt::Write;
@@ -113,27 +116,6 @@ pub fn parse() -> Cli {
     Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|e| e.exit())
 }
 
-/// How a command ended, other than by an error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CommandOutcome {
-    /// Done.
-    Good,
-    /// The run finished, and its answer is "not good enough".
-    NotGoodEnough,
-}
-
-/// Hardware or a service that does not answer. Anywhere in the chain of a report it makes the exit code 3.
-///
-/// Convert it to a `Report` with `?` or `Report::from`; `into_diagnostic` would hide its type.
-#[derive(Debug, thiserror::Error, miette::Diagnostic)]
-#[error("{what} cannot be reached: {why}")]
-pub struct Unreachable {
-    /// Which device, bus or service.
-    pub what: String,
-    /// The system's reason, and the remedy.
-    pub why: String,
-}
-
 /// Runs a command and returns its exit code.
 #[must_use]
 pub fn run(cli: Cli) -> ExitCode {
@@ -152,7 +134,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Drill(args) => drill::run(&args),
         Command::Replay(args) => replay::run(&args),
-        Command::Completions(args) => Ok(completions::run(&args)),
+        Command::Completions(args) => Ok(completions::run(&args, command())),
     };
     if let Err(report) = &end {
         eprintln!("{report:?}");

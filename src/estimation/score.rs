@@ -17,7 +17,6 @@ use crate::log::error::ReadError;
 use crate::log::recording::{self, Recording};
 use crate::primitives::frames::{Rotation, Sensor, World};
 use comfy_table::{CellAlignment, Table};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -125,7 +124,7 @@ pub fn run(files: &[PathBuf], filter: Option<FilterName>, all: bool) -> Result<V
     let one = [filter.unwrap_or(DEFAULT_FILTER)];
     let filters: &[FilterName] = if all { &FilterName::ALL } else { &one };
     let scored: Vec<Result<Vec<Row>, ScoreError>> = files
-        .par_iter()
+        .iter()
         .map(|file| {
             let recording = recording::read(file)?;
             filters.iter().map(|&filter| row(&recording, filter)).collect()

@@ -5,7 +5,7 @@ use crate::config::source;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::rig::Rig;
 use crate::diagnosis::saved::SavedModel;
-use crate::log::bend_log;
+use crate::log::{bend_log, plausibility};
 use crate::model::effects::catalogue;
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::Path;
@@ -28,9 +28,11 @@ pub fn rig(board: Option<&Path>) -> Result<Rig> {
 /// Reads a bend log of a machine; a warning lists unknown columns.
 ///
 /// # Errors
-/// A report that names file, line and column, or says what to record instead.
+/// A report that names file, line and column, or says what to record instead; also for a log whose units or wiring cannot
+/// be right.
 pub fn observe(path: &Path, rig: &Rig) -> Result<Observed> {
     let log = bend_log::read(path).into_diagnostic()?;
+    plausibility::check(&log, &rig.geometry, &[rig.prior; 3]).into_diagnostic()?;
     let observed = Observed::new(&log, rig).map_err(|e| miette!("{}: {e}", path.display()))?;
     if !log.ignored.is_empty() {
         eprintln!("warning: {}: unknown columns ignored: {}", path.display(), log.ignored.join(", "));

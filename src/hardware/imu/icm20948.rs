@@ -23,7 +23,7 @@
 mod config;
 pub mod reg;
 
-pub use config::{IcmConfig, Settings, scale};
+pub use config::{BASE_RATE_HZ, IcmConfig, Settings, scale};
 
 use super::port::Port;
 use super::{ChipId, Identity, Imu, ImuError, Part, RawImu, Scale};
@@ -37,8 +37,6 @@ pub const WHO_AM_I: u8 = 0xEA;
 pub const AK_WHO_AM_I: u8 = 0x09;
 /// Address of the AK09916 on the internal bus (and outside, in bypass).
 pub const AK_ADDRESS: u8 = 0x0C;
-/// Base conversion rate of both inertial sensors with enabled filters, Hz.
-pub const BASE_RATE_HZ: f64 = 1125.0;
 const BURST: usize = 23;
 const SLV4_LIMIT_MS: u32 = 20;
 const RESET_LIMIT_MS: u32 = 100;

@@ -7,7 +7,7 @@
 
 mod config;
 
-pub use config::{LsmConfig, Settings, scale};
+pub use config::{LsmConfig, RATES_HZ, Settings, scale};
 
 use super::lis2mdl::Lis2mdl;
 use super::port::Port;
@@ -46,8 +46,6 @@ pub mod reg {
 
 /// Content of WHO_AM_I.
 pub const WHO_AM_I: u8 = 0x6C;
-/// Conversion rates by ODR code 1 to 10, Hz (p. 10).
-pub const RATES_HZ: [f64; 10] = [12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1666.0, 3332.0, 6664.0];
 const CTRL3: u8 = 0x44; // BDU, IF_INC
 const CTRL9: u8 = 0xE2; // default, I3C disabled
 const BURST: usize = 16;

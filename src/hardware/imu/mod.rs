@@ -16,6 +16,7 @@
 //! A new part needs a driver file, and in this file its `mod` line, its [`Part`] and its variant of
 //! [`ChipConfig`].
 
+mod driver;
 mod error;
 #[cfg(test)]
 #[path = "../../../tests/fake_imu/mod.rs"]
@@ -25,87 +26,21 @@ pub mod icm20948;
 pub mod linux;
 pub mod lis2mdl;
 pub mod lsm6dso;
+mod part;
 mod port;
 mod raw;
 mod recovery;
 
+pub use driver::Imu;
 pub use error::ImuError;
+pub use part::{ChipId, Identity, Part};
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
 pub use recovery::ImuRecovery;
 
 use crate::primitives::check::Invalid;
 use crate::primitives::parameters::{Parameters, Setting, Shape};
-use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 use serde::{Deserialize, Serialize};
-
-/// A chip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
-    /// TDK InvenSense ICM-20948: gyroscope and accelerometer.
-    Icm20948,
-    /// Asahi Kasei AK09916: the magnetometer inside the ICM-20948.
-    Ak09916,
-    /// ST LSM6DSO: gyroscope and accelerometer.
-    Lsm6dso,
-    /// ST LIS2MDL: magnetometer.
-    Lis2mdl,
-}
-
-impl std::fmt::Display for Part {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Icm20948 => "ICM-20948",
-            Self::Ak09916 => "AK09916",
-            Self::Lsm6dso => "LSM6DSO",
-            Self::Lis2mdl => "LIS2MDL",
-        })
-    }
-}
-
-/// A chip that answered with the expected identity.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ChipId {
-    /// The part.
-    pub part: Part,
-    /// 7-bit address.
-    pub address: u8,
-    /// Content of its identity register.
-    pub id: u8,
-}
-
-/// The chips that `init` found, and their rates.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Identity {
-    /// Gyroscope and accelerometer.
-    pub inertial: ChipId,
-    /// Magnetometer.
-    pub magnetic: ChipId,
-    /// Conversions per second of gyroscope and accelerometer.
-    pub rate_hz: f64,
-    /// Conversions per second of the magnetometer.
-    pub mag_rate_hz: f64,
-}
-
-/// A nine-axis sensor.
-pub trait Imu {
-    /// Identifies, resets and configures the chips. Takes up to half a second and may be repeated at any
-    /// time.
-    ///
-    /// # Errors
-    /// [`ImuError`] when a chip is absent, is another part, or does not start.
-    fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError>;
-
-    /// Reads once, without waiting for a new conversion.
-    ///
-    /// # Errors
-    /// [`ImuError`] when the transfer fails or the chip has restarted. After
-    /// [`ImuError::ResetToDefaults`], `init` is required.
-    fn read(&mut self) -> Result<RawImu, ImuError>;
-
-    /// The scale of the counts in the present configuration.
-    fn scale(&self) -> Scale;
-}
 
 /// The `chip` table of a sensor: `part = "icm20948"` or `part = "lsm6dso_lis2mdl"`, and the settings of
 /// that part.

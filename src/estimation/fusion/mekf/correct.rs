@@ -1,7 +1,7 @@
 //! Observations of the filter: bounded velocity, standstill, and the Earth's field.
 
 use super::block::FieldMean;
-use super::covariance::{ATTITUDE, BIAS, Covariance, Errors, FIELD, IRON, LATENCY, VELOCITY};
+use super::covariance::{ATTITUDE, BIAS, Errors, FIELD, IRON, LATENCY, VELOCITY};
 use super::{Mekf, MekfConfig};
 use crate::estimation::fusion::intake;
 use nalgebra::Vector3;
@@ -35,14 +35,14 @@ fn rows(reading: &FieldMean) -> [Row; 3] {
     })
 }
 
-/// Processes the first field reading, which defines north: its residual is zero by definition.
-pub fn first_field(covariance: &mut Covariance, errors: &mut Errors, reading: &FieldMean, variance_ut2: f64) {
-    for row in rows(reading) {
-        covariance.observe(errors, &row, 0.0, variance_ut2);
-    }
-}
-
 impl Mekf {
+    /// Processes the first field reading, which defines north: its residual is zero by definition.
+    pub(super) fn observe_first_field(&mut self, errors: &mut Errors, reading: &FieldMean, variance_ut2: f64) {
+        for row in rows(reading) {
+            self.covariance.observe(errors, &row, 0.0, variance_ut2);
+        }
+    }
+
     /// Observes a velocity near zero; at standstill a velocity of zero and the gyroscope bias.
     pub(super) fn observe_motion(&mut self, errors: &mut Errors, dt_s: f64) {
         let c = &self.config;

@@ -220,7 +220,7 @@ impl Mekf {
         };
         let mut errors = Errors::zeros();
         let place_ut2 = self.config.first_field_sigma_ut.powi(2);
-        correct::first_field(&mut self.covariance, &mut errors, &reading, place_ut2);
+        self.observe_first_field(&mut errors, &reading, place_ut2);
         self.inject(&errors);
     }
 

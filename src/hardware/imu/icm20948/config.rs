@@ -1,10 +1,12 @@
 //! Settings of the ICM-20948 in people's units, and their translation into its registers.
 
-use super::BASE_RATE_HZ;
 use crate::hardware::imu::{Axes, STANDARD_GRAVITY_M_S2, Scale};
 use crate::parameters;
 use crate::primitives::check::Invalid;
 use crate::primitives::parameters::Parameters;
+
+/// Base conversion rate of both inertial sensors with enabled filters, Hz.
+pub const BASE_RATE_HZ: f64 = 1125.0;
 
 /// Gyroscope filters: 3 dB bandwidth by GYRO_DLPFCFG 0 to 7 (DS-000189, table of GYRO_CONFIG_1).
 const GYRO_BANDWIDTH_HZ: [f64; 8] = [196.6, 151.8, 119.5, 51.2, 23.9, 11.6, 5.7, 361.4];

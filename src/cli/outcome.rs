@@ -1,0 +1,22 @@
+//! How a command ends: good, not good enough, or not reachable.
+
+/// How a command ended, other than by an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CommandOutcome {
+    /// Done.
+    Good,
+    /// The run finished, and its answer is "not good enough".
+    NotGoodEnough,
+}
+
+/// Hardware or a service that does not answer. Anywhere in the chain of a report it makes the exit code 3.
+///
+/// Convert it to a `Report` with `?` or `Report::from`; `into_diagnostic` would hide its type.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+#[error("{what} cannot be reached: {why}")]
+pub struct Unreachable {
+    /// Which device, bus or service.
+    pub what: String,
+    /// The system's reason, and the remedy.
+    pub why: String,
+}

@@ -1,0 +1,24 @@
+//! The trait that every sensor driver implements.
+
+use super::{Identity, ImuError, RawImu, Scale};
+use embedded_hal::delay::DelayNs;
+
+/// A nine-axis sensor.
+pub trait Imu {
+    /// Identifies, resets and configures the chips. Takes up to half a second and may be repeated at any
+    /// time.
+    ///
+    /// # Errors
+    /// [`ImuError`] when a chip is absent, is another part, or does not start.
+    fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError>;
+
+    /// Reads once, without waiting for a new conversion.
+    ///
+    /// # Errors
+    /// [`ImuError`] when the transfer fails or the chip has restarted. After
+    /// [`ImuError::ResetToDefaults`], `init` is required.
+    fn read(&mut self) -> Result<RawImu, ImuError>;
+
+    /// The scale of the counts in the present configuration.
+    fn scale(&self) -> Scale;
+}

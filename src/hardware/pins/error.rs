@@ -1,0 +1,84 @@
+//! Why pins cannot be opened or used.
+
+/// Why the pins cannot be opened or used. Every variant leads to exit code 3.
+#[derive(Debug, thiserror::Error)]
+pub enum PinError {
+    /// There is no such device file.
+    #[error(
+        "no GPIO chip at {path}: list the chips with `ls /dev/gpiochip*` and set pins.chip (or pins.backend = \"rppal\" on a Raspberry Pi)"
+    )]
+    NoChip {
+        /// Path of the device file.
+        path: String,
+    },
+    /// The file is not a GPIO chip, or the kernel does not provide version 2 of the interface.
+    #[error("{path} is not a GPIO chip with line interface version 2 (Linux 5.10 or newer): set pins.chip to a /dev/gpiochip*")]
+    NotAChip {
+        /// Path of the device file.
+        path: String,
+    },
+    /// The chip has fewer lines.
+    #[error("{chip} has no line {pin}, only 0 to {}: correct the pin numbers in the board file", .lines.saturating_sub(1))]
+    NoLine {
+        /// Chip path or board name.
+        chip: String,
+        /// Line number.
+        pin: u32,
+        /// Number of lines of the chip.
+        lines: u32,
+    },
+    /// Another consumer holds a line.
+    #[error("GPIO {pin} is in use{}: stop that program or driver, or choose another pin", .by.as_ref().map_or(String::new(), |b| format!(" by \"{b}\"")))]
+    Busy {
+        /// Line number.
+        pin: u32,
+        /// Name of the consumer, if known.
+        by: Option<String>,
+    },
+    /// The device may not be opened.
+    #[error(
+        "no permission for {path}: add this user to the group gpio (`sudo usermod -aG gpio $USER`, then log in again) or run as the service"
+    )]
+    PermissionDenied {
+        /// Path of the device file.
+        path: String,
+    },
+    /// `rppal` does not support this board.
+    #[error("this is not a Raspberry Pi that rppal supports: set pins.backend = \"cdev\"")]
+    UnknownModel,
+    /// The program was built without the feature `hw`.
+    #[error("this program was built without hardware support: build with `--features hw`")]
+    NotBuilt,
+    /// EN does not follow its output.
+    #[error(
+        "EN on GPIO {pin} stays {} when driven {}: look for a short, a missing driver supply or a second program on the line, and do not rely on the emergency stop until this is repaired",
+        level(!.driven_high),
+        level(*.driven_high)
+    )]
+    EnableStuck {
+        /// Line number.
+        pin: u32,
+        /// The level that was written is high.
+        driven_high: bool,
+    },
+    /// A read or write failed.
+    #[error("GPIO {what} failed: {source}; check the wiring and the kernel log (`dmesg | tail`)")]
+    Io {
+        /// The operation.
+        what: &'static str,
+        /// The error of the system call.
+        source: std::io::Error,
+    },
+    /// A pin of an `embedded-hal` implementation failed.
+    #[error("GPIO {what} failed: {why}; check the wiring")]
+    Pin {
+        /// The operation.
+        what: &'static str,
+        /// The message of the implementation.
+        why: String,
+    },
+}
+
+fn level(high: bool) -> &'static str {
+    if high { "high" } else { "low" }
+}

@@ -1,0 +1,155 @@
+//! Refuses a bend log whose units or wiring cannot be right, before any diagnosis gives it a physical cause.
+//!
+//! Three kinds of check, in this order:
+//!
+//! * units, from the median magnitude of each sensor and from the piston speed: a still accelerometer reads 9.81 m/s², the
+//!   Earth's field is 25 to 65 µT (Alken et al. 2021, IGRF-13), the pistons move millimetres in seconds;
+//! * single values beyond what the machine or the sensor can do;
+//! * wiring, from the rotations of the tip over windows of two seconds: measured by the tracker or integrated from the
+//!   gyroscope on one side, predicted from the pistons by the nominal model on the other. Exchanged pistons or reversed signs
+//!   turn the prediction in a way that no effect of the catalogue does.
+
+mod motion;
+mod values;
+
+use crate::log::bend_log::BendLog;
+use crate::model::arc::Geometry;
+use crate::model::transmission::Line;
+use motion::Motion;
+use thiserror::Error;
+
+/// A log whose units or wiring cannot be right.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{file}, {place}: {finding}; {mend}")]
+pub struct Implausible {
+    /// Name of the file.
+    pub file: String,
+    /// Column, with the line where one value is at fault.
+    pub place: String,
+    /// What the values look like.
+    pub finding: String,
+    /// How to mend the log.
+    pub mend: String,
+}
+
+/// Checks a log against the nominal model with these transmission lines.
+///
+/// # Errors
+/// [`Implausible`] for the first finding.
+pub fn check(log: &BendLog, geometry: &Geometry, lines: &[Line; 3]) -> Result<(), Implausible> {
+    let refuse = |(place, finding, mend): values::Finding| Implausible { file: log.file.clone(), place, finding, mend };
+    let first = values::clock_unit(log)
+        .or_else(|| log.imu.as_ref().and_then(|imu| values::sensor_units(imu, "")))
+        .or_else(|| log.base.as_ref().and_then(|imu| values::sensor_units(imu, "base_")))
+        .or_else(|| values::single_values(log));
+    if let Some(finding) = first {
+        return Err(refuse(finding));
+    }
+    let motion = Motion::of(log, geometry, lines);
+    match motion.piston_unit(log).or_else(|| motion.rate_unit()).or_else(|| motion.wiring()) {
+        Some(finding) => Err(refuse(finding)),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::bend_log::ImuColumns;
+    use crate::model::arc::Shape;
+    use crate::model::bend::Bend;
+    use crate::primitives::units::Mm;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    fn lines() -> [Line; 3] {
+        [2.2, 2.5, 2.2].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.9 })
+    }
+
+    /// Two minutes of poses in twelve directions, 100 rows a second, of a tip that follows the nominal model.
+    fn sound() -> BendLog {
+        let (geometry, lines) = (Geometry::default(), lines());
+        let mut log = BendLog { file: "x.csv".to_owned(), ..BendLog::default() };
+        let mut imu = ImuColumns { acc: Vec::new(), gyr: Vec::new(), mag: Vec::new() };
+        let (mut at, mut before) = (nalgebra::Vector2::zeros(), UnitQuaternion::identity());
+        let base = UnitQuaternion::from_euler_angles(0.4, -0.3, 1.0);
+        for k in 0..12_000 {
+            let t_s = f64::from(k + 1) * 0.01;
+            let pose = (t_s / 3.0).floor();
+            let target = if t_s < 3.0 { Bend::STRAIGHT } else { Bend::from_deg(60.0, pose * 150.0) };
+            at += (target.0 - at) * 0.02;
+            let turn = Bend(at).rotation().quat();
+            let q_mm = geometry.lengths(&Shape { bend: Bend(at), length: Mm(geometry.rest_length_mm) });
+            log.t_s.push(t_s);
+            log.command.push(Vector3::new(target.beta().to_degrees(), target.delta().to_degrees(), 20.0));
+            log.piston_mm.push(Vector3::from_fn(|i, _| lines[i].piston_mm(q_mm[i], 0.0)));
+            imu.acc.push((base * turn).inverse() * Vector3::new(0.0, 0.0, 9.81));
+            imu.mag.push((base * turn).inverse() * Vector3::new(20.0, 0.0, -43.0));
+            imu.gyr.push((before.inverse() * turn).scaled_axis() / 0.01 + Vector3::new(0.01, -0.02, 0.005));
+            before = turn;
+        }
+        log.imu = Some(imu);
+        log
+    }
+
+    fn verdict(change: impl Fn(&mut BendLog)) -> String {
+        let mut log = sound();
+        change(&mut log);
+        check(&log, &Geometry::default(), &lines()).map_or_else(|e| e.to_string(), |()| "sound".to_owned())
+    }
+
+    fn imu(log: &mut BendLog) -> &mut ImuColumns {
+        log.imu.as_mut().unwrap()
+    }
+
+    #[test]
+    fn a_sound_log_passes() {
+        assert_eq!(verdict(|_| ()), "sound");
+        assert_eq!(verdict(|log| log.imu = None), "sound", "nothing to compare the pistons with");
+    }
+
+    #[test]
+    fn units_are_recognised() {
+        let scale = |v: &mut Vec<Vector3<f64>>, by: f64| v.iter_mut().for_each(|x| *x *= by);
+        let cases: [(&str, &dyn Fn(&mut BendLog)); 8] = [
+            ("acc_* looks like g: at rest |a| = 1.0", &|log| scale(&mut imu(log).acc, 1.0 / 9.81)),
+            ("looks like gauss", &|log| scale(&mut imu(log).mag, 0.01)),
+            ("looks like tesla", &|log| scale(&mut imu(log).mag, 1e-6)),
+            ("looks like nanotesla", &|log| scale(&mut imu(log).mag, 1e3)),
+            ("looks like °/s", &|log| scale(&mut imu(log).gyr, 180.0 / std::f64::consts::PI)),
+            ("looks like milliseconds", &|log| log.t_s.iter_mut().for_each(|t| *t *= 1e3)),
+            ("looks like microseconds", &|log| log.t_s.iter_mut().for_each(|t| *t *= 1e6)),
+            ("piston*_mm looks like m", &|log| scale(&mut log.piston_mm, 1e-3)),
+        ];
+        for (words, change) in cases {
+            let said = verdict(change);
+            assert!(said.starts_with("x.csv, column") && said.contains(words), "{words}: {said}");
+        }
+    }
+
+    #[test]
+    fn wiring_is_recognised() {
+        let each = |log: &mut BendLog, f: &dyn Fn(&mut Vector3<f64>)| log.piston_mm.iter_mut().for_each(f);
+        let cases: [(&str, &dyn Fn(&mut Vector3<f64>)); 6] = [
+            ("piston1_mm and piston2_mm look exchanged", &|p| p.swap_rows(0, 1)),
+            ("piston1_mm and piston3_mm look exchanged", &|p| p.swap_rows(0, 2)),
+            ("piston2_mm and piston3_mm look exchanged", &|p| p.swap_rows(1, 2)),
+            ("piston1_mm looks like it has the other sign", &|p| p.x = -p.x),
+            ("piston3_mm looks like it has the other sign", &|p| p.z = -p.z),
+            ("all pistons look like they have the other sign", &|p| *p = -*p),
+        ];
+        for (words, change) in cases {
+            let said = verdict(|log| each(log, change));
+            assert!(said.contains(words), "{words}: {said}");
+        }
+    }
+
+    #[test]
+    fn single_values_are_named_with_line_and_column() {
+        let said = verdict(|log| log.piston_mm[99].y = 1e9);
+        assert!(said.contains("line 101, column piston2_mm: 1000000000 mm is beyond"), "{said}");
+        let said = verdict(|log| log.piston_mm[99].y = 25.0);
+        assert!(said.contains("line 101, column piston2_mm: the piston jumps by"), "{said}");
+        let said = verdict(|log| imu(log).gyr[7].z = -1e7);
+        assert!(said.contains("line 9, column gyr_z_rad_s"), "{said}");
+    }
+}

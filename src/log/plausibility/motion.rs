@@ -1,0 +1,204 @@
+//! Wiring of the pistons and units that only show in motion: rotations of the tip, measured and predicted.
+
+use super::values::{Finding, finding};
+use crate::log::bend_log::BendLog;
+use crate::model::arc::Geometry;
+use crate::model::transmission::Line;
+use nalgebra::{UnitQuaternion, Vector3};
+
+/// Longest window over which rotations are compared, s: much longer than the lag of a line, short against gyroscope drift.
+const WINDOW_S: f64 = 2.0;
+/// Command-to-motion delays that the comparison of rotations allows for, s.
+const SHIFTS_S: [f64; 4] = [0.0, 0.15, 0.4, 0.8];
+/// Rotation within a window that counts as motion, rad (5°).
+const MOTION_RAD: f64 = 0.09;
+/// Windows with motion below which the wiring is not judged.
+const WINDOWS_MIN: usize = 8;
+
+/// Rotations of the tip over windows, measured and predicted, as rotation vectors in the tip frame at the window's start, rad.
+pub(super) struct Motion {
+    measured: Vec<Vector3<f64>>,
+    /// Bellow length changes at the start and end of each window, mm, for each of [`SHIFTS_S`].
+    bellows: [Vec<(Vector3<f64>, Vector3<f64>)>; SHIFTS_S.len()],
+    /// Path of the predicted and of the measured rotation in windows with motion, rad; the latter from the gyroscope.
+    path_rad: (f64, f64),
+    /// Largest measured tilt from the first row, rad.
+    tilt_rad: f64,
+    geometry: Geometry,
+}
+
+impl Motion {
+    pub(super) fn of(log: &BendLog, geometry: &Geometry, lines: &[Line; 3]) -> Self {
+        let mut w_mm = Vector3::zeros();
+        let bellow_mm: Vec<Vector3<f64>> = (log.piston_mm.iter())
+            .map(|u| {
+                w_mm = Vector3::from_fn(|i, _| lines[i].play(w_mm[i], u[i]));
+                Vector3::from_fn(|i, _| lines[i].bellow_mm(w_mm[i]))
+            })
+            .collect();
+        let mut motion =
+            Self { measured: Vec::new(), bellows: Default::default(), path_rad: (0.0, 0.0), tilt_rad: tilt_rad(log), geometry: *geometry };
+        let bias = rest_rate(log);
+        let row_at = |t: f64| log.t_s.partition_point(|x| *x < t).min(log.t_s.len() - 1);
+        let (mut from, end) = (0, log.t_s.len());
+        while from + 1 < end {
+            let to = row_at(log.t_s[from] + WINDOW_S);
+            if let Some(turn) = measured_turn(log, from, to, &bias) {
+                motion.measured.push(turn);
+                for (shift_s, pairs) in SHIFTS_S.iter().zip(&mut motion.bellows) {
+                    let back = |k: usize| bellow_mm[row_at(log.t_s[k] - shift_s)];
+                    pairs.push((back(from), back(to)));
+                }
+                motion.add_path(log, from, to, &bellow_mm, &bias);
+            }
+            from = to.max(from + 1);
+        }
+        motion
+    }
+
+    fn add_path(&mut self, log: &BendLog, from: usize, to: usize, bellow_mm: &[Vector3<f64>], bias: &Vector3<f64>) {
+        let bend = |k: usize| self.geometry.shape(&bellow_mm[k]).bend.0;
+        let predicted: f64 = (from..to).map(|k| (bend(k + 1) - bend(k)).norm()).sum();
+        let Some(imu) = &log.imu else { return };
+        let turned = |k: usize| {
+            let rate: Vector3<f64> = imu.gyr[k] - bias;
+            if rate.x.is_finite() { rate.norm() * (log.t_s[k + 1] - log.t_s[k]) } else { 0.0 }
+        };
+        if predicted > MOTION_RAD {
+            self.path_rad.0 += predicted;
+            self.path_rad.1 += (from..to).map(turned).sum::<f64>();
+        }
+    }
+
+    /// Correlation of measured and predicted rotations when the pistons are wired as `wiring` says, the best over the shifts;
+    /// `None` where too little moves.
+    fn agreement(&self, wiring: &Wiring) -> Option<f64> {
+        let rotation = |q: &Vector3<f64>| self.geometry.shape(&wiring.apply(q)).bend.rotation().quat();
+        let over = |pairs: &Vec<(Vector3<f64>, Vector3<f64>)>| {
+            let (mut mp, mut mm, mut pp, mut windows) = (0.0, 0.0, 0.0, 0);
+            for (measured, (a, b)) in self.measured.iter().zip(pairs) {
+                let predicted = (rotation(a).inverse() * rotation(b)).scaled_axis();
+                if measured.norm().max(predicted.norm()) > MOTION_RAD {
+                    mp += measured.dot(&predicted);
+                    mm += measured.norm_squared();
+                    pp += predicted.norm_squared();
+                    windows += 1;
+                }
+            }
+            (windows >= WINDOWS_MIN && mm > 0.0 && pp > 0.0).then(|| mp / (mm * pp).sqrt())
+        };
+        self.bellows.iter().filter_map(over).max_by(f64::total_cmp)
+    }
+}
+
+/// Mean rate over the rows before the first piston moves, rad/s: the gyroscope's constant bias.
+fn rest_rate(log: &BendLog) -> Vector3<f64> {
+    let Some(imu) = &log.imu else { return Vector3::zeros() };
+    let still = log.piston_mm.iter().take_while(|p| **p == log.piston_mm[0]).count();
+    let rates: Vec<&Vector3<f64>> = imu.gyr[..still].iter().filter(|r| r.iter().all(|x| x.is_finite())).collect();
+    rates.iter().fold(Vector3::zeros(), |sum, r| sum + **r) / rates.len().max(1) as f64
+}
+
+/// Rotation of the tip from row `from` to row `to`, by the tracker or else by the gyroscope.
+fn measured_turn(log: &BendLog, from: usize, to: usize, bias: &Vector3<f64>) -> Option<Vector3<f64>> {
+    if let Some(reference) = &log.reference {
+        return Some((reference[from]?.inverse() * reference[to]?).scaled_axis());
+    }
+    let imu = log.imu.as_ref()?;
+    let (mut turned, mut held) = (UnitQuaternion::identity(), Vector3::zeros());
+    let mut samples = 0;
+    for k in from..to {
+        // a row without a sample goes on at the rate of the one before
+        if imu.gyr[k].iter().all(|x| x.is_finite()) {
+            held = imu.gyr[k] - bias;
+            samples += 1;
+        }
+        turned *= UnitQuaternion::from_scaled_axis(held * (log.t_s[k + 1] - log.t_s[k]));
+    }
+    (samples > 0).then(|| turned.scaled_axis())
+}
+
+/// Largest angle of the tracker's tip axis, or of gravity in the sensor, from where it was at first, rad.
+fn tilt_rad(log: &BendLog) -> f64 {
+    let largest = |directions: &mut dyn Iterator<Item = Vector3<f64>>| {
+        let mut finite = directions.filter(|v| v.iter().all(|x| x.is_finite()) && v.norm() > 0.0);
+        let first = finite.next();
+        let mut angles: Vec<f64> = first.map_or_else(Vec::new, |f| finite.map(|v| f.angle(&v)).collect());
+        // the largest but for one row in a hundred, which noise may have thrown off
+        let rank = angles.len() * 99 / 100;
+        if angles.is_empty() { 0.0 } else { *angles.select_nth_unstable_by(rank, f64::total_cmp).1 }
+    };
+    let tracker = log.reference.iter().flatten().flatten().map(|q| q * Vector3::z());
+    let gravity = log.imu.iter().flat_map(|imu| imu.acc.iter().copied());
+    largest(&mut { tracker }).max(largest(&mut { gravity }))
+}
+
+impl Motion {
+    /// Pistons in metres: numbers below a tenth while the tip tilts.
+    pub(super) fn piston_unit(&self, log: &BendLog) -> Option<Finding> {
+        let most = log.piston_mm.iter().map(|p| p.amax()).fold(0.0, f64::max);
+        (most > 0.0 && most < 0.1 && self.tilt_rad > 0.14).then(|| {
+            let tilt_deg = self.tilt_rad.to_degrees();
+            let finding = format!("piston*_mm looks like m: the tip tilts by {tilt_deg:.0}° and the largest piston position is {most:.4}");
+            ("columns piston*_mm".to_owned(), finding, "write mm".to_owned())
+        })
+    }
+
+    /// Rates in degrees per second: the gyroscope's path is 57 times the one that the pistons drive.
+    pub(super) fn rate_unit(&self) -> Option<Finding> {
+        let (predicted, measured) = self.path_rad;
+        if predicted < 4.0 * MOTION_RAD || measured < 12.0 * predicted {
+            return None;
+        }
+        let ratio = measured / predicted;
+        finding(
+            "columns gyr_*",
+            format!("gyr_* looks like °/s: the gyroscope turns {ratio:.0} times as far as the pistons drive the tip"),
+            "write rad/s",
+        )
+    }
+
+    /// Pistons wired otherwise than the model says: another wiring explains the tip's rotations, and this one does not. A single
+    /// reversed piston leaves a correlation of 0.45, an exchange 0, all reversed −1; the effects of the catalogue leave 0.8 and more.
+    pub(super) fn wiring(&self) -> Option<Finding> {
+        let nominal = Wiring { from: AS_WIRED, sign: PLUS, says: "", mend: "" };
+        let as_wired = self.agreement(&nominal)?;
+        let score = |w: &'static Wiring| self.agreement(w).map(|a| (a, w));
+        let (best, other) = WIRINGS.iter().filter_map(score).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        if best < 0.7 || best - as_wired < 0.25 {
+            return None;
+        }
+        let text = format!("{}: the tip's rotations correlate with the pistons by {as_wired:.2}, and by {best:.2} if so", other.says);
+        finding("columns piston*_mm", text, other.mend)
+    }
+}
+
+/// A way in which pistons may be wired: which counted piston drives each bellow, and with which sign.
+struct Wiring {
+    from: [usize; 3],
+    sign: [f64; 3],
+    says: &'static str,
+    mend: &'static str,
+}
+
+impl Wiring {
+    fn apply(&self, q_mm: &Vector3<f64>) -> Vector3<f64> {
+        Vector3::from_fn(|i, _| self.sign[i] * q_mm[self.from[i]])
+    }
+}
+
+const AS_WIRED: [usize; 3] = [0, 1, 2];
+const PLUS: [f64; 3] = [1.0; 3];
+const EXCHANGE: &str = "exchange the columns, or the lines, so that piston i drives bellow i";
+const REVERSE: &str = "change the sign: positive elongates the bellow";
+const WIRINGS: [Wiring; 9] = [
+    Wiring { from: [1, 0, 2], sign: PLUS, says: "piston1_mm and piston2_mm look exchanged", mend: EXCHANGE },
+    Wiring { from: [2, 1, 0], sign: PLUS, says: "piston1_mm and piston3_mm look exchanged", mend: EXCHANGE },
+    Wiring { from: [0, 2, 1], sign: PLUS, says: "piston2_mm and piston3_mm look exchanged", mend: EXCHANGE },
+    Wiring { from: [1, 2, 0], sign: PLUS, says: "piston1_mm, piston2_mm and piston3_mm look shifted by one", mend: EXCHANGE },
+    Wiring { from: [2, 0, 1], sign: PLUS, says: "piston1_mm, piston2_mm and piston3_mm look shifted by one", mend: EXCHANGE },
+    Wiring { from: AS_WIRED, sign: [-1.0, 1.0, 1.0], says: "piston1_mm looks like it has the other sign", mend: REVERSE },
+    Wiring { from: AS_WIRED, sign: [1.0, -1.0, 1.0], says: "piston2_mm looks like it has the other sign", mend: REVERSE },
+    Wiring { from: AS_WIRED, sign: [1.0, 1.0, -1.0], says: "piston3_mm looks like it has the other sign", mend: REVERSE },
+    Wiring { from: AS_WIRED, sign: [-1.0; 3], says: "all pistons look like they have the other sign", mend: REVERSE },
+];
