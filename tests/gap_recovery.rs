@@ -16,7 +16,13 @@ use retroflex::model::effects::catalogue;
 const SEED: u64 = 4000;
 
 /// Effects that are not recovered, with the measured reason.
-const UNRECOVERED: [(&str, &str); 0] = [];
+const UNRECOVERED: [(&str, &str); 2] = [
+    ("softening", "verdict none: it closes 94 % of a gap of 0.47°, but reduces no sensor's error by the 0.3° needed for a claim"),
+    ("cable_stiffness", "reported as a pair with contact, which ranks first: contact 0.92, cable_stiffness 0.82"),
+];
+
+/// Least probability of a recovered effect.
+const PROBABLE: f64 = 0.5;
 
 fn diagnosis_of(name: &'static str, n: usize) -> Diagnosis {
     let question = Question { content: Content::Single, names: vec![name], lab: n % 2 == 0, seed: SEED + n as u64 };
@@ -25,10 +31,11 @@ fn diagnosis_of(name: &'static str, n: usize) -> Diagnosis {
     diagnose(&log, &catalogue(), &logs.lines, 1).document
 }
 
-/// Whether the most probable effect is `name`, or belongs to a stated group of equivalents with it.
+/// Whether the most probable effect is more likely than not, and is `name` or belongs to a stated group with it.
 fn is_recovered(d: &Diagnosis, name: &str) -> bool {
-    let top = d.effects[0].name;
-    top == name || d.verdict.equivalent.iter().any(|g| g.contains(&name) && g.contains(&top))
+    let top = &d.effects[0];
+    let named = top.name == name || d.verdict.equivalent.iter().any(|g| g.contains(&name) && g.contains(&top.name));
+    named && top.probability > PROBABLE
 }
 
 #[test]
@@ -44,5 +51,5 @@ fn every_effect_is_recovered_from_one_log() {
         );
     }
     let failed: Vec<&str> = names.iter().zip(&all).filter(|(name, d)| !is_recovered(d, name)).map(|(name, _)| *name).collect();
-    assert_eq!(failed, UNRECOVERED.map(|u| u.0), "the list of unrecovered effects is exact");
+    assert_eq!(failed, UNRECOVERED.map(|u| u.0), "the list of unrecovered effects is out of date");
 }
