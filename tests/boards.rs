@@ -169,7 +169,7 @@ fn contradictions_are_refused_with_their_place() {
         ),
         ("# ms is left out.", 0, "ms = [6, 13, 6]", &["pins.channels[1].ms[3]", "line 6 is already pins.channels[1].ms[1]"]),
         ("priority = 80", 0, "priority = 74", &["machine.imu_priority", "75 is not below stepper.priority = 74"]),
-        ("speed_max_mm_s = 30.0", 0, "speed_max_mm_s = 150.0", &["stepper.step_interval_min_us", "200 must be at most 176.7", "Lower it"]),
+        ("speed_max_mm_s = 30.0", 0, "speed_max_mm_s = 150.0", &["stepper.step_interval_min_us", "200 must be at most 176.7", "lower it"]),
         ("acceleration_max_mm_s2 = 600.0", 0, "acceleration_max_mm_s2 = 14.0", &["limits.travel_mm", "a stop from full speed takes"]),
         ("holding_torque_n_mm = 260.0", 0, "holding_torque_n_mm = 120.0", &["power.holding_torque_n_mm", "125 N·mm", "stronger motor"]),
         ("pressure = \"relax\"", 0, "pressure = \"float\"", &["float", "hold", "relax", "release"]),

@@ -108,7 +108,7 @@ fn an_output_that_cannot_be_written_is_refused_before_the_diagnosis() {
     let same = folder.path().join("r").to_str().unwrap().to_owned();
     for (args, expected) in [
         (vec!["--html", "/nowhere/r.html"], vec!["/nowhere/r.html", "does not exist"]),
-        (vec!["--json", &same, "--html", &same], vec!["two results"]),
+        (vec!["--json", &same, "--html", &same], vec!["give each result its own file"]),
         (vec!["--calib", "/nowhere/c.toml"], vec!["/nowhere/c.toml"]),
         (vec!["--map", "docs/maps/silverbox_cubic.toml", "--html", &same], vec!["--map", "--html"]),
     ] {
@@ -192,7 +192,7 @@ fn a_faulty_model_is_refused_by_key_and_no_schedule_is_written() {
         (model("[[effect]]\nname = \"ghost\"\nparams = {}\n"), vec!["ghost", "catalogue"]),
         (model("[[effect]]\nname = \"creep\"\nparams = { depth = 1.0 }\n"), vec!["creep", "depth", "tau"]),
         (model("colour = 1\n"), vec!["line", "colour"]),
-        (model("").replace("2.5", "25.0"), vec!["k_epsilon.1", "25"]),
+        (model("").replace("2.5", "25.0"), vec!["k_epsilon[2]", "25"]),
     ] {
         std::fs::write(path("m.toml"), input).unwrap();
         let (code, message) = retroflex(&["gap", "excite", "--like", &path("m.toml"), "--out", &path("s.csv")]);

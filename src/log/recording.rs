@@ -44,7 +44,9 @@ const REQUIRED: [&str; 7] = ["time_s", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_
 const MAG: [&str; 3] = ["mag_x", "mag_y", "mag_z"];
 const REFERENCE: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
 const MOVING: &str = "moving";
-const SCHEMA: Schema<'_> = Schema { required: &REQUIRED, known: &known, rows_min: 2 };
+const SCHEMA: Schema<'_> = Schema { required: &REQUIRED, known: &known, rows_min: 1 };
+/// Rows that a period needs.
+const ROWS_MIN: usize = 2;
 
 fn known(name: &str) -> bool {
     name == MOVING || REQUIRED.iter().chain(&MAG).chain(&REFERENCE).any(|n| *n == name)
@@ -91,7 +93,11 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
         moving: moving.is_none_or(|m| m[k] == 1.0),
     };
     let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    Ok(Recording { name, rows: (0..table.rows()).map(row).collect() })
+    let rows: Vec<Row> = (0..table.rows()).map(row).collect();
+    if rows.len() < ROWS_MIN {
+        return Err(ReadError::TooShort { file: path.display().to_string(), rows: rows.len().to_string(), least: ROWS_MIN });
+    }
+    Ok(Recording { name, rows })
 }
 
 /// Turns a reference from east-north-up to the world frame (north-west-up).
