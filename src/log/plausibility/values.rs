@@ -40,8 +40,9 @@ pub(super) fn clock_unit(log: &BendLog) -> Option<Finding> {
 pub(super) fn sensor_units(imu: &ImuColumns, prefix: &str) -> Option<Finding> {
     if let Some(a) = median(imu.acc.iter().map(|v| v.norm())) {
         let unit = match a {
-            6.0..=14.0 => None,
-            0.5..=2.0 => Some("g"),
+            // a clipped or very noisy sensor has another magnitude, but the right unit
+            2.0..=100.0 => None,
+            0.5..2.0 => Some("g"),
             500.0..=2000.0 => Some("milli-g or cm/s²"),
             _ => Some("neither m/s² nor g"),
         };
