@@ -87,7 +87,7 @@ pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
 #[must_use]
 pub fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
     let samples = log_samples(log);
-    let Some(bias) = samples.get(..).map(|s| still::rests(s)).and_then(|r| r.first().map(|r| r.gyro_rad_s)) else {
+    let Some(bias) = samples.get(..).map(still::rests).and_then(|r| r.first().map(|r| r.gyro_rad_s)) else {
         return Vec::new();
     };
     let changes: Vec<usize> = (1..samples.len()).filter(|&k| log.command.get(k) != log.command.get(k - 1)).collect();

@@ -145,7 +145,6 @@ fn random_length_mm(machine: &Machine, rng: &mut StdRng) -> f64 {
 }
 
 /// Range of a hold, s.
-
 fn hold_range(kind: ManoeuvreKind) -> (f64, f64) {
     if kind == ManoeuvreKind::Hold { (6.0, 30.0) } else { (0.15, 2.5) }
 }

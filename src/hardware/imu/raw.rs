@@ -69,7 +69,7 @@ pub enum Axis {
 impl Axis {
     /// Index of the component, and its sign.
     fn parts(self) -> (usize, f64) {
-        (self as usize / 2, if self as usize % 2 == 0 { 1.0 } else { -1.0 })
+        (self as usize / 2, if (self as usize).is_multiple_of(2) { 1.0 } else { -1.0 })
     }
 }
 

@@ -91,6 +91,9 @@ mod tests {
         log
     }
 
+    /// Words of the message, and the change that makes a log wrong.
+    type Case<'a, T> = (&'static str, &'a dyn Fn(&mut T));
+
     fn verdict(change: impl Fn(&mut BendLog)) -> String {
         let mut log = sound();
         change(&mut log);
@@ -110,7 +113,7 @@ mod tests {
     #[test]
     fn units_are_recognised() {
         let scale = |v: &mut Vec<Vector3<f64>>, by: f64| v.iter_mut().for_each(|x| *x *= by);
-        let cases: [(&str, &dyn Fn(&mut BendLog)); 8] = [
+        let cases: [Case<BendLog>; 8] = [
             ("acc_* looks like g: at rest |a| = 1.0", &|log| scale(&mut imu(log).acc, 1.0 / 9.81)),
             ("looks like gauss", &|log| scale(&mut imu(log).mag, 0.01)),
             ("looks like tesla", &|log| scale(&mut imu(log).mag, 1e-6)),
@@ -121,15 +124,15 @@ mod tests {
             ("piston*_mm looks like m", &|log| scale(&mut log.piston_mm, 1e-3)),
         ];
         for (words, change) in cases {
-            let said = verdict(change);
-            assert!(said.starts_with("x.csv, column") && said.contains(words), "{words}: {said}");
+            let message = verdict(change);
+            assert!(message.starts_with("x.csv, column") && message.contains(words), "{words}: {message}");
         }
     }
 
     #[test]
     fn wiring_is_recognised() {
         let each = |log: &mut BendLog, f: &dyn Fn(&mut Vector3<f64>)| log.piston_mm.iter_mut().for_each(f);
-        let cases: [(&str, &dyn Fn(&mut Vector3<f64>)); 6] = [
+        let cases: [Case<Vector3<f64>>; 6] = [
             ("piston1_mm and piston2_mm look exchanged", &|p| p.swap_rows(0, 1)),
             ("piston1_mm and piston3_mm look exchanged", &|p| p.swap_rows(0, 2)),
             ("piston2_mm and piston3_mm look exchanged", &|p| p.swap_rows(1, 2)),
@@ -138,18 +141,18 @@ mod tests {
             ("all pistons look like they have the other sign", &|p| *p = -*p),
         ];
         for (words, change) in cases {
-            let said = verdict(|log| each(log, change));
-            assert!(said.contains(words), "{words}: {said}");
+            let message = verdict(|log| each(log, change));
+            assert!(message.contains(words), "{words}: {message}");
         }
     }
 
     #[test]
     fn single_values_are_named_with_line_and_column() {
-        let said = verdict(|log| log.piston_mm[99].y = 1e9);
-        assert!(said.contains("line 101, column piston2_mm: 1000000000 mm is beyond"), "{said}");
-        let said = verdict(|log| log.piston_mm[99].y = 25.0);
-        assert!(said.contains("line 101, column piston2_mm: the piston jumps by"), "{said}");
-        let said = verdict(|log| imu(log).gyr[7].z = -1e7);
-        assert!(said.contains("line 9, column gyr_z_rad_s"), "{said}");
+        let message = verdict(|log| log.piston_mm[99].y = 1e9);
+        assert!(message.contains("line 101, column piston2_mm: 1000000000 mm is beyond"), "{message}");
+        let message = verdict(|log| log.piston_mm[99].y = 25.0);
+        assert!(message.contains("line 101, column piston2_mm: the piston jumps by"), "{message}");
+        let message = verdict(|log| imu(log).gyr[7].z = -1e7);
+        assert!(message.contains("line 9, column gyr_z_rad_s"), "{message}");
     }
 }

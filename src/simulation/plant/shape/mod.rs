@@ -58,7 +58,13 @@ impl Shape {
         bend += self.push;
         let touched = match &mut self.wall {
             Some(wall) => wall.contact(&mut bend),
-            None => laws.iter_mut().fold(false, |touched, law| law.contact(&mut bend) || touched),
+            None => {
+                let mut touched = false;
+                for law in laws.iter_mut() {
+                    touched |= law.contact(&mut bend);
+                }
+                touched
+            }
         };
         Pose { r_plate_tip: oriented(&bend, at, laws), bend, length_mm, touched }
     }
