@@ -149,7 +149,7 @@ fn hardware_that_is_not_there_is_exit_code_3_with_words() {
         commission(&board, &["WHO_AM_I at 0x68 is 0x71", "imu.chip.part"]);
         rig.world().bus.chips.spoil(server::ADDRESS, |q| q.wrong_id = None);
         rig.world().bus.hangs = true;
-        commission(&board, &["/dev/i2c-1 hangs", "power-cycle the IMU"]);
+        commission(&board, &["/dev/i2c-1 hangs", "cycle the power of the IMU"]);
         rig.unhang();
     });
 }
@@ -166,8 +166,12 @@ fn a_user_without_permission_is_told_the_device_and_its_group() {
             words.iter().for_each(|w| assert!(said.contains(w), "`{w}` is not in: {said}"));
         };
         let jog = ["--channel", "1", "--mm", "1"];
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::set_permissions(folder.path(), std::os::unix::fs::PermissionsExt::from_mode(0o777)).unwrap();
+        let (state, socket) = (folder.path().join("state"), folder.path().join("control.sock"));
+        let folders = ["--state", state.to_str().unwrap(), "--socket", socket.to_str().unwrap()];
         rig.world().guarded = Some("i2c-1");
-        stranger("run", "linux-gpiochip", &[], &["no permission for /dev/i2c-1", "group i2c", "usermod -aG i2c"]);
+        stranger("run", "linux-gpiochip", &folders, &["no permission for /dev/i2c-1", "group i2c", "usermod -aG i2c"]);
         rig.world().guarded = Some("gpiochip0");
         stranger("jog", "linux-gpiochip", &jog, &["no permission for /dev/gpiochip0", "group gpio", "usermod -aG gpio"]);
         rig.world().guarded = None;

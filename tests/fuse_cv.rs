@@ -97,7 +97,7 @@ fn madgwick_grid() -> Vec<(String, Maker)> {
     for beta_field in [0.003, 0.005, 0.008, 0.012, 0.02] {
         for input_tau_s in [1.0, 2.0, 3.0] {
             for beta_gravity in [0.01, 0.02, 0.03] {
-                let config = MadgwickConfig { beta_field, input_tau_s, beta_gravity, ..MadgwickConfig::default() };
+                let config = MadgwickConfig { beta_field, input_tau_s, beta_gravity };
                 let name = format!("field {beta_field}, inputs {input_tau_s} s, gravity {beta_gravity}");
                 grid.push((name, Box::new(move |_| Filter::Madgwick(Madgwick::new(config)))));
             }

@@ -39,7 +39,7 @@ pub enum HardwareError {
         why: String,
     },
     /// The set-up of the sensor takes longer than any working bus needs.
-    #[error("{path} hangs: no answer within {limit_s} s; power-cycle the IMU, then look for a short on SDA or SCL")]
+    #[error("{path} hangs: no answer within {limit_s} s; cycle the power of the IMU, then look for a short on SDA or SCL")]
     BusHangs {
         /// Path of the bus.
         path: String,

@@ -89,10 +89,10 @@ impl HealthCause {
         match self {
             Self::Nack => "check plug, supply and pull-ups of the IMU cable; its length limit is 1.2 m at 400 kHz",
             Self::ShortRead => "the chip stopped in the middle of a transfer: check the cable for a loose contact",
-            Self::StuckBus => "a line is held low: power-cycle the IMU, then check the cable for a short circuit",
+            Self::StuckBus => "a line is held low: cycle the power of the IMU, then check the cable for a short circuit",
             Self::WrongId => "another part is fitted: set `imu.chip.part` and `imu.chip.address` to the part on the board",
             Self::BrownOut => "the supply of the IMU dipped: check the 3.3 V at the tip under motor load",
-            Self::Frozen => "the chip responds but no longer converts: initialise it again or power-cycle it",
+            Self::Frozen => "the chip responds but no longer converts: initialise it again or cycle its power",
             Self::NotFinite => "a value is NaN or infinite: check the plant or the log that supplies it",
             Self::Spike => "isolated implausible samples: shield the cable and route it away from the motor wires",
             Self::Saturated => "move more slowly or set a larger `imu.chip.gyro_range_dps`",
