@@ -123,7 +123,7 @@ fn same_file(a: &Path, b: &Path) -> bool {
 /// Writes a value as indented JSON, if a path is given.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn json(path: Option<&Path>, value: &impl Serialize) -> Result<()> {
     let Some(path) = path else { return Ok(()) };
     write(path, &(serde_json::to_string_pretty(value).into_diagnostic()? + "\n"))

@@ -20,8 +20,8 @@ use crate::supervisor::gate::SafeState;
 use serde::{Deserialize, Serialize};
 
 parameters! {
-    /// A board: what the machine is. Every key may be left out; its default then applies. A board without [pins] has no
-    /// hardware, one without [plant] has no built-in plant.
+    /// A board: what the machine is. Every key may be left out; its default then applies. A board without `[pins]` has no
+    /// hardware, one without `[plant]` has no built-in plant.
     pub struct Board {
         /// Board that this file builds on: the name of a board that comes with the program, or a file beside this one. The file
         /// then states only what differs.
@@ -46,7 +46,7 @@ parameters! {
         pins: Option<PinsConfig> = None;
         /// The tip's IMU, on boards that have one.
         imu: Option<ImuSection> = None;
-        /// An IMU on the base, with the keys of [imu]. Left out, the base is assumed to stand still. On the same bus it needs
+        /// An IMU on the base, with the keys of `[imu]`. Left out, the base is assumed to stand still. On the same bus it needs
         /// the other address.
         base_imu: Option<ImuSection> = None;
         /// The gate between controller and step generator.

@@ -36,7 +36,7 @@ parameters! {
 }
 
 parameters! {
-    /// The gate between controller and step generator. Travel, speed and acceleration come from [limits] and [motion]; this
+    /// The gate between controller and step generator. Travel, speed and acceleration come from [limits] and `[motion]`; this
     /// table sets how close to them the controller may come, and the other conditions. Once tripped, the gate stays so until
     /// `retroflex reset-fault`.
     pub struct SafetySection: Copy {
@@ -62,7 +62,7 @@ parameters! {
         /// Piston speed of the return to rest. A larger value returns sooner.
         relax_mm_s: f64 = 8.0, "mm/s", 0.1..=100.0, "8 brings 20 mm of piston back in 3 s";
         /// Safe state of each cause: `hold` (brake and stand, energised: the tip keeps its bend), `relax` (brake, return to zero
-        /// slowly, then release the drivers) or `release` (release the drivers at once: as [power] says, the tip goes soft and
+        /// slowly, then release the drivers) or `release` (release the drivers at once: as `[power]` says, the tip goes soft and
         /// straight by its own air, and zero must be found again).
         on: SafeStates;
         /// Residual monitor: when a difference between predicted and estimated bend is reported.

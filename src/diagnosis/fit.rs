@@ -41,7 +41,7 @@ impl Fitted {
 }
 
 /// Fits from `start` with at most `rounds` accepted steps: the result and the tangent there. After a last step within
-/// [`CONVERGED`] the tangent is that of the point before.
+/// `CONVERGED` the tangent is that of the point before.
 #[must_use]
 pub fn fit(problem: &Problem<'_>, start: &[f64], rounds: usize) -> (Point, Tangent) {
     let mut point = problem.at_clamped(start);

@@ -70,7 +70,7 @@ pub struct RecordedFault {
 }
 
 impl Memory {
-    /// Adds a fault and drops the oldest beyond [`FAULTS_MAX`].
+    /// Adds a fault and drops the oldest beyond `FAULTS_MAX`.
     pub fn record_fault(&mut self, fault: RecordedFault) {
         self.faults.push(fault);
         let excess = self.faults.len().saturating_sub(FAULTS_MAX);

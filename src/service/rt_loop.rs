@@ -70,7 +70,7 @@ pub struct HubRings {
     pub answers: Consumer<Answer>,
     /// The output of every cycle.
     pub frames: Consumer<CycleOutput>,
-    /// Restart data, every [`NOTE_EVERY`] cycles.
+    /// Restart data, every `NOTE_EVERY` cycles.
     pub notes: Consumer<RestartNote>,
     /// Objects to drop.
     pub retired: Consumer<Retired>,

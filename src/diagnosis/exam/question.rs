@@ -1,7 +1,7 @@
 //! Questions of an exam: a unit with zero, one or two effects, drawn from a seed, and its logs.
 //!
 //! Units differ in gains, play, lag, attitude and field, and all have the small imperfections of real units. The
-//! calibration is a few percent off. The size of an effect is drawn; one that changes no signal by [`VISIBLE_DEG`] is
+//! calibration is a few percent off. The size of an effect is drawn; one that changes no signal by `VISIBLE_DEG` is
 //! drawn again.
 
 use crate::diagnosis::exam::record::record;

@@ -60,7 +60,7 @@ impl StandstillDetector {
         mean.amax() < BIAS_MAX_DEG_S.to_radians()
             && self.known.is_none_or(|(bias, since_s)| (mean - bias).amax() < change_deg_s(since_s).to_radians())
     }
-    /// Counts a lost sample. After [`MISSED_MAX_S`] without samples the sensor may have moved.
+    /// Counts a lost sample. After `MISSED_MAX_S` without samples the sensor may have moved.
     pub fn miss(&mut self, dt_s: f64) {
         self.missed_s += dt_s;
         if self.missed_s > MISSED_MAX_S {

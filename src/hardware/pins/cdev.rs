@@ -4,7 +4,7 @@
 //! All outputs form one request and all inputs another. One change of levels is therefore one ioctl
 //! that moves every line that differs, and nothing is allocated. The crate `gpio-cdev` does not serve
 //! here: it uses version 1 of the interface, which sets only whole requests and cannot enable pull
-//! resistors, and it allocates for every read. [`super::uapi`] makes the five calls directly.
+//! resistors, and it allocates for every read. `super::uapi` makes the five calls directly.
 
 use crate::hardware::pins::config::Pull;
 use crate::hardware::pins::map::LineMap;

@@ -4,7 +4,7 @@
 //! `[effects.outside.NAME]` are effects that the catalogue does not contain. A table that is absent, or whose
 //! size is 0, leaves the plant unchanged to the last bit.
 //!
-//! The entry in [`table`] is all that an effect needs besides its own file.
+//! The entry in `table` is all that an effect needs besides its own file.
 
 pub mod acc_scale;
 pub mod accel_bias;

@@ -1,6 +1,6 @@
 //! Dead time from motion to sample.
 //!
-//! What the sensor measures is late by a dead time that wanders; see [`DeadTime`].
+//! What the sensor measures is late by a dead time that wanders; see `DeadTime`.
 
 use crate::simulation::plant::imu::stimulus::Stimulus;
 use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};

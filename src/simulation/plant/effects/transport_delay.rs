@@ -1,6 +1,6 @@
 //! Dead time from command to motion.
 //!
-//! The microstep counts reach the motors late by a dead time that wanders; see [`DeadTime`].
+//! The microstep counts reach the motors late by a dead time that wanders; see `DeadTime`.
 
 use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
 use crate::simulation::plant::memory::DeadTime;
