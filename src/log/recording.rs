@@ -44,8 +44,8 @@ const REQUIRED: [&str; 7] = ["time_s", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_
 const MAG: [&str; 3] = ["mag_x", "mag_y", "mag_z"];
 const REFERENCE: [&str; 4] = ["ref_qw", "ref_qx", "ref_qy", "ref_qz"];
 const MOVING: &str = "moving";
-const SCHEMA: Schema<'_> = Schema { required: &REQUIRED, known: &known, rows_min: 1 };
-/// Rows that a period needs.
+const SCHEMA: Schema<'_> = Schema { required: &REQUIRED, known: &known, rows_min: 0 };
+/// Rows that a period needs; counted once the columns are known to be complete.
 const ROWS_MIN: usize = 2;
 
 fn known(name: &str) -> bool {
@@ -95,7 +95,8 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
     let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     let rows: Vec<Row> = (0..table.rows()).map(row).collect();
     if rows.len() < ROWS_MIN {
-        return Err(ReadError::TooShort { file: path.display().to_string(), rows: rows.len().to_string(), least: ROWS_MIN });
+        let found = if rows.is_empty() { "no".to_owned() } else { rows.len().to_string() };
+        return Err(ReadError::TooShort { file: path.display().to_string(), rows: found, least: ROWS_MIN });
     }
     Ok(Recording { name, rows })
 }
