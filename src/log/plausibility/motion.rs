@@ -159,7 +159,7 @@ impl Motion {
     }
 
     /// Pistons wired otherwise than the model says: another wiring explains the tip's rotations, and this one does not. A single
-    /// reversed piston leaves a correlation of 0.45, an exchange 0, all reversed −1; the effects of the catalogue leave 0.8 and more.
+    /// reversed piston leaves a correlation of 0.45, an exchange 0 and all reversed −1.
     pub(super) fn wiring(&self) -> Option<Finding> {
         let nominal = Wiring { from: AS_WIRED, sign: PLUS, says: "", mend: "" };
         let as_wired = self.agreement(&nominal)?;
