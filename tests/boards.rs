@@ -154,7 +154,10 @@ fn with(name: &str, old: &str, nth: usize, new: &str) -> (String, usize) {
 
 #[test]
 fn contradictions_are_refused_with_their_place() {
-    let cases: [(&str, usize, &str, &[&str]); 19] = [
+    let valve = "# relief_valve_kpa is left out.";
+    let cases: [(&str, usize, &str, &[&str]); 21] = [
+        (valve, 0, "relief_valve_kpa = 41.0", &["safety.relief_valve_kpa", "41 kPa leaks below limits.pressure_max_kpa = 41.3 kPa"]),
+        (valve, 0, "relief_valve_kpa = 90.0", &["safety.relief_valve_kpa", "90 kPa never opens", "86 kPa at most"]),
         ("dir = 24", 0, "dir = 17", &["pins.channels[2].dir", "line 17 is already pins.channels[1].step", "its own line"]),
         ("enable = 5", 2, "enable = 27", &["pins.channels[3].enable", "line 27 is already pins.channels[2].step"]),
         ("step = 22", 0, "step = 28", &["pins.channels[3].step", "the header has no GPIO 28", "2 to 27"]),
@@ -192,6 +195,31 @@ fn contradictions_are_refused_with_their_place() {
         let changed = new.split(' ').next().unwrap();
         assert!(told > 1 && (told == line || !words[0].split(['.', '[']).any(|part| part == changed)), "{error}: line {line} was changed");
     }
+}
+
+/// Only something outside the program counts: relief valves, or a motor that is too weak.
+#[test]
+fn a_board_whose_motor_can_exceed_the_pressure_limit_is_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let checked = |text: &str| {
+        let path = folder.path().join("board.toml");
+        std::fs::write(&path, format!("base = \"pi4\"\n{text}")).unwrap();
+        let out = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(["board", "check"]).arg(&path).output().unwrap();
+        (out.status.code().unwrap(), String::from_utf8_lossy(&out.stdout).into_owned())
+    };
+    let (code, said) = checked("");
+    assert!(code == 1 && said.contains("the motor makes 86 kPa, more than safety.pressure_max_kpa = 41.3 kPa"), "{said}");
+    let (code, said) = checked("[safety]\nrelief_valve_kpa = 50.0\n");
+    assert!(code == 0 && said.contains("relief valves that open at 50 kPa"), "{said}");
+    // 124.5 N·mm hold 41.3 kPa and 126 N·mm stall at 41.8 kPa
+    let (code, said) = checked("[power]\nholding_torque_n_mm = 126.0\n[safety]\npressure_max_kpa = 42.0\n");
+    assert!(code == 0 && said.contains("bounded by the motor, which makes 41.8 kPa"), "{said}");
+    let sim = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(["board", "check", "sim"]).status().unwrap();
+    assert!(sim.success(), "a simulated machine makes no pressure");
+
+    let doctor = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(["doctor", "--board"]).arg(repo("boards/pi4.toml")).output().unwrap();
+    let said = String::from_utf8_lossy(&doctor.stdout);
+    assert!(said.contains("WARN  pressure") && said.contains("safety.relief_valve_kpa"), "{said}");
 }
 
 #[test]

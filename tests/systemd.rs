@@ -1,8 +1,8 @@
-//! A real systemd starts the unit as it is shipped: notify, watchdog, restart, state, stop.
+//! A real systemd starts the units as they are shipped: notify, watchdog, restart, state, stop, release after a failure.
 //!
-//! It is the first process of namespaces of its own, with a unit folder of its own, so nothing of the
-//! machine that the tests run on is touched. Needs root, `unshare`, systemd and version 2 of control
-//! groups; without them it says so and passes over.
+//! It is the first process of its own namespaces and has its own unit folder, so it does not touch the machine that
+//! the tests run on. The tests need root, `unshare`, systemd and version 2 of control groups; otherwise they print what
+//! is missing and are skipped.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -54,7 +54,10 @@ impl Booted {
         self.enter(&all)
     }
     fn show(&self, property: &str) -> String {
-        self.systemctl(&["show", "retroflex", "-p", property, "--value"]).1
+        self.show_of("retroflex", property)
+    }
+    fn show_of(&self, unit: &str, property: &str) -> String {
+        self.systemctl(&["show", unit, "-p", property, "--value"]).1
     }
     fn retroflex(&self, args: &[&str]) -> (bool, String) {
         let mut all = vec!["/run/rf/retroflex"];
@@ -115,11 +118,15 @@ fn can_boot() -> Result<(), &'static str> {
 
 fn boot(folder: &Path) -> Booted {
     let units = folder.join("units");
-    std::fs::create_dir_all(units.join("retroflex.service.d")).unwrap();
+    std::fs::create_dir_all(&units).unwrap();
     std::fs::copy(env!("CARGO_BIN_EXE_retroflex"), folder.join("retroflex")).unwrap();
-    std::fs::copy(repo("systemd/retroflex.service"), units.join("retroflex.service")).unwrap();
-    let here = "[Service]\nExecStart=\nExecStart=/run/rf/retroflex run\n";
-    std::fs::write(units.join("retroflex.service.d/here.conf"), here).unwrap();
+    std::fs::write(folder.join("pins.toml"), "[pins]\nbackend = \"mock\"\n").unwrap();
+    for (unit, command) in [("retroflex", "run"), ("retroflex-release", "release --hold --board /run/rf/pins.toml")] {
+        std::fs::copy(repo(&format!("systemd/{unit}.service")), units.join(format!("{unit}.service"))).unwrap();
+        let here = format!("[Service]\nExecStart=\nExecStart=/run/rf/retroflex {command}\n");
+        std::fs::create_dir_all(units.join(format!("{unit}.service.d"))).unwrap();
+        std::fs::write(units.join(format!("{unit}.service.d/here.conf")), here).unwrap();
+    }
     for target in ["default", "basic", "sysinit", "shutdown", "multi-user"] {
         std::fs::write(units.join(format!("{target}.target")), format!("[Unit]\nDescription={target}\nDefaultDependencies=no\n")).unwrap();
     }
@@ -156,7 +163,7 @@ fn boot(folder: &Path) -> Booted {
 #[test]
 fn a_real_systemd_starts_watches_restarts_and_stops_it() {
     if let Err(why) = can_boot() {
-        eprintln!("passed over: {why}");
+        eprintln!("skipped: {why}");
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -170,19 +177,19 @@ fn a_real_systemd_starts_watches_restarts_and_stops_it() {
     let grants = booted.status()["real_time"].to_string();
     assert!(grants.contains("SCHED_FIFO"), "{grants}");
 
-    // it works: armed, bent
+    // arm and bend
     assert!(booted.retroflex(&["arm"]).0);
     let (settled, said) = booted.retroflex(&["bend", "40", "--toward", "30", "--wait"]);
     assert!(settled, "{said}");
 
-    // SIGSTOP: nobody feeds the watchdog any more; systemd kills and starts anew
+    // SIGSTOP ends the heartbeat; systemd kills the service and starts it again
     let first = booted.show("MainPID");
     assert!(booted.enter(&["kill", "-STOP", &first]).0);
     let took_s = booted.until("the restart", |b| b.show("NRestarts") == "1" && b.show("ActiveState") == "active");
     assert!((1.0..12.0).contains(&took_s), "{took_s} s");
     assert_ne!(booted.show("MainPID"), first);
 
-    // the state is there again: bent was remembered, straight is felt, so it asks
+    // the saved pose is bent and the measured one is straight, so the service requires `zero`
     booted.until("a decision", |b| b.status()["mode"] == "lost");
     assert_ne!(booted.status()["counted"], serde_json::json!([0, 0, 0]));
     let (armed, said) = booted.retroflex(&["arm"]);
@@ -190,7 +197,7 @@ fn a_real_systemd_starts_watches_restarts_and_stops_it() {
     assert!(booted.retroflex(&["zero"]).0);
     booted.until("alignment", |b| b.status()["mode"] == "disarmed");
 
-    // stop while bent: relaxed first
+    // a stop of the unit with a bent tip returns to rest first
     assert!(booted.retroflex(&["arm"]).0);
     assert!(booted.retroflex(&["bend", "35", "--wait"]).0);
     let (stopped, said) = booted.systemctl(&["stop", "retroflex"]);
@@ -200,15 +207,42 @@ fn a_real_systemd_starts_watches_restarts_and_stops_it() {
     assert!(memory.contains("recalled 0 0 0 0 ."), "left relaxed: {memory}");
 }
 
+/// After the last restart nobody controls the drivers; another unit takes the current away, and ends when the service returns.
 #[test]
-fn the_unit_is_hardened() {
-    let out = Command::new("systemd-analyze").args(["security", "--offline=yes"]).arg(repo("systemd/retroflex.service")).output();
-    let Ok(out) = out else {
-        eprintln!("passed over: no systemd-analyze");
+fn a_service_that_has_failed_for_good_is_followed_by_the_release_of_the_drivers() {
+    if let Err(why) = can_boot() {
+        eprintln!("skipped: {why}");
         return;
-    };
-    let text = String::from_utf8_lossy(&out.stdout).into_owned();
-    let line = text.lines().find(|l| l.contains("Overall exposure level")).unwrap_or_else(|| panic!("{text}"));
-    let level: f64 = line.split(':').nth(1).and_then(|r| r.split_whitespace().next()).and_then(|n| n.parse().ok()).unwrap();
-    assert!(level <= 1.0, "{line}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let booted = boot(folder.path());
+    assert!(booted.systemctl(&["start", "retroflex"]).0);
+    let state_of_release = |b: &Booted| b.show_of("retroflex-release", "ActiveState");
+    for restarts in 0..5 {
+        assert_eq!(state_of_release(&booted), "inactive", "after {restarts} restarts");
+        booted.until("a start", |b| b.show("NRestarts") == restarts.to_string() && b.show("ActiveState") == "active");
+        assert!(booted.enter(&["kill", "-KILL", &booted.show("MainPID")]).0);
+    }
+    booted.until("the failure", |b| b.show("ActiveState") == "failed");
+    booted.until("the release", |b| state_of_release(b) == "active");
+
+    booted.systemctl(&["reset-failed", "retroflex"]);
+    assert!(booted.systemctl(&["start", "retroflex"]).0);
+    booted.until("the end of the release", |b| state_of_release(b) == "inactive");
+    assert_eq!(booted.show_of("retroflex-release", "Result"), "success");
+}
+
+#[test]
+fn the_units_are_hardened() {
+    for unit in ["systemd/retroflex.service", "systemd/retroflex-release.service"] {
+        let out = Command::new("systemd-analyze").args(["security", "--offline=yes"]).arg(repo(unit)).output();
+        let Ok(out) = out else {
+            eprintln!("skipped: no systemd-analyze");
+            return;
+        };
+        let text = String::from_utf8_lossy(&out.stdout).into_owned();
+        let line = text.lines().find(|l| l.contains("Overall exposure level")).unwrap_or_else(|| panic!("{text}"));
+        let level: f64 = line.split(':').nth(1).and_then(|r| r.split_whitespace().next()).and_then(|n| n.parse().ok()).unwrap();
+        assert!(level <= 1.0, "{unit}: {line}");
+    }
 }

@@ -2,6 +2,7 @@
 
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::board::Board;
+use crate::config::pressure_bound::PressureBound;
 use crate::hardware::machine::Sensor;
 use crate::hardware::rt::{self, Grant, RtRequest};
 use miette::Result;
@@ -97,7 +98,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 /// All checks that need no motion.
 #[must_use]
 pub fn examine(board: &Board) -> Vec<Finding> {
-    let mut findings = vec![model(), kernel()];
+    let mut findings = vec![model(), kernel(), pressure(board)];
     findings.extend(devices(board));
     findings.extend(real_time(board));
     findings.extend([clock(), throttling(), disk(&board.service.state), folder("socket folder", board.service.socket.parent())]);
@@ -121,6 +122,11 @@ fn kernel() -> Finding {
     let preempt = read("/sys/kernel/realtime").as_deref() == Some("1") || release.contains("-rt");
     let remedy = "not a PREEMPT_RT kernel: single steps can be late, see `retroflex bench rt`; a step that is too late latches a fault";
     Finding::pass_or_warn(preempt, "kernel", release, remedy)
+}
+
+fn pressure(board: &Board) -> Finding {
+    let bound = PressureBound::of(board);
+    Finding::pass_or_warn(bound.is_bounded(), "pressure", bound.to_string(), PressureBound::REMEDY)
 }
 
 /// Buses, GPIO chips and sensors that the board names. Sensors are identified; no output is driven.

@@ -21,6 +21,7 @@ pub mod logging;
 pub mod manual_motion;
 mod outcome;
 pub mod output;
+pub mod release;
 pub mod replay;
 pub mod run;
 
@@ -73,6 +74,8 @@ enum Command {
     Doctor(doctor::Args),
     /// Inject every fault that the project claims to survive.
     Drill(drill::Args),
+    /// Take the current away from all drivers.
+    Release(release::Args),
     /// Run a recording through the current control loop and compare bit for bit.
     Replay(replay::Args),
     /// Print a completion script for a shell.
@@ -82,7 +85,7 @@ enum Command {
 /// The commands by task, as `--help` lists them.
 const GROUPS: [(&str, &[&str]); 7] = [
     ("Move", &["run", "arm", "bend", "stream", "play", "hold", "stop", "relax", "disarm", "status", "subscribe", "reset-fault", "reload"]),
-    ("Bring up", &["board", "doctor", "jog", "home", "commission", "bench"]),
+    ("Bring up", &["board", "doctor", "release", "jog", "home", "commission", "bench"]),
     ("Calibrate", &["zero", "calibrate", "imu"]),
     ("Diagnose", &["record", "replay", "gap"]),
     ("Simulate", &["evaluate"]),
@@ -133,6 +136,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Client(command) => client::run(&command),
         Command::Doctor(args) => doctor::run(&args),
         Command::Drill(args) => drill::run(&args),
+        Command::Release(args) => release::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Completions(args) => Ok(completions::run(&args, command())),
     };

@@ -3,6 +3,7 @@
 use crate::cli::{CommandOutcome, Unreachable, inputs, logging, manual_motion};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
+use crate::config::pressure_bound::PressureBound;
 use crate::config::show;
 use crate::config::supervisor::assemble;
 use crate::hardware::machine::Hardware;
@@ -74,6 +75,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     if let Some(state) = &args.state {
         board.service.state.clone_from(state);
+    }
+    let bound = PressureBound::of(&board);
+    if args.plant.is_none() && !bound.is_bounded() {
+        tracing::warn!("pressure: {bound}; {}", PressureBound::REMEDY);
     }
     let claim = Claim::new(&board.service).map_err(report)?;
     let machine = open(args, &board)?;

@@ -8,6 +8,7 @@ pub mod board;
 pub mod calib;
 pub mod gains;
 pub mod power;
+pub mod pressure_bound;
 mod relations;
 pub mod sections;
 pub mod service;

@@ -31,10 +31,16 @@ impl PowerSection {
         pressure_kpa.abs() * 1e-3 * self.piston_area_mm2 * 0.5 * pitch_diameter_mm
     }
 
+    /// Gauge pressure that the energised motor can make, kPa.
+    #[must_use]
+    pub fn stall_kpa(&self, pitch_diameter_mm: f64) -> f64 {
+        self.holding_torque_n_mm / self.torque_n_mm(1.0, pitch_diameter_mm)
+    }
+
     /// Gauge pressure that the motor keeps without current, kPa.
     #[must_use]
     pub fn kept_kpa(&self, pitch_diameter_mm: f64) -> f64 {
-        self.detent_torque_n_mm / (1e-3 * self.piston_area_mm2 * 0.5 * pitch_diameter_mm)
+        self.detent_torque_n_mm / self.torque_n_mm(1.0, pitch_diameter_mm)
     }
 
     /// Fraction of the largest pressure that remains without current, 0 to 1: about the fraction of the largest bend that
@@ -54,6 +60,7 @@ mod tests {
     fn trapped_pressure_turns_the_motor_as_computed_by_hand() {
         let p = PowerSection::default();
         assert!((p.torque_n_mm(41.3, 30.0) - 124.5).abs() < 0.1, "{}", p.torque_n_mm(41.3, 30.0));
+        assert!((p.stall_kpa(30.0) - 86.24).abs() < 0.01);
         assert!((p.kept_kpa(30.0) - 4.975).abs() < 0.01);
         assert!((p.kept_share(41.3, 30.0) - 0.1205).abs() < 1e-3);
     }

@@ -55,6 +55,13 @@ fn power(board: &Board, to: &mut Checker) {
     let needed = board.power.torque_n_mm(pressure, board.drive.pinion_pitch_diameter_mm);
     let problem = format!("{have} N·mm do not hold limits.pressure_max_kpa = {pressure} kPa, which turns the motor with {needed:.0} N·mm");
     to.holds("power.holding_torque_n_mm", have > needed, &problem, "lower limits.pressure_max_kpa or use a stronger motor");
+    if let Some(valve) = board.safety.relief_valve_kpa {
+        let problem = format!("a valve that opens at {valve} kPa leaks below limits.pressure_max_kpa = {pressure} kPa");
+        to.holds("safety.relief_valve_kpa", valve > pressure, &problem, "use a stiffer valve or lower limits.pressure_max_kpa");
+        let stall = board.power.stall_kpa(board.drive.pinion_pitch_diameter_mm);
+        let problem = format!("a valve that opens at {valve} kPa never opens: the motor makes {stall:.0} kPa at most");
+        to.holds("safety.relief_valve_kpa", valve < stall, &problem, "use a softer valve");
+    }
 }
 
 /// Motion and pulses, each alone and together.

@@ -47,6 +47,10 @@ parameters! {
         acceleration_share: f64 = 2.0, "", 1.0..=20.0, "2 leaves room for the grain of microsteps";
         /// Gauge pressure at which the gate trips; the default is the paper's 6 PSI. A larger value risks the bellow.
         pressure_max_kpa: f64 = 41.3, "kPa", 1.0..=200.0, "the paper stays under 6 PSI = 41.4 kPa";
+        /// Gauge pressure, of either sign, at which the relief valve of every line opens; left out, there are no valves. A motor
+        /// that can make more than `pressure_max_kpa` needs valves or pressure sensors, because the program limits the pressure
+        /// only by the position that it believes. A larger value lets a failed program press harder.
+        relief_valve_kpa: Option<f64> = None, "kPa", 1.0..=200.0, "as stamped on the valve; above limits.pressure_max_kpa";
         /// Distance of the estimated bend from a constant set-point at which the gate trips. A larger value pushes a tip that
         /// does not follow further.
         following_deg: f64 = 20.0, "deg", 1.0..=90.0, "20 is well above what backlash and load make";

@@ -1,0 +1,48 @@
+//! `retroflex release`: takes the current away from all drivers. The unit `retroflex-release.service` runs it when the
+//! service has failed for good, because the drivers otherwise stay energised with nobody in control.
+
+use crate::cli::{CommandOutcome, manual_motion, output};
+use crate::config::board::Board;
+use crate::config::source;
+use crate::hardware::machine::HardwareError;
+use crate::hardware::pins::{self, OpenError, PinError};
+use crate::motion::lines::Levels;
+use miette::{IntoDiagnostic, Result, miette};
+use std::path::PathBuf;
+
+/// Arguments of `release`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Board file.
+    #[arg(long)]
+    board: PathBuf,
+    /// Keep the lines until SIGINT or SIGTERM. The kernel may release the lines of a GPIO character device when the program
+    /// ends, and a breakout then pulls EN to "energised".
+    #[arg(long)]
+    hold: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A report: bad input, or lines that cannot be opened or do not follow.
+pub fn run(args: &Args) -> Result<CommandOutcome> {
+    let board: Board = source::read(&args.board)?;
+    let Some(config) = &board.pins else {
+        return Err(miette!("{}: there is no [pins] table, so there are no drivers to release", args.board.display()));
+    };
+    let hardware = |e: OpenError| manual_motion::hardware_error(&args.board, HardwareError::Pins(e));
+    let mut pins = pins::open(config, board.drive.microsteps).map_err(hardware)?;
+    let off = |e: PinError| hardware(OpenError::Pin(e));
+    pins.write(&Levels::default()).map_err(off)?;
+    pins.check_enable().map_err(off)?;
+    output::print("drivers released: the tip goes soft, and zero must be found again\n");
+    if args.hold {
+        let signals = [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM];
+        let mut signals = signal_hook::iterator::Signals::new(signals).into_diagnostic()?;
+        // outside of systemd there is nobody to notify
+        let _ = sd_notify::notify(&[sd_notify::NotifyState::Ready]);
+        let _ = signals.forever().next();
+    }
+    Ok(CommandOutcome::Good)
+}
