@@ -177,19 +177,23 @@ fn orders_are_accepted_and_refused_by_mode() {
     f.run(0.1);
     f.order(bend_to(40.0, 0.0));
     f.run(0.1);
-    assert!(refused(&mut f, Order::Disarm).contains("stop"));
     assert!(refused(&mut f, Order::Calibrate(true)).contains("stop"));
-    f.order(Order::Stop);
-    assert!(refused(&mut f, bend_to(30.0, 0.0)).contains("moment"));
+    // a client that sends set-points without a pause cannot prevent `disarm`
+    f.order(Order::Disarm);
+    assert!(refused(&mut f, Order::Arm).contains("moment"));
     let t = f.run(0.5);
     let stood = t.steps;
-    assert_eq!((t.mode, f.run(0.5).mode), (Mode::Holding, Mode::Holding));
-    assert!((0..3).all(|i| (f.run(0.01).steps.0[i] - stood.0[i]).abs() < 40), "the tip stays where it stopped");
-    f.order(Order::Disarm);
+    assert_eq!((t.mode, t.energise), (Mode::Disarmed, true));
+    assert_eq!(f.run(0.5).steps, stood, "the tip stays where it was disarmed");
     assert!(refused(&mut f, Order::Zero).contains("relax"));
     f.order(Order::Relax);
     let t = f.run(6.0);
     assert_eq!((t.mode, t.steps.0, t.energise), (Mode::Disarmed, [0; 3], false));
+    let hangs = refused(&mut f, Order::Zero);
+    assert!(hangs.contains("hangs") && hangs.contains("--straight"), "the play leaves the tip bent: {hangs}");
+    f.order(Order::AssertStraight);
+    assert_eq!(f.run(2.5).mode, Mode::Disarmed);
+    assert!(f.runner.supervisor.is_unverified());
     f.order(Order::Zero);
     assert_eq!(f.run(2.5).mode, Mode::Disarmed);
 }
@@ -362,21 +366,24 @@ fn drivers_are_not_armed_again_before_the_brake_has_ended() {
     let mut f = braking();
     f.order(Order::Disarm);
     assert_eq!(f.turn(Some(Order::Arm)).answer, Some(Err(Refusal::Busy)));
+    assert!(f.turn(None).stopped, "a refused `arm` released the latch");
     f.run(0.5);
     f.order(Order::Arm);
+    assert!(!f.turn(None).stopped);
 }
 
 #[test]
 fn feedback_returns_however_a_calibration_ends() {
     let mut f = Flight::new(None, None);
     f.run(2.5);
-    let ends: [fn(&mut Flight); 3] = [
+    let ends: [fn(&mut Flight); 4] = [
         |f| f.order(Order::Calibrate(false)),
         |f| f.order(Order::Stop),
         |f| {
             f.order(Order::Relax);
             f.run(6.0);
         },
+        |f| f.order(Order::Disarm),
     ];
     for end in ends {
         f.turn(Some(Order::Arm));

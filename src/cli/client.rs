@@ -29,7 +29,7 @@ pub enum Client {
     /// Accept no more motion.
     Disarm(Plain),
     /// Define the present pose as zero bend.
-    Zero(Plain),
+    Zero(ZeroArgs),
     /// Show the state of the service.
     Status(StatusArgs),
     /// Clear a fault whose cause has been removed.
@@ -53,6 +53,16 @@ pub struct Plain {
     at: At,
 }
 
+/// Arguments of `zero`.
+#[derive(Debug, clap::Args)]
+pub struct ZeroArgs {
+    #[command(flatten)]
+    at: At,
+    /// State that the tip is straight, where no remembered attitude confirms it. The status shows such a zero as unverified.
+    #[arg(long)]
+    straight: bool,
+}
+
 /// Runs a command.
 ///
 /// # Errors
@@ -65,7 +75,7 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
         Client::Relax(p) => send(&p.at, &Request::Relax {}),
         Client::Arm(p) => send(&p.at, &Request::Arm {}),
         Client::Disarm(p) => send(&p.at, &Request::Disarm {}),
-        Client::Zero(p) => send_and_align(&p.at, &Request::Zero {}),
+        Client::Zero(args) => send_and_align(&args.at, &Request::Zero { straight: args.straight }),
         Client::ResetFault(p) => send(&p.at, &Request::ResetFault {}),
         Client::Reload(p) => send(&p.at, &Request::Reload {}),
         Client::Status(args) => status::status(args),

@@ -165,7 +165,7 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, Machine
     }
     if zero {
         if bench.runner.supervisor.mode() == Mode::Disarmed {
-            order(bench, Order::Zero, row)?;
+            order(bench, Order::AssertStraight, row)?;
         }
         bench.set_straight();
     }

@@ -132,7 +132,7 @@ fn restore_and_align(bench: &mut Bench) -> Result<(), MachineError> {
     bench.runner.machine.restore_racks();
     bench.run(10.0)?;
     bench.turn(Some(Order::Reset))?;
-    bench.turn(Some(Order::Zero))?;
+    bench.turn(Some(Order::AssertStraight))?;
     bench.until(8.0, |t| t.mode != Mode::Aligning)?;
     bench.set_straight();
     Ok(())
@@ -149,7 +149,7 @@ fn to_armed(bench: &mut Bench) -> Result<bool, MachineError> {
             // a fault that returns after a reset needs a new alignment
             Mode::Disarmed if attempt > 4 && bench.runner.supervisor.keep().steps.0 == [0; 3] => {
                 bench.turn(Some(Order::Reset))?;
-                bench.turn(Some(Order::Zero))?;
+                bench.turn(Some(Order::AssertStraight))?;
                 bench.until(8.0, |t| t.mode != Mode::Aligning)?;
                 bench.turn(Some(Order::Arm))?;
                 bench.run(0.05)?;
@@ -171,7 +171,7 @@ fn to_armed(bench: &mut Bench) -> Result<bool, MachineError> {
             }
             Mode::Lost => restore_and_align(bench)?,
             Mode::Calibrating => {
-                bench.turn(Some(Order::Stop))?;
+                bench.turn(Some(Order::Calibrate(false)))?;
             }
         }
     }

@@ -41,7 +41,7 @@ use crate::service::rt_loop::{HeartbeatMonitor, Loop, Shared};
 use crate::service::server::{Server, Waker};
 use crate::service::start::{RunConfig, Start};
 use crate::service::state_writer::StateWriter;
-use crate::service::stop::StopLatch;
+use crate::service::stop::StopCounter;
 use crate::service::store::{Recall, Store};
 use crate::supervisor::cycle::runner::Runner;
 use crate::supervisor::machine::Machine;
@@ -104,7 +104,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         shared: Arc::clone(&shared),
         fast,
         heartbeat: HeartbeatMonitor::new(notifier.heartbeat()),
-        latch: StopLatch::default(),
+        stops: StopCounter::default(),
     };
     let wish = RtRequest { priority: config.service.priority, cpu: config.service.cpu };
     let (report, reported) = channel();

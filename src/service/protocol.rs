@@ -57,7 +57,11 @@ pub enum Request {
     /// Return the pistons to zero slowly, then de-energise.
     Relax {},
     /// Define the present pose as zero bend.
-    Zero {},
+    Zero {
+        /// The operator states that the tip is straight. Without it, the remembered attitude must confirm it.
+        #[serde(default)]
+        straight: bool,
+    },
     /// Report the state of the service.
     Status {},
     /// Clear a latched fault whose cause has been removed.

@@ -5,8 +5,8 @@ use crate::control::tick::RestartState;
 use crate::hardware::rt::{monotonic_ns, sleep_until_ns};
 use crate::primitives::units::Seconds;
 use crate::service::notify::Heartbeat;
-use crate::service::stop::{Rejection, StopLatch, StopSignal};
-use crate::supervisor::cycle::order::Order;
+use crate::service::stop::{StopCounter, StopSignal};
+use crate::supervisor::cycle::order::{Order, Refusal};
 use crate::supervisor::cycle::runner::Runner;
 use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
 use crate::supervisor::machine::{Machine, MachineError};
@@ -23,7 +23,7 @@ pub enum Message {
         id: u64,
         /// What to do.
         order: Order,
-        /// Number of stops requested when the order was received, see [`StopLatch`].
+        /// Number of stops requested when the order was received, see [`StopCounter`].
         stops: u64,
     },
     /// Replaces the configuration. The old one comes back as [`Retired::Config`].
@@ -48,10 +48,14 @@ pub struct RestartNote {
     pub state: RestartState,
     /// The pistons are at zero, so a restart has nothing to verify.
     pub at_rest: bool,
+    /// The position of the pistons is unknown.
+    pub lost: bool,
+    /// No measurement has confirmed the last zero.
+    pub unverified: bool,
 }
 
 /// Result of an order, with the id of its message.
-pub type Answer = (u64, Result<(), Rejection>);
+pub type Answer = (u64, Result<(), Refusal>);
 
 /// The loop's ends of the rings. All rings are wait-free.
 pub struct LoopRings {
@@ -142,8 +146,8 @@ pub struct Loop {
     pub fast: bool,
     /// The watchdog heartbeat.
     pub heartbeat: HeartbeatMonitor,
-    /// Refuses motion after a stop.
-    pub latch: StopLatch,
+    /// Recognises what was queued before a stop.
+    pub stops: StopCounter,
 }
 
 impl Loop {
@@ -181,25 +185,32 @@ impl Loop {
 
     fn cycle(&mut self, now: Seconds) -> Result<(), MachineError> {
         // a stop comes before every queued message
-        let stop = self.latch.take_request(&self.shared.stop);
+        let stop = self.stops.take_request(&self.shared.stop);
         let (id, order) = match stop {
             Some(_) => (None, Some(Order::Stop)),
             None => self.next_order(),
         };
         let output = self.runner.turn(now, order)?;
-        if let Some(number) = stop {
-            self.shared.stop.complete(number);
-        }
         if let (Some(id), Some(answer)) = (id, output.answer) {
-            self.answer(id, answer.map_err(Rejection::Supervisor));
+            self.answer(id, answer);
         }
         if self.rings.frames.push(output).is_err() {
             self.shared.lost.fetch_add(1, Relaxed);
         }
+        if let Some(number) = stop {
+            // after the frame, so that a status that follows the answer reports the stop
+            self.shared.stop.complete(number);
+        }
         if self.shared.cycles.fetch_add(1, Relaxed).is_multiple_of(NOTE_EVERY) {
             let supervisor = &self.runner.supervisor;
             // if the ring is full the hub is late, and a newer note will replace this one
-            let _ = self.rings.notes.push(RestartNote { state: supervisor.keep(), at_rest: supervisor.is_at_rest() });
+            let note = RestartNote {
+                state: supervisor.keep(),
+                at_rest: supervisor.is_at_rest(),
+                lost: supervisor.is_lost(),
+                unverified: supervisor.is_unverified(),
+            };
+            let _ = self.rings.notes.push(note);
         }
         Ok(())
     }
@@ -207,15 +218,16 @@ impl Loop {
     /// Takes one message; returns the order for this cycle with its id.
     fn next_order(&mut self) -> (Option<u64>, Option<Order>) {
         match self.rings.orders.pop() {
-            Ok(Message::Order { id, order, stops }) => match self.latch.admit(&order, stops) {
+            Ok(Message::Order { id, order, stops }) => match self.stops.admit(&order, stops) {
                 Ok(()) => return (Some(id), Some(order)),
-                Err(rejection) => self.answer(id, Err(rejection)),
+                Err(refusal) => self.answer(id, Err(refusal)),
             },
             Ok(Message::Reload(mut config)) => {
                 self.runner.supervisor.reload(&mut config);
                 self.retire(Retired::Config(config));
             }
             Ok(Message::ReplaceSupervisor(mut supervisor)) => {
+                supervisor.inherit(&self.runner.supervisor);
                 std::mem::swap(&mut self.runner.supervisor, &mut supervisor);
                 self.retire(Retired::Supervisor(supervisor));
             }
@@ -224,7 +236,7 @@ impl Loop {
         (None, None)
     }
 
-    fn answer(&mut self, id: u64, result: Result<(), Rejection>) {
+    fn answer(&mut self, id: u64, result: Result<(), Refusal>) {
         if self.rings.answers.push((id, result)).is_err() {
             self.shared.lost.fetch_add(1, Relaxed);
         }

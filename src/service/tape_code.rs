@@ -149,7 +149,7 @@ impl Code for Command {
 }
 
 /// Orders without an argument, by code.
-pub(super) const PLAIN: [Order; 9] = [
+pub(super) const PLAIN: [Order; 10] = [
     Order::Arm,
     Order::Disarm,
     Order::Hold,
@@ -159,6 +159,7 @@ pub(super) const PLAIN: [Order; 9] = [
     Order::Reset,
     Order::Calibrate(true),
     Order::Calibrate(false),
+    Order::AssertStraight,
 ];
 
 impl Code for Order {

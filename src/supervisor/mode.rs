@@ -25,7 +25,7 @@ pub enum Mode {
     Calibrating,
     /// The gate has tripped. It holds, relaxes or has released the drivers, as the board file states for the cause.
     Faulted,
-    /// The position of the pistons is unknown; only `zero` and `relax` lead on.
+    /// The position of the pistons is unknown; only `zero` ends it. `relax` returns by the remembered counts.
     Lost,
 }
 
@@ -145,10 +145,12 @@ pub const TABLE: &[(Mode, Event, Mode)] = &[
     (Mode::Holding, Event::Trip, Mode::Faulted),
     (Mode::Tracking, Event::Settled, Mode::Holding),
     (Mode::Tracking, Event::Stop, Mode::Holding),
+    (Mode::Tracking, Event::Disarm, Mode::Disarmed),
     (Mode::Tracking, Event::Relax, Mode::Relaxing),
     (Mode::Tracking, Event::Trip, Mode::Faulted),
     (Mode::Calibrating, Event::Settled, Mode::Holding),
     (Mode::Calibrating, Event::Stop, Mode::Holding),
+    (Mode::Calibrating, Event::Disarm, Mode::Disarmed),
     (Mode::Calibrating, Event::Relax, Mode::Relaxing),
     (Mode::Calibrating, Event::Trip, Mode::Faulted),
     (Mode::Relaxing, Event::Rested, Mode::Disarmed),

@@ -140,7 +140,7 @@ pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
     let mut client = again.client()?;
     row.message = client.request(&Request::Arm {}).err().map(|f| f.message).unwrap_or_default();
     row.require(row.message.contains("zero"), |row| format!("`arm` was answered with `{}`", row.message));
-    ask(&mut client, &Request::Zero {})?;
+    ask(&mut client, &Request::Zero { straight: false })?;
     again.until(15.0, "alignment", |s| s["mode"] == "disarmed")?;
     let (success, _) = again.end()?;
     row.require(success, |_| "the service did not end with success".to_owned());

@@ -48,7 +48,7 @@ impl Hub {
     /// Starts a recording. It has a tape if the supervisor is in its first cycle (`at_boot`) or can be replaced by a
     /// freshly reset one because the machine is disarmed at zero.
     pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
-        let idle = self.mode() == Mode::Disarmed && self.is_at_zero() && self.last.as_ref().is_some_and(|t| t.latched.is_none());
+        let idle = self.mode() == Mode::Disarmed && self.is_at_zero() && self.last.as_ref().is_some_and(|t| t.latched.is_none() && !t.stopped);
         let start = Start::new(&self.config, &self.memory, at_boot && self.facts.unreadable);
         let machine = self.facts.remarks.first().map_or("", String::as_str);
         let header = (at_boot || idle).then(|| start.header(&self.config.texts, machine));
@@ -84,7 +84,7 @@ impl Hub {
             "tip": self.config.tip,
             "uptime_s": self.started.elapsed().as_secs_f64(),
             "settled": settled,
-            "stopped": shared.stop.is_latched(),
+            "stopped": last.is_some_and(|t| t.stopped),
             "fault": last.and_then(|t| t.latched).map(status::trip_message),
             "calibration": calibration,
             "calibrating": self.calibration.as_ref().map(Session::progress),

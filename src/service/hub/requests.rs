@@ -91,7 +91,8 @@ impl Hub {
             Request::Hold {} => Order::Hold,
             Request::Stop {} => Order::Stop,
             Request::Relax {} => Order::Relax,
-            Request::Zero {} => Order::Zero,
+            Request::Zero { straight: false } => Order::Zero,
+            Request::Zero { straight: true } => Order::AssertStraight,
             Request::ResetFault {} => Order::Reset,
         };
         if matches!(order, Order::Arm | Order::Relax) && !self.persistence.armed_on_disk {

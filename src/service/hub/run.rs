@@ -39,7 +39,6 @@ impl Hub {
                 self.start_ending();
             }
             self.take_requests();
-            self.take_loop_output();
             self.persist();
             self.notify_manager();
             self.forget_dropped_clients();
@@ -66,6 +65,8 @@ impl Hub {
     /// Requests of both sockets. Those of the status socket come second, so that readers delay no command.
     fn take_requests(&mut self) {
         let lines = self.io.status.round(ROUND);
+        // a status that follows an answer reports what was answered
+        self.take_loop_output();
         while let Ok(incoming) = self.io.control.incoming.try_recv() {
             self.handle(incoming, true);
         }
@@ -86,13 +87,14 @@ impl Hub {
         }
     }
 
-    /// SIGTERM or SIGINT: returns to rest, except after a stop.
+    /// SIGTERM or SIGINT: returns to rest; after a stop the tip stays where it is.
     fn start_ending(&mut self) {
         self.ending = Some(Instant::now());
         self.io.notifier.notify("STOPPING=1\nSTATUS=relaxing");
         tracing::info!(event = "end", config = %self.config.config_hash, mode = %self.mode(), "ending on a signal");
         let away = self.last.is_some() && !self.is_at_zero();
-        if away && self.mode() != Mode::Lost {
+        let stopped = self.last.as_ref().is_some_and(|last| last.stopped);
+        if away && !stopped && self.mode() != Mode::Lost {
             self.own_order(Order::Relax);
         }
     }
@@ -101,7 +103,7 @@ impl Hub {
         let (Some(since), Some(last)) = (self.ending, &self.last) else { return self.ending.is_some() };
         let rested = self.is_at_zero() || matches!(last.mode, Mode::Lost | Mode::Boot);
         let settled = since.elapsed() > Duration::from_millis(100) && last.mode != Mode::Relaxing;
-        let stays = last.mode == Mode::Faulted || self.io.shared.stop.is_latched();
+        let stays = last.mode == Mode::Faulted || last.stopped;
         (stays && since.elapsed() > BRAKE_MAX) || (rested && settled) || since.elapsed().as_secs_f64() > END_MAX_S
     }
 

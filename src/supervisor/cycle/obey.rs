@@ -22,7 +22,8 @@ impl Supervisor {
     pub(super) fn obey(&mut self, order: Order, sensed: &Sensed) -> Result<(), Refusal> {
         match order {
             Order::Arm => self.arm(),
-            Order::Disarm => self.take(Event::Disarm),
+            _ if self.stopped && order.starts_motion() => Err(Refusal::Stopped),
+            Order::Disarm => self.disarm(),
             Order::Bend(..) | Order::Stream(_) if self.mode().moves() && !sensed.energised => Err(Refusal::Busy),
             Order::Bend(command, speed_rad_s) => self.bend(&command, speed_rad_s, None),
             Order::Stream(_) if self.mode() == Mode::Calibrating => Err(Refusal::Mode(Mode::Calibrating)),
@@ -30,7 +31,8 @@ impl Supervisor {
             Order::Hold => self.hold(),
             Order::Stop => self.stop(),
             Order::Relax => self.relax(sensed),
-            Order::Zero => self.zero(),
+            Order::Zero => self.zero(false),
+            Order::AssertStraight => self.zero(true),
             Order::Reset => self.reset(sensed),
             Order::Calibrate(true) => self.begin_calibration(),
             Order::Calibrate(false) => self.take(Event::Settled).map(|()| self.gate.brake()),
@@ -43,12 +45,25 @@ impl Supervisor {
             return Err(Refusal::Latched);
         }
         match self.mode() {
-            Mode::Holding => return Ok(()),
+            Mode::Holding => {
+                self.stopped = false;
+                return Ok(());
+            }
             Mode::Disarmed if self.gate.is_busy() => return Err(Refusal::Busy),
             _ => self.take(Event::Arm)?,
         }
+        self.stopped = false;
         self.gate.reset(&self.sent);
         self.take_over(self.estimated_bend());
+        Ok(())
+    }
+
+    fn disarm(&mut self) -> Result<(), Refusal> {
+        let in_motion = self.mode() != Mode::Holding;
+        self.take(Event::Disarm)?;
+        if in_motion {
+            self.gate.brake();
+        }
         Ok(())
     }
 
@@ -99,12 +114,13 @@ impl Supervisor {
         }
     }
 
+    /// Engages the latch in every mode. [`Supervisor::pass_gate`] ends a return of the gate's own.
     fn stop(&mut self) -> Result<(), Refusal> {
+        self.stopped = true;
         match self.mode() {
             Mode::Relaxing => return self.stop_return(),
             Mode::Holding => {}
             Mode::Tracking | Mode::Calibrating => self.take(Event::Stop)?,
-            // nothing moves
             _ => return Ok(()),
         }
         self.gate.brake();
@@ -124,6 +140,9 @@ impl Supervisor {
         } else {
             self.gate.stand();
         }
+        if event == Event::Doubted {
+            self.position = Position::Adrift;
+        }
         self.take(event)
     }
 
@@ -137,12 +156,27 @@ impl Supervisor {
         Ok(())
     }
 
-    fn zero(&mut self) -> Result<(), Refusal> {
-        if self.mode() == Mode::Disarmed && self.sent != Steps::default() {
+    /// Defines the present pose as rest. Only the operator's word (`asserted`) replaces an attitude that confirms it.
+    fn zero(&mut self, asserted: bool) -> Result<(), Refusal> {
+        let mode = self.mode();
+        if mode == Mode::Disarmed && self.sent != Steps::default() {
             return Err(Refusal::NotAtRest);
         }
         if self.gate.latched().is_some() {
             return Err(Refusal::Latched);
+        }
+        if mode.after(Event::Zero).is_none() {
+            return Err(Refusal::Mode(mode));
+        }
+        let confirmed = match self.off_straight_rad() {
+            Some(rad) if rad.to_degrees() <= self.config.restart_check.straight_deg => Ok(()),
+            Some(rad) => Err(Refusal::NotStraight((rad.to_degrees() * 10.0).round() as u16)),
+            None => Err(Refusal::Unmeasured),
+        };
+        if asserted {
+            self.unverified |= confirmed.is_err();
+        } else {
+            confirmed?;
         }
         self.take(Event::Zero)?;
         self.start_over();
@@ -158,7 +192,7 @@ impl Supervisor {
         }
         if self.mode() == Mode::Faulted {
             self.take(match self.position {
-                Position::Adrift(_) => Event::Doubted,
+                Position::Adrift => Event::Doubted,
                 _ if self.is_located() => Event::Reset,
                 _ => Event::ResetUnaligned,
             })?;

@@ -17,12 +17,14 @@ pub enum Order {
     Stream(Command),
     /// Comes to rest smoothly at the set-point and holds.
     Hold,
-    /// Brakes at once and holds.
+    /// Brakes at once and holds; until the next [`Order::Arm`] nothing starts a motion.
     Stop,
     /// Returns to rest slowly, then releases the drivers.
     Relax,
-    /// Defines the present pose as rest.
+    /// Defines the present pose as rest, if the remembered attitude confirms that the tip is straight.
     Zero,
+    /// Defines the present pose as rest on the operator's word that the tip is straight.
+    AssertStraight,
     /// Clears the latched fault.
     Reset,
     /// Begins (true) or ends (false) an open-loop calibration.
@@ -31,12 +33,34 @@ pub enum Order {
     Lines([Line; 3]),
 }
 
+impl Order {
+    /// True for an order that can start a motion. A latched stop refuses it, and so does a stop that overtook it.
+    #[must_use]
+    pub fn starts_motion(&self) -> bool {
+        matches!(self, Self::Arm | Self::Bend(..) | Self::Stream(_) | Self::Relax | Self::Calibrate(true))
+    }
+}
+
 /// Why an order was refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
     /// The mode does not allow the order.
     #[error("not while {0}: {hint}", hint = hint(*.0))]
     Mode(Mode),
+    /// A stop is latched.
+    #[error("stopped: `retroflex arm` first")]
+    Stopped,
+    /// The tip is not straight, in tenths of a degree from the remembered attitude.
+    #[error(
+        "the tip hangs {}.{}° away from the remembered straight attitude: straighten it, or state that it is straight with `retroflex zero --straight`",
+        .0 / 10, .0 % 10
+    )]
+    NotStraight(u16),
+    /// No attitude is remembered.
+    #[error(
+        "no straight attitude is remembered, so nothing measures how straight the tip is: relax it by hand, then state that it is straight with `retroflex zero --straight`"
+    )]
+    Unmeasured,
     /// A fault is latched.
     #[error("a fault is latched; see `retroflex status`, remove the cause, then `retroflex reset-fault`")]
     Latched,
@@ -77,7 +101,7 @@ fn hint(mode: Mode) -> &'static str {
         Mode::Calibrating => "a calibration is running; `retroflex stop` ends it",
         Mode::Faulted => "remove the cause, then `retroflex reset-fault`; `retroflex relax` returns the tip to rest",
         Mode::Lost => {
-            "the position of the pistons is unknown; run `retroflex relax` to return by the remembered steps, or relax the tip by hand and run `retroflex zero`"
+            "the position of the pistons is unknown; relax the tip by hand, then run `retroflex zero`; `retroflex relax` drives back by the remembered steps"
         }
     }
 }

@@ -17,6 +17,9 @@ parameters! {
         gravity_deg: f64 = 4.0, "deg", 0.1..=45.0, "a few degrees";
         /// Largest angle between measured and remembered field. A larger value tolerates iron that was moved meanwhile.
         field_deg: f64 = 10.0, "deg", 0.1..=90.0, "some degrees more than gravity";
+        /// Largest angle from the remembered straight attitude at which `zero` is accepted. A larger value accepts a tip that
+        /// hangs further away, and every bend is then off by as much.
+        straight_deg: f64 = 2.0, "deg", 0.1..=45.0, "2 is a little more than the noise of an alignment";
     }
 }
 

@@ -1,7 +1,7 @@
 //! State of the supervisor. Each mode owns its data; every change of mode goes through [`Supervisor::take`].
 
 use crate::control::follow::Pace;
-use crate::control::tick::{Command, FeedbackConfig, LoopState, RestartState};
+use crate::control::tick::{Command, FeedbackConfig, LoopState, RestartRest, RestartState};
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::primitives::units::{Mm, Steps};
@@ -12,6 +12,7 @@ use crate::supervisor::gate::{Gate, TripCause};
 use crate::supervisor::machine::Sensed;
 use crate::supervisor::mode::{Event, Mode};
 use crate::supervisor::residual_monitor::ResidualMonitor;
+use nalgebra::Vector3;
 
 /// The mode with its data.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,23 +60,8 @@ pub(super) enum Position {
     Known,
     /// The counts were remembered over a restart and have not been checked yet.
     Unchecked(RestartState),
-    /// The drivers were released away from zero, or the check failed: the counts are invalid.
-    Adrift(Option<RestartState>),
-}
-
-impl Position {
-    /// The remembered state, if it is still the best information.
-    pub(super) fn remembered(&self) -> Option<&RestartState> {
-        match self {
-            Self::Known => None,
-            Self::Unchecked(state) => Some(state),
-            Self::Adrift(state) => state.as_ref(),
-        }
-    }
-
-    pub(super) fn is_adrift(&self) -> bool {
-        matches!(self, Self::Adrift(_))
-    }
+    /// The drivers were released away from zero, or the check failed: the counts are invalid. Only `zero` ends it.
+    Adrift,
 }
 
 /// Messages for the next tick and for the machine.
@@ -106,6 +92,12 @@ pub struct Supervisor {
     /// Time that the machine still has to clear its alarm, s.
     pub(super) clearing_s: f64,
     pub(super) pending: Pending,
+    /// A stop is latched: nothing starts a motion until the next accepted `arm`, and the gate keeps standing.
+    pub(super) stopped: bool,
+    /// Attitude of the straight tip at the last zero, also after a restart.
+    pub(super) straight: Option<RestartRest>,
+    /// The operator stated that the tip was straight, and no measurement confirmed it.
+    pub(super) unverified: bool,
 }
 
 impl Supervisor {
@@ -134,13 +126,47 @@ impl Supervisor {
             pace: config.tick.bend_pace,
             clearing_s: 0.0,
             pending,
+            stopped: false,
+            straight: remembered.and_then(|r| r.rest),
+            unverified: false,
             config,
         }
+    }
+
+    /// The pistons may have moved since this state was remembered: the measured pose decides, also at zero.
+    pub fn check(&mut self, remembered: RestartState) {
+        self.position = Position::Unchecked(remembered);
     }
 
     /// The remembered state is unusable: the supervisor asks for `zero` whatever the sensors measure.
     pub fn doubt(&mut self) {
         self.position = Position::Unchecked(RestartState { rest: None, ..self.state.keep(&self.sent) });
+    }
+
+    /// Takes over from a supervisor what a fresh one must not forget: the latch of a stop and an unverified zero.
+    pub fn inherit(&mut self, from: &Self) {
+        (self.stopped, self.unverified) = (from.stopped, from.unverified);
+    }
+
+    /// Remembers over a restart that no measurement has confirmed the last zero.
+    pub fn set_unverified(&mut self) {
+        self.unverified = true;
+    }
+
+    /// True if the position of the pistons is unknown, now or pending the check after a restart that cannot pass.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        match self.position {
+            Position::Known => false,
+            Position::Unchecked(remembered) => remembered.rest.is_none(),
+            Position::Adrift => true,
+        }
+    }
+
+    /// True if no measurement has confirmed the last zero.
+    #[must_use]
+    pub fn is_unverified(&self) -> bool {
+        self.unverified
     }
 
     /// The configuration in use.
@@ -172,14 +198,35 @@ impl Supervisor {
     #[must_use]
     pub fn keep(&self) -> RestartState {
         let counted = self.last.map_or(self.sent, |sensed| sensed.counted);
-        self.position.remembered().copied().unwrap_or_else(|| self.state.keep(&counted))
+        match self.position {
+            Position::Known => self.state.keep(&counted),
+            Position::Unchecked(remembered) => RestartState { rest: self.straight, ..remembered },
+            // the alignment of a tip at an unknown position does not replace that of the straight tip
+            Position::Adrift => RestartState { rest: self.straight, ..self.state.keep(&counted) },
+        }
     }
 
     /// True if the pistons are known to be at zero, so that a restart has nothing to check.
     #[must_use]
     pub fn is_at_rest(&self) -> bool {
         let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
-        self.sent == Steps::default() && there && !self.position.is_adrift()
+        self.sent == Steps::default() && there && self.position == Position::Known
+    }
+
+    /// Angle of the tip from straight, rad: by the estimate while the position is known, otherwise between measured and
+    /// remembered gravity. `None` if nothing tells.
+    pub(super) fn off_straight_rad(&self) -> Option<f64> {
+        if self.is_located() {
+            return self.state.fusion.estimate().map(|e| e.bend.beta());
+        }
+        self.off_remembered_rad()
+    }
+
+    /// Angle between the gravity of the present alignment and that of the remembered straight tip, rad.
+    #[must_use]
+    pub fn off_remembered_rad(&self) -> Option<f64> {
+        let (now, then) = (self.state.fusion.alignment()?, self.straight?);
+        Some(now.acc_rest_m_s2.angle(&Vector3::from(then.acc_m_s2)))
     }
 
     /// Exchanges the configuration without a jump of the pistons. The caller drops the old one, which it gets back in

@@ -51,6 +51,7 @@ impl Supervisor {
             raised,
             bias_moved: self.sensors.bias_moved(&self.state.fusion),
             stream_ended,
+            stopped: self.stopped,
             dt_s,
             first,
         }
@@ -88,18 +89,21 @@ impl Supervisor {
         if self.mode() != Mode::Aligning || frame.estimate.is_none() || self.state.fusion.realigning() {
             return;
         }
-        let Some(remembered) = self.position.remembered().copied() else {
-            self.state.stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
-            self.occur(Event::Aligned);
-            return;
-        };
-        if restart_check::agrees(&self.config.restart_check, &remembered, &self.state) {
-            restart_check::resume(&self.config.tick, &mut self.state, &remembered);
-            self.position = Position::Known;
-            self.occur(Event::Aligned);
-        } else {
-            self.position = Position::Adrift(None);
-            self.occur(Event::Doubted);
+        match self.position {
+            Position::Known => {
+                self.state.stand(&self.config.tick, &self.sent, Bend::STRAIGHT);
+                self.straight = self.state.keep(&self.sent).rest;
+                self.occur(Event::Aligned);
+            }
+            Position::Unchecked(remembered) if restart_check::agrees(&self.config.restart_check, &remembered, &self.state) => {
+                restart_check::resume(&self.config.tick, &mut self.state, &remembered);
+                self.position = Position::Known;
+                self.occur(Event::Aligned);
+            }
+            Position::Unchecked(_) | Position::Adrift => {
+                self.position = Position::Adrift;
+                self.occur(Event::Doubted);
+            }
         }
     }
 
@@ -107,9 +111,12 @@ impl Supervisor {
     fn pass_gate(&mut self, frame: &Frame, sensed: &Sensed, dt_s: f64) -> Option<TripCause> {
         self.clearing_s = (self.clearing_s - dt_s).max(0.0);
         let input = self.gate_input(frame, sensed, dt_s);
-        if input.armed && !sensed.energised {
-            // drivers that are not energised yet lose steps: the controller waits
+        if (input.armed && !sensed.energised) || (self.stopped && self.mode().moves()) {
+            // drivers that are not energised yet lose steps, and after a stop the gate stands: the controller waits
             self.state.stand(&self.config.tick, &self.sent, frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend));
+        }
+        if self.stopped && self.gate.is_returning() {
+            self.gate.stand();
         }
         let output = self.gate.pass(&input);
         self.sent = output.steps;
@@ -120,7 +127,7 @@ impl Supervisor {
             }
         }
         if !output.energise && !output.rested && self.sent != Steps::default() {
-            self.position = Position::Adrift(self.position.remembered().copied());
+            self.position = Position::Adrift;
         }
         self.follow_return(output.rested, sensed);
         output.tripped
@@ -158,19 +165,26 @@ impl Supervisor {
         if !*arriving || sensed.counted != self.sent {
             return;
         }
-        let located = self.is_located();
         if self.gate.latched().is_none() {
             self.gate.reset(&self.sent);
         }
-        if !located {
+        let event = if self.position != Position::Known {
+            // the counts are zero, but they counted from an unknown position
+            self.position = Position::Adrift;
+            Event::Doubted
+        } else if self.is_located() {
+            Event::Rested
+        } else {
             self.start_over();
-        }
-        self.occur(if located { Event::Rested } else { Event::RestedUnaligned });
+            Event::RestedUnaligned
+        };
+        self.occur(event);
     }
 
     /// The controller takes over after braking; `tracking` ends when the set-point has arrived.
     fn follow_motion(&mut self, frame: &Frame, sensed: &Sensed) {
-        if self.gate.hand_over(&sensed.counted) {
+        // after a stop the gate stands until `arm`, so that feedback makes no step either
+        if !(self.stopped && self.mode().moves()) && self.gate.hand_over(&sensed.counted) {
             self.take_over(frame.estimate.map_or(Bend::STRAIGHT, |e| e.bend));
         }
         if self.mode == (ModeState::Tracking { stream_until_s: None }) && frame.phase == TickPhase::Holding {
@@ -209,9 +223,10 @@ impl Supervisor {
     fn energise(&self) -> bool {
         match self.mode() {
             Mode::Boot | Mode::Aligning => self.finds_energised(),
-            Mode::Lost => false,
+            // a return by unknown counts that was stopped keeps its pressure
+            Mode::Lost => self.stopped && self.last.is_some_and(|sensed| sensed.energised),
             Mode::Holding | Mode::Tracking | Mode::Calibrating | Mode::Relaxing => true,
-            Mode::Disarmed | Mode::Faulted => !self.is_at_rest() && !self.position.is_adrift(),
+            Mode::Disarmed | Mode::Faulted => (!self.is_at_rest() || self.gate.is_busy()) && self.position != Position::Adrift,
         }
     }
 
@@ -219,6 +234,6 @@ impl Supervisor {
     /// unless the board file prefers another reaction to a loop that hangs.
     fn finds_energised(&self) -> bool {
         let energised = self.last.is_some_and(|sensed| sensed.energised);
-        energised && self.position.remembered().is_some() && self.config.gate.on.late == SafeState::Hold
+        energised && matches!(self.position, Position::Unchecked(_)) && self.config.gate.on.late == SafeState::Hold
     }
 }

@@ -64,6 +64,8 @@ pub struct CycleOutput {
     pub bias_moved: bool,
     /// A stream of set-points fell silent in this cycle, and the tip was stopped.
     pub stream_ended: bool,
+    /// A stop is latched.
+    pub stopped: bool,
     /// Time since the last cycle, s.
     pub dt_s: f64,
     /// The first cycle of this supervisor.
