@@ -60,7 +60,10 @@ fn boards_state_the_defaults_except_where_they_say_so() {
         assert_eq!((b.power, b.safety, &b.service, b.homing), (bare.power, bare.safety, &bare.service, bare.homing), "{name}");
         let step = retroflex::motion::StepperConfig { cpu: None, late_max_us: 1000.0, lead_ms: 4.0, ..b.stepper };
         assert_eq!(step, bare.stepper, "{name}");
-        assert_eq!(b.imu.unwrap(), Default::default(), "{name}");
+        let imu = b.imu.unwrap();
+        let expected = (name != "linux-gpiochip").then_some([2, 3]);
+        assert_eq!(imu.bus_lines, expected, "{name}: only a Raspberry Pi can return the lines to the bus");
+        assert_eq!(retroflex::config::sections::ImuSection { bus_lines: None, ..imu }, Default::default(), "{name}");
     }
 }
 
@@ -220,6 +223,14 @@ fn a_board_whose_motor_can_exceed_the_pressure_limit_is_reported() {
     let doctor = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(["doctor", "--board"]).arg(repo("boards/pi4.toml")).output().unwrap();
     let said = String::from_utf8_lossy(&doctor.stdout);
     assert!(said.contains("WARN  pressure") && said.contains("safety.relief_valve_kpa"), "{said}");
+}
+
+#[test]
+fn lines_of_the_bus_have_no_other_use() {
+    let (text, _) = with("pi4", "bus_lines = [2, 3]", 0, "bus_lines = [27, 3]");
+    let error = source::parse::<Board>("b.toml", &text.replace("bus = \"/dev/i2c-1\"", "bus = \"/dev/i2c-3\"")).unwrap_err();
+    let said = error.to_string();
+    assert!(said.contains("imu.bus_lines[1]: line 27 is already pins.channels[2].step"), "{said}");
 }
 
 #[test]

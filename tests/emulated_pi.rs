@@ -188,8 +188,26 @@ fn commissioning_finds_this_machine_wired_right() {
         println!("{out}\n{err}");
         assert_eq!(code, 0);
         assert!(out.contains("wiring: agrees with the board file"), "{out}");
-        let chip = &rig.world().chip;
-        assert_eq!((chip.counted, chip.lost, chip.torn), ([0; 3], 0, 0));
+        let world = rig.world();
+        assert_eq!((world.chip.counted, world.chip.lost, world.chip.torn), ([0; 3], 0, 0));
+        assert_eq!(world.bus.limits, [Some(1), Some(2)], "transfers end after 20 ms and one repetition");
+    });
+}
+
+/// A killed service leaves EN low through `rppal`; `release` takes the current away.
+#[test]
+fn drivers_that_a_killed_program_left_energised_are_released() {
+    on_a_pi(world("pi3"), |rig| {
+        let path = std::path::Path::new("/dev/gpiomem");
+        // GPIO 5 is an output and low: energised
+        let mut memory = vec![0_u8; 4096];
+        memory[..4].copy_from_slice(&(1_u32 << 15).to_le_bytes());
+        std::fs::write(path, memory).unwrap();
+        let registers = Registers::watch(path);
+        let (code, out, err) = run(rig, &["release", "--board", repo("boards/pi3.toml").to_str().unwrap()]);
+        let seen = registers.done();
+        assert!(code == 0 && out.contains("drivers released"), "{out} {err}");
+        assert!(seen.level >> 5 & 1 == 1, "EN is high");
     });
 }
 

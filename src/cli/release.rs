@@ -35,6 +35,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let mut pins = pins::open(config, board.drive.microsteps).map_err(hardware)?;
     let off = |e: PinError| hardware(OpenError::Pin(e));
     pins.write(&Levels::default()).map_err(off)?;
+    // the lines settle before they are read back
+    std::thread::sleep(std::time::Duration::from_millis(10));
     pins.check_enable().map_err(off)?;
     output::print("drivers released: the tip goes soft, and zero must be found again\n");
     if args.hold {

@@ -137,7 +137,7 @@ impl Board {
             rppal: s.backend == BusBackend::Rppal,
             mount: s.mount(),
             chip: s.chip.clone(),
-            rate_hz: s.chip.rate_hz(),
+            bus_lines: s.bus_lines,
             priority: self.machine.imu_priority,
         };
         // whatever is not an immediate release brakes first; the gate then decides between hold and relax

@@ -7,7 +7,7 @@ use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
 use crate::motion::MotionLimits;
 use crate::motion::stop::longest_stop_mm;
-use crate::primitives::check::{Checker, Invalid};
+use crate::primitives::check::{Checker, Invalid, shown};
 use crate::primitives::parameters::{Check, Parameters, Table};
 use crate::simulation::plant::PlantError;
 
@@ -105,6 +105,16 @@ fn sensors(board: &Board, to: &mut Checker) {
         if let Some(imu) = imu {
             let bus = format!("{table}.bus");
             to.holds(&bus, imu.bus.starts_with('/'), &format!("`{}` is not a device file", imu.bus), "`ls /dev/i2c-*` lists the buses");
+            for (i, line) in imu.bus_lines.iter().flatten().enumerate() {
+                let uses = board.pins.iter().flat_map(PinsConfig::uses).find(|u| u.pin == *line);
+                let problem = uses.map(|u| format!("line {line} is already {}", shown(&format!("pins.{}", u.key))));
+                to.holds(
+                    &format!("{table}.bus_lines.{i}"),
+                    problem.is_none(),
+                    &problem.unwrap_or_default(),
+                    "write SDA and SCL of the bus",
+                );
+            }
             pass_on(imu.chip.check().map_err(|e| Invalid { key: e.key.replacen("imu", table, 1), ..e }), to);
         }
     }

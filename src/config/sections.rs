@@ -138,6 +138,9 @@ parameters! {
         /// How the bus is reached: `linux`, the kernel's file with a repeated start in every reading; `rppal`, the same file
         /// with a stop between register and data.
         backend: BusBackend = BusBackend::Linux;
+        /// GPIO numbers of SDA and SCL on the header of a Raspberry Pi. With them the driver frees a bus whose SDA a chip holds
+        /// low, by up to nine clock pulses; it needs access to the registers (/dev/gpiomem). Leave it out on other computers.
+        bus_lines: Option<[u32; 2]> = None;
         /// Rotation from the sensor to the tip (or base) as a rotation vector: axis times angle. With the default, z points out
         /// of the tip and x towards bellow 1. `retroflex commission` measures it; an error turns every bend plane.
         mount_deg: [f64; 3] = [0.0; 3], "deg", -360.0..=360.0, "a rotation vector: axis times angle";

@@ -15,12 +15,14 @@ const I2C_M_RD: u16 = 1;
 pub struct Bus {
     /// The chips on it, and what they do wrong.
     pub chips: Machine,
-    /// While set, a transfer never ends.
+    /// While set, a transfer never ends: a controller that ignores its time limit.
     pub hangs: bool,
     /// Calls that hang.
     pub hanging: Vec<u64>,
     /// Transfers that were answered.
     pub transfers: u64,
+    /// I2C_RETRIES, and I2C_TIMEOUT in units of 10 ms, as they were set.
+    pub limits: [Option<u64>; 2],
 }
 
 impl Bus {
@@ -36,7 +38,11 @@ impl Bus {
                 Answer::Never
             }
             I2C_RDWR => self.transfer(call),
-            0x0701..=0x0708 if call.number != I2C_SLAVE => Answer::Done(0, vec![]),
+            0x0701 | 0x0702 => {
+                self.limits[call.number as usize - 0x0701] = Some(call.argument);
+                Answer::Done(0, vec![])
+            }
+            0x0704 | 0x0706 | 0x0708 => Answer::Done(0, vec![]),
             I2C_SLAVE => Answer::Done(0, vec![]),
             _ => Answer::Failed(libc::ENOTTY),
         }

@@ -186,7 +186,14 @@ impl FakeIcm20948 {
             }
             (0, reg::WHO_AM_I | reg::I2C_MST_STATUS) => {}
             (0, r) if data.contains(&r) => {} // read-only
-            (bank, r) => self.regs[usize::from(bank)][usize::from(r)] = value,
+            (bank, r) => {
+                self.regs[usize::from(bank)][usize::from(r)] = value;
+                let rate = [reg::GYRO_SMPLRT_DIV, reg::ACCEL_SMPLRT_DIV_1, reg::ACCEL_SMPLRT_DIV_2].contains(&r);
+                if bank == 2 && rate && self.get(2, reg::ODR_ALIGN_EN) & 0x01 != 0 {
+                    // a write to a rate register aligns the conversions of both sensors
+                    (self.gyro, self.acc) = Default::default();
+                }
+            }
         }
     }
 

@@ -13,6 +13,28 @@
 
 use embedded_hal::i2c::{Error, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 
+/// Longest transfer, in the kernel's unit of 10 ms. The longest regular one takes 2.4 ms at 100 kHz.
+const TIMEOUT_10MS: libc::c_ulong = 2;
+
+/// Bounds every transfer on the bus of an open bus file: the controller's driver gives up after 20 ms instead of its own
+/// limit, which is a second on a Raspberry Pi, and repeats a lost arbitration once. The limits are those of the bus, not of
+/// the file.
+///
+/// # Errors
+/// The error of the system call. Transfers then have the limit of the driver.
+#[allow(unsafe_code)]
+pub fn bound_transfers(bus: &std::fs::File) -> std::io::Result<()> {
+    const I2C_RETRIES: libc::Ioctl = 0x0701;
+    const I2C_TIMEOUT: libc::Ioctl = 0x0702;
+    for (number, value) in [(I2C_RETRIES, 1), (I2C_TIMEOUT, TIMEOUT_10MS)] {
+        // SAFETY: both ioctls take their argument by value and touch no memory of this program.
+        if unsafe { libc::ioctl(std::os::fd::AsRawFd::as_raw_fd(bus), number, value) } < 0 {
+            return Err(std::io::Error::last_os_error());
+        }
+    }
+    Ok(())
+}
+
 /// A bus error that may carry the kernel's error number.
 pub trait Errno {
     /// The error number, if there is one.

@@ -6,10 +6,14 @@
 //!   └── failed RETRY_AFTER times ────▶ init ─▶ Failed, with the error of the initialisation
 //! ```
 //!
+//! Before an initialisation the bus is freed, if the board states its lines ([`ImuRecovery::freeing_bus`]). A reading
+//! without a new conversion is dropped, unless the chip has stopped converting.
+//!
 //! An initialisation takes up to half a second, so this runs in the sensor's own thread and never in the
 //! loop. Meanwhile the loop receives failures or nothing, and the supervisor holds the pistons. Samples
 //! are scaled but not corrected; the loop applies the calibration. Time is an argument.
 
+use super::bus_clear::BusState;
 use super::{Identity, Imu, ImuError};
 use crate::estimation::fusion::health::{ImuReading, ReadFault};
 use crate::primitives::units::Seconds;
@@ -18,12 +22,24 @@ use embedded_hal::delay::DelayNs;
 /// Consecutive failed readings after which the chip is initialised again: 50 ms at 500 Hz. A chip that
 /// reports a restart is initialised at once.
 const RETRY_AFTER: u32 = 25;
+/// Readings per conversion. The chip's clock may be 1 % off and a reading may come late by a fifth of the period; every
+/// conversion is then still read.
+pub const POLL_SHARE: f64 = 1.25;
+/// Consecutive readings without a new conversion after which they are delivered all the same, so that the health monitor
+/// detects a chip that has stopped converting.
+const STALE_MAX: u32 = 3;
 /// Least time between two initialisations, s, which leaves the bus to other sensors.
 const RETRY_EVERY_S: f64 = 0.05;
+
+/// Frees the bus of a sensor.
+type FreeBus = Box<dyn FnMut(&mut dyn DelayNs) -> BusState + Send>;
 
 /// A sensor that is initialised again when necessary.
 pub struct ImuRecovery<S: Imu + ?Sized> {
     sensor: Box<S>,
+    free_bus: Option<FreeBus>,
+    stale: u32,
+    temp_c: Option<f64>,
     failures: u32,
     tried_s: Option<f64>,
     init_error: Option<ImuError>,
@@ -34,7 +50,14 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
     /// Wraps a sensor, which may be uninitialised.
     #[must_use]
     pub fn new(sensor: Box<S>) -> Self {
-        Self { sensor, failures: 0, tried_s: None, init_error: None, restarts: 0 }
+        Self { sensor, free_bus: None, stale: 0, temp_c: None, failures: 0, tried_s: None, init_error: None, restarts: 0 }
+    }
+
+    /// Frees the bus by `free` before every initialisation.
+    #[must_use]
+    pub fn freeing_bus(mut self, free: impl FnMut(&mut dyn DelayNs) -> BusState + Send + 'static) -> Self {
+        self.free_bus = Some(Box::new(free));
+        self
     }
 
     /// Initialises the sensor for the first time.
@@ -42,7 +65,7 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
     /// # Errors
     /// The error of the sensor. [`Self::read`] tries again.
     pub fn start(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError> {
-        let result = self.sensor.init(delay);
+        let result = self.init(delay);
         self.init_error = result.as_ref().err().copied();
         result
     }
@@ -52,7 +75,13 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
         let error = match self.sensor.read() {
             Ok(raw) => {
                 (self.failures, self.init_error) = (0, None);
-                return ImuReading::Sample(self.sensor.scale().sample(&raw, now), raw.quality());
+                self.stale = if raw.fresh { 0 } else { self.stale.saturating_add(1) };
+                if (1..=STALE_MAX).contains(&self.stale) {
+                    return ImuReading::Nothing;
+                }
+                let scale = self.sensor.scale();
+                self.temp_c = Some(scale.temperature_c(&raw));
+                return ImuReading::Sample(scale.sample(&raw, now), raw.quality());
             }
             Err(error) => error,
         };
@@ -67,9 +96,22 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
         if self.tried_s.is_none_or(|t| now.0 - t >= RETRY_EVERY_S) {
             self.tried_s = Some(now.0);
             self.restarts = self.restarts.saturating_add(1);
-            self.init_error = self.sensor.init(delay).err();
+            self.init_error = self.init(delay).err();
         }
         ImuReading::Failed(self.init_error.unwrap_or(error).fault())
+    }
+
+    fn init(&mut self, delay: &mut dyn DelayNs) -> Result<Identity, ImuError> {
+        if let Some(free) = &mut self.free_bus {
+            free(delay);
+        }
+        self.sensor.init(delay)
+    }
+
+    /// Die temperature at the last sample, °C.
+    #[must_use]
+    pub fn temp_c(&self) -> Option<f64> {
+        self.temp_c
     }
 
     /// Number of initialisations by [`Self::read`].
@@ -138,5 +180,60 @@ mod tests {
         bus.machine().stuck = false;
         let (samples, _) = read_for(&bus, &mut imu, 2.0, 0.5);
         assert!(samples > 200 && imu.init_error().is_none(), "{samples}");
+    }
+
+    /// Polls for `seconds` at a share of the conversion rate with wake-ups that are late by up to a fifth of a period.
+    fn polled(share: f64, seconds: f64) -> (u32, u32) {
+        let (bus, mut imu) = recovering();
+        let converts_hz = icm20948::BASE_RATE_HZ / 2.0;
+        let period_s = 1.0 / (share * converts_hz);
+        let (mut samples, mut t_s, mut polls) = (0, 0.0, 0_u32);
+        while t_s < seconds {
+            polls += 1;
+            let late_s = if polls % 7 == 0 { 0.2 / converts_hz } else { 0.0 };
+            let next_s = f64::from(polls) * period_s + late_s;
+            bus.machine().advance(next_s - t_s);
+            t_s = next_s;
+            samples += u32::from(matches!(imu.read(&mut bus.delay(), Seconds(t_s)), ImuReading::Sample(..)));
+        }
+        (samples, (seconds * converts_hz) as u32)
+    }
+
+    #[test]
+    fn every_conversion_is_read_once() {
+        let (samples, conversions) = polled(POLL_SHARE, 10.0);
+        assert!(samples.abs_diff(conversions) <= 2, "{samples} of {conversions}");
+        let (samples, conversions) = polled(500.0 / 562.5, 10.0);
+        assert!(samples + 500 < conversions, "a slower poll loses conversions, and this test sees it: {samples} of {conversions}");
+    }
+
+    #[test]
+    fn a_chip_that_stops_converting_is_still_delivered() {
+        let (bus, mut imu) = recovering();
+        assert_eq!(read_for(&bus, &mut imu, 0.0, 0.1), (50, None));
+        bus.machine().spoil(0x68, |q| q.frozen = true);
+        assert_eq!(read_for(&bus, &mut imu, 1.0, 0.1), (50 - STALE_MAX, None));
+    }
+
+    #[test]
+    fn the_bus_is_freed_before_an_initialisation() {
+        let (bus, imu) = recovering();
+        let held = bus.clone();
+        let mut imu = imu.freeing_bus(move |_| {
+            held.machine().stuck = false;
+            BusState::Freed(3)
+        });
+        bus.machine().stuck = true;
+        let (samples, _) = read_for(&bus, &mut imu, 0.0, 0.5);
+        assert!(samples > 100 && imu.restarts() == 1, "{samples} {}", imu.restarts());
+    }
+
+    #[test]
+    fn the_die_temperature_follows_the_chip() {
+        let (bus, mut imu) = recovering();
+        assert_eq!(imu.temp_c(), None);
+        bus.machine().set_motion(&crate::hardware::imu::fake::Motion { temp_c: 38.5, ..Default::default() });
+        read_for(&bus, &mut imu, 0.0, 0.1);
+        assert!((imu.temp_c().unwrap() - 38.5).abs() < 0.01);
     }
 }

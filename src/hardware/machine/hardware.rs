@@ -161,13 +161,8 @@ impl Machine for Hardware {
         for (place, sensor) in [("tip", &self.imu), ("base", &self.base_imu)] {
             if let Some(s) = sensor {
                 let i = s.identity();
-                remarks.push(format!(
-                    "{place} IMU: {} at {:#04x} on {}, {:.1} Hz",
-                    i.inertial.part,
-                    i.inertial.address,
-                    s.bus(),
-                    i.rate_hz
-                ));
+                let (chip, limit) = (i.inertial, if s.is_bounded() { "" } else { "; the bus driver accepts no time limit" });
+                remarks.push(format!("{place} IMU: {} at {:#04x} on {}, {:.1} Hz{limit}", chip.part, chip.address, s.bus(), i.rate_hz));
             }
         }
         let stepper = self.drive.stepper();

@@ -1,11 +1,11 @@
 //! One IMU in a thread of its own, which opens the bus and reads the sensor at its rate.
 //!
-//! Readings travel through a wait-free ring with the time at which their transfer began. A transfer that
-//! never returns blocks only this thread. [`ImuRecovery`] sets the chip up again after a restart or a
-//! series of failures.
+//! Readings travel through a wait-free ring with the time at which their transfer began. A transfer ends
+//! after 20 ms at the latest if the driver of the bus accepts the limit, and blocks only this thread.
+//! [`ImuRecovery`] sets the chip up again after a restart or a series of failures.
 
 use crate::estimation::fusion::health::ImuReading;
-use crate::hardware::imu::{self, ChipConfig, Identity, Imu, ImuRecovery};
+use crate::hardware::imu::{self, ChipConfig, Identity, Imu, ImuRecovery, POLL_SHARE};
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::rt::{self, RtRequest, monotonic_ns};
 use crate::primitives::units::Seconds;
@@ -32,8 +32,8 @@ pub struct SensorConfig {
     pub mount: UnitQuaternion<f64>,
     /// The part and its settings.
     pub chip: ChipConfig,
-    /// Readings per second.
-    pub rate_hz: f64,
+    /// SDA and SCL as GPIO numbers, for freeing a stuck bus.
+    pub bus_lines: Option<[u32; 2]>,
     /// SCHED_FIFO priority of the thread; 0 requests none.
     pub priority: i32,
 }
@@ -45,6 +45,8 @@ pub struct StampedReading {
     pub t_ns: u64,
     /// The reading; the time inside a sample is not set.
     pub reading: ImuReading,
+    /// Die temperature, °C.
+    pub temp_c: Option<f64>,
 }
 
 /// The loop's handle on the thread.
@@ -53,6 +55,7 @@ pub struct Sensor {
     readings: rtrb::Consumer<StampedReading>,
     stop: Arc<AtomicBool>,
     identity: Identity,
+    bounded: bool,
     bus: String,
 }
 
@@ -79,7 +82,10 @@ impl Sensor {
         std::thread::Builder::new().name("imu".into()).spawn(move || run(&own, output, &end, &sender))?;
         let path = config.bus.clone();
         match receiver.recv_timeout(Duration::from_secs_f64(SETUP_MAX_S)) {
-            Ok(result) => Ok(Self { readings, stop, identity: result?, bus: path }),
+            Ok(result) => {
+                let (identity, bounded) = result?;
+                Ok(Self { readings, stop, identity, bounded, bus: path })
+            }
             Err(RecvTimeoutError::Timeout) => {
                 stop.store(true, Ordering::Relaxed);
                 Err(HardwareError::BusHangs { path, limit_s: SETUP_MAX_S })
@@ -88,9 +94,16 @@ impl Sensor {
         }
     }
 
-    /// The newest reading since the last call, including failed ones.
+    /// The readings since the last call as one: the newest failure, or the mean of the samples after it at the time of the
+    /// newest. The mean over the interval keeps the angle that the gyroscope has measured.
     pub fn newest(&mut self) -> Option<StampedReading> {
-        std::iter::from_fn(|| self.readings.pop().ok()).last()
+        std::iter::from_fn(|| self.readings.pop().ok()).fold((None, 0.0), merge).0
+    }
+
+    /// True if the driver of the bus accepted a time limit for its transfers.
+    #[must_use]
+    pub fn is_bounded(&self) -> bool {
+        self.bounded
     }
 
     /// The chips that were found and their rates.
@@ -106,6 +119,23 @@ impl Sensor {
     }
 }
 
+/// Adds a reading to the mean of `n` samples.
+fn merge((mean, n): (Option<StampedReading>, f64), next: StampedReading) -> (Option<StampedReading>, f64) {
+    let (Some(StampedReading { reading: ImuReading::Sample(old, q), .. }), ImuReading::Sample(mut new, mut quality)) = (mean, next.reading)
+    else {
+        return (Some(next), 1.0);
+    };
+    // equal samples keep their value exactly, so that a chip that repeats itself is still detected
+    let n = n + 1.0;
+    new.gyro_rad_s = old.gyro_rad_s + (new.gyro_rad_s - old.gyro_rad_s) / n;
+    new.acc_m_s2 = old.acc_m_s2 + (new.acc_m_s2 - old.acc_m_s2) / n;
+    new.mag_ut = new.mag_ut.or(old.mag_ut);
+    quality.gyro_load = quality.gyro_load.max(q.gyro_load);
+    quality.acc_load = quality.acc_load.max(q.acc_load);
+    quality.mag_overflow |= q.mag_overflow;
+    (Some(StampedReading { reading: ImuReading::Sample(new, quality), ..next }), n)
+}
+
 impl Drop for Sensor {
     /// Tells the thread to end without waiting for it, because its bus may hang.
     fn drop(&mut self) {
@@ -118,14 +148,14 @@ fn run(
     config: &SensorConfig,
     mut output: rtrb::Producer<StampedReading>,
     stop: &AtomicBool,
-    started: &Sender<Result<Identity, HardwareError>>,
+    started: &Sender<Result<(Identity, bool), HardwareError>>,
 ) {
-    let set_up = open(config).and_then(|driver| {
-        let mut imu = ImuRecovery::new(driver);
+    let set_up = open(config).and_then(|(driver, bounded)| {
+        let mut imu = recovery(config, driver);
         let identity = imu.start(&mut Sleep).map_err(|source| HardwareError::Imu { path: config.bus.clone(), source })?;
-        Ok((imu, identity))
+        Ok((imu, identity, bounded))
     });
-    let (mut imu, identity) = match set_up {
+    let (mut imu, identity, bounded) = match set_up {
         Ok(ready) => ready,
         Err(error) => {
             let _ = started.send(Err(error));
@@ -134,8 +164,8 @@ fn run(
     };
     let _guard = rt::enter(&RtRequest { priority: config.priority, cpu: None });
     // The receiver may have timed out; then `stop` is set.
-    let _ = started.send(Ok(identity));
-    let period_ns = (1e9 / config.rate_hz) as u64;
+    let _ = started.send(Ok((identity, bounded)));
+    let period_ns = (1e9 / (POLL_SHARE * identity.rate_hz)) as u64;
     let mut next_ns = monotonic_ns();
     while !stop.load(Ordering::Relaxed) && !output.is_abandoned() {
         let t_ns = monotonic_ns();
@@ -145,39 +175,87 @@ fn run(
             sample.acc_m_s2 = config.mount * sample.acc_m_s2;
             sample.mag_ut = sample.mag_ut.map(|m| config.mount * m);
         }
-        // A full ring means that the loop is stuck, and this reading will be outdated when it resumes.
-        let _ = output.push(StampedReading { t_ns, reading });
+        if reading != ImuReading::Nothing {
+            // A full ring means that the loop is stuck, and this reading will be outdated when it resumes.
+            let _ = output.push(StampedReading { t_ns, reading, temp_c: imu.temp_c() });
+        }
         // After a slow transfer the missed readings are not made up for.
         next_ns = (next_ns + period_ns).max(monotonic_ns());
         rt::sleep_until_ns(next_ns);
     }
 }
 
-/// The driver on its bus.
+/// A driver that is recovered, with its bus if the board states the lines.
+fn recovery(config: &SensorConfig, driver: Box<dyn Imu + Send>) -> ImuRecovery<dyn Imu + Send> {
+    let imu = ImuRecovery::new(driver);
+    #[cfg(feature = "hw")]
+    if let Some(lines) = config.bus_lines {
+        return imu.freeing_bus(move |delay| imu::bus_clear::clear_header(lines, delay));
+    }
+    imu
+}
+
+/// The driver on its bus, and whether transfers have a time limit.
 #[cfg(feature = "hw")]
-fn open(config: &SensorConfig) -> Result<Box<dyn Imu + Send>, HardwareError> {
-    use crate::hardware::imu::linux::Classified;
+fn open(config: &SensorConfig) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
+    use crate::hardware::imu::linux::{Classified, bound_transfers};
     let path = config.bus.clone();
     // The libraries merge the causes of a failure; opening the file here distinguishes them.
-    if let Err(e) = std::fs::File::options().read(true).write(true).open(&path) {
-        return Err(match e.kind() {
-            std::io::ErrorKind::NotFound => HardwareError::NoBus { path },
-            std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission { path },
-            _ => HardwareError::Bus { path, why: e.to_string() },
-        });
-    }
+    let file = std::fs::File::options().read(true).write(true).open(&path).map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => HardwareError::NoBus { path: path.clone() },
+        std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission { path: path.clone() },
+        _ => HardwareError::Bus { path: path.clone(), why: e.to_string() },
+    })?;
+    let bounded = bound_transfers(&file).is_ok();
     if config.rppal {
         let Some(number) = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok()) else {
             return Err(HardwareError::Bus { path, why: "rppal requires a path of the form /dev/i2c-N".to_owned() });
         };
         let bus = rppal::i2c::I2c::with_bus(number).map_err(|e| HardwareError::Bus { path, why: e.to_string() })?;
-        return Ok(imu::open(&config.chip, Classified(bus))?);
+        return Ok((imu::open(&config.chip, Classified(bus))?, bounded));
     }
     let bus = linux_embedded_hal::I2cdev::new(&path).map_err(|e| HardwareError::Bus { path, why: e.to_string() })?;
-    Ok(imu::open(&config.chip, Classified(bus))?)
+    Ok((imu::open(&config.chip, Classified(bus))?, bounded))
 }
 
 #[cfg(not(feature = "hw"))]
-fn open(_: &SensorConfig) -> Result<Box<dyn Imu + Send>, HardwareError> {
+fn open(_: &SensorConfig) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
     Err(HardwareError::NotBuilt)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::fusion::health::{Quality, ReadFault};
+    use crate::primitives::sample::ImuSample;
+    use nalgebra::Vector3;
+
+    fn sample(rate: f64, mag: Option<f64>, load: f64) -> StampedReading {
+        let v = |x: f64| Vector3::new(x, 0.0, 0.0);
+        let sample = ImuSample { t: Seconds(0.0), gyro_rad_s: v(rate), acc_m_s2: v(9.81), mag_ut: mag.map(v) };
+        let quality = Quality { gyro_load: load, ..Quality::default() };
+        StampedReading { t_ns: (rate * 1e3) as u64, reading: ImuReading::Sample(sample, quality), temp_c: None }
+    }
+
+    fn merged(readings: &[StampedReading]) -> StampedReading {
+        readings.iter().copied().fold((None, 0.0), merge).0.unwrap()
+    }
+
+    #[test]
+    fn the_readings_of_a_turn_become_their_mean() {
+        let one = merged(&[sample(1.0, Some(20.0), 0.9), sample(2.0, None, 0.1), sample(6.0, None, 0.2)]);
+        let ImuReading::Sample(mean, quality) = one.reading else { panic!("{one:?}") };
+        assert!((mean.gyro_rad_s.x - 3.0).abs() < 1e-12 && (mean.acc_m_s2.x - 9.81).abs() < 1e-12);
+        assert_eq!((one.t_ns, mean.mag_ut.map(|m| m.x), quality.gyro_load), (6000, Some(20.0), 0.9));
+        let same = merged(&[sample(0.1, None, 0.0); 3]).reading;
+        assert!(matches!(same, ImuReading::Sample(s, _) if s.gyro_rad_s.x == 0.1), "a frozen chip stays recognisable");
+    }
+
+    #[test]
+    fn a_failure_ends_the_mean() {
+        let failed = StampedReading { reading: ImuReading::Failed(ReadFault::BrownOut), ..sample(0.0, None, 0.0) };
+        assert_eq!(merged(&[sample(1.0, None, 0.0), failed]).reading, failed.reading);
+        let after = merged(&[sample(1.0, None, 0.0), failed, sample(5.0, None, 0.0)]).reading;
+        assert!(matches!(after, ImuReading::Sample(s, _) if s.gyro_rad_s.x == 5.0));
+    }
 }

@@ -24,9 +24,9 @@ parameters! {
         gyro_range_dps: u16 = 500, "°/s", [250, 500, 1000, 2000], "500 is four times the fastest bend";
         /// Full scale of the accelerometer. A larger range survives knocks and costs resolution (4 g is 0.12 mg a count).
         acc_range_g: u8 = 4, "g", [2, 4, 8, 16], "4 survives the motion of the tip";
-        /// Readings per second. The chip converts at the next rate of 1125 / (1 + n) Hz that is not slower, so that no
-        /// conversion is read twice. A larger value loads the bus, which carries about 1600 at 400 kHz.
-        rate_hz: f64 = 500.0, "Hz", 4.4..=1125.0, "500 is one reading per turn of the loop";
+        /// Least number of conversions per second. The chip converts at the next rate of 1125 / (1 + n) Hz that is not slower,
+        /// and every conversion is read. A larger value loads the bus, which carries about 1600 readings at 400 kHz.
+        rate_hz: f64 = 500.0, "Hz", 4.4..=1125.0, "500 is one conversion per turn of the loop";
         /// Smallest bandwidth of the gyroscope filter: the chip takes the next wider of 5.7, 11.6, 23.9, 51.2, 119.5, 151.8,
         /// 196.6 and 361.4. A larger value passes more noise with less delay.
         gyro_bandwidth_hz: f64 = 100.0, "Hz", 0.0..=361.4, "100 passes the fastest bend";

@@ -18,9 +18,9 @@ parameters! {
         gyro_range_dps: u16 = 500, "°/s", [125, 250, 500, 1000, 2000], "500 is four times the fastest bend";
         /// Full scale of the accelerometer. A larger range survives knocks and costs resolution (4 g is 0.122 mg a count).
         acc_range_g: u8 = 4, "g", [2, 4, 8, 16], "4 survives the motion of the tip";
-        /// Readings per second. The chip converts at the next rate of 12.5, 26, 52, 104, 208, 416, 833, 1666 … Hz that is not
-        /// slower. A larger value loads the bus.
-        rate_hz: f64 = 500.0, "Hz", 1.0..=6664.0, "500 is one reading per turn of the loop";
+        /// Least number of conversions per second. The chip converts at the next rate of 12.5, 26, 52, 104, 208, 416, 833, 1666 …
+        /// Hz that is not slower, and every conversion is read as far as the bus permits. A larger value loads the bus.
+        rate_hz: f64 = 500.0, "Hz", 1.0..=6664.0, "500 is one conversion per turn of the loop";
         /// Gyroscope low-pass, CTRL6_C.FTYPE; left out, only the fixed second stage (295 Hz at 833 Hz). 3 is the widest, a
         /// larger value is narrower.
         gyro_filter: Option<u8> = None, "", 0..=7, "leave it out for the fixed second stage alone";
