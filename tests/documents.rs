@@ -4,7 +4,7 @@
 mod common;
 
 use common::repo;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The documents with their text.
 fn documents() -> Vec<(PathBuf, String)> {
@@ -58,4 +58,43 @@ fn the_architecture_lists_the_rooms_of_the_library() {
     let listed: Vec<&str> =
         architecture.split("## ").next().unwrap().lines().filter_map(|l| l.strip_prefix("| `")?.split('`').next()).collect();
     assert!(rooms.len() == 16 && rooms == listed, "{rooms:?} {listed:?}");
+}
+
+/// The text of all files below a folder.
+fn sources(folder: &Path) -> String {
+    let paths = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
+    paths.map(|p| if p.is_dir() { sources(&p) } else { std::fs::read_to_string(&p).unwrap() }).collect()
+}
+
+/// Every row with an id names a test function, or a row of the drill, and all that it names exist.
+#[test]
+fn every_control_of_the_safety_file_has_a_test() {
+    let text = std::fs::read_to_string(repo("docs/safety.md")).unwrap();
+    let drill = sources(&repo("src/drill"));
+    let is_test = |name: &str| {
+        let Some((file, test)) = name.split_once("::") else { return false };
+        let code = std::fs::read_to_string(repo(file)).unwrap_or_default();
+        let lines: Vec<&str> = code.lines().map(str::trim).collect();
+        let at = lines.iter().position(|line| line.starts_with(&format!("fn {test}()")));
+        at.is_some_and(|at| lines[..at].iter().rev().take_while(|l| l.starts_with("#[") || l.starts_with("//")).any(|l| *l == "#[test]"))
+    };
+    let (mut rows, mut wrong) = (0, Vec::new());
+    for line in text.lines().filter(|line| line.starts_with("| H")) {
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        assert_eq!(cells.len(), 9, "{line}");
+        rows += 1;
+        let rating = |cell: &str| cell.parse::<u32>().unwrap_or_else(|_| panic!("{line}"));
+        let [severity, before, after] = [4, 5, 6].map(|i| rating(cells[i]));
+        assert!([severity, before, after].iter().all(|x| (1..=5).contains(x)) && after <= before && severity * after <= 12, "{line}");
+        let proofs: Vec<&str> = cells[7].split(", ").collect();
+        for proof in &proofs {
+            let name = proof.trim_start_matches("drill ").trim_matches('`');
+            let exists = if proof.starts_with("drill ") { drill.contains(&format!("\"{name}\"")) } else { is_test(name) };
+            if !exists {
+                wrong.push(format!("{}: {proof}", cells[1]));
+            }
+        }
+    }
+    assert!(rows > 30, "{rows}");
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }

@@ -48,7 +48,8 @@ impl Hub {
     /// Starts a recording. It has a tape if the supervisor is in its first cycle (`at_boot`) or can be replaced by a
     /// freshly reset one because the machine is disarmed at zero.
     pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
-        let idle = self.mode() == Mode::Disarmed && self.is_at_zero() && self.last.as_ref().is_some_and(|t| t.latched.is_none() && !t.stopped);
+        let idle =
+            self.mode() == Mode::Disarmed && self.is_at_zero() && self.last.as_ref().is_some_and(|t| t.latched.is_none() && !t.stopped);
         let start = Start::new(&self.config, &self.memory, at_boot && self.facts.unreadable);
         let machine = self.facts.remarks.first().map_or("", String::as_str);
         let header = (at_boot || idle).then(|| start.header(&self.config.texts, machine));
