@@ -9,14 +9,15 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
-use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
-use retroflex::primitives::units::{Mm, Steps};
+use retroflex::primitives::units::{Mm, Seconds, Steps};
+use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
+use retroflex::supervisor::machine::Machine;
 
 fn main() {
     divan::main();
@@ -40,8 +41,9 @@ fn config() -> LoopConfig {
 
 /// Inputs of the loop during one minute of the experiment.
 fn inputs(config: &LoopConfig) -> Vec<Input> {
-    let (mut world, mut state) = (sim(), LoopState::new(config));
-    let mut input = Input { dt_s: world.info().period_s, ..Input::default() };
+    let (mut machine, mut state) = (Lockstep::new(sim(), &config.motion), LoopState::new(config));
+    machine.energise(true);
+    let mut input = Input { dt_s: machine.info().period_s, ..Input::default() };
     let mut poses = paper().into_iter().cycle();
     let mut all = Vec::new();
     for k in 0..60_000 {
@@ -50,8 +52,9 @@ fn inputs(config: &LoopConfig) -> Vec<Input> {
         }
         all.push(input);
         let frame = tick(config, &mut state, &input);
-        let reply = world.step(&frame.steps).unwrap();
-        input = Input { t: reply.t, imu: ImuReading::from_world(reply.imu), steps: frame.steps, command: None, ..input };
+        let t = Seconds(f64::from(k + 1) * input.dt_s);
+        let sensed = machine.turn(t, &frame.steps).unwrap();
+        input = Input { t, imu: sensed.imu, steps: sensed.counted, command: None, ..input };
     }
     all
 }

@@ -30,7 +30,7 @@ fn machine(change: impl FnOnce(&mut PlantConfig)) -> Miswired {
     let section = plant();
     let mut make = section.make();
     change(&mut make);
-    let inner = Lockstep::new(Sim::new(&make, 0, 7, section.period_s).unwrap());
+    let inner = Lockstep::new(Sim::new(&make, 0, 7, section.period_s).unwrap(), &common::twin().drive_limits());
     Miswired { inner, reaches: [0, 1, 2], inverted: [false; 3], turned_rad: 0.0, cut: None, pressed_after_s: f64::MAX }
 }
 

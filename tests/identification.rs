@@ -42,9 +42,9 @@ fn effective(config: &LoopConfig, mut world: Sim, warm: usize) -> [Line; 3] {
         let mut command = Some(Command { bend: pose.bend(), length: Mm(config.geometry.rest_length_mm) });
         let mut bend = Bend::STRAIGHT;
         for _ in 0..(HOLD_S / rig.period_s()).round() as usize {
-            let (frame, reply) = rig.advance(command.take()).unwrap();
-            bend = Bend::from_rotation(&reply.truth.unwrap());
-            let now = config.drive.piston_mm(&frame.steps);
+            let sensed = rig.advance(command.take()).unwrap().1;
+            bend = Bend::from_rotation(&sensed.truth.unwrap());
+            let now = config.drive.piston_mm(&sensed.counted);
             for i in 0..3 {
                 let step = now[i] - last[i];
                 if step != 0.0 && step.signum() != side[i] {
@@ -73,9 +73,9 @@ fn effective_closed(config: &LoopConfig, mut world: Sim) -> [f64; 3] {
         let mut command = Some(Command { bend: pose.bend(), length: Mm(config.geometry.rest_length_mm) });
         let mut bend = Bend::STRAIGHT;
         for _ in 0..(HOLD_S / rig.period_s()).round() as usize {
-            let (frame, reply) = rig.advance(command.take()).unwrap();
-            bend = Bend::from_rotation(&reply.truth.unwrap());
-            let piston = config.drive.piston_mm(&frame.steps);
+            let sensed = rig.advance(command.take()).unwrap().1;
+            bend = Bend::from_rotation(&sensed.truth.unwrap());
+            let piston = config.drive.piston_mm(&sensed.counted);
             play_output = Vector3::from_fn(|i, _| config.lines[i].play(play_output[i], piston[i]));
         }
         let q = config.geometry.lengths(&Shape { bend, length: Mm(config.geometry.rest_length_mm) });

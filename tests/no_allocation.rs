@@ -6,12 +6,13 @@ mod common;
 
 use common::{uncalibrated, unit};
 use retroflex::control::tick::{Command, Input, LoopConfig, LoopState, tick};
-use retroflex::estimation::fusion::health::ImuReading;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::schedule::paper;
 use retroflex::model::transmission::Line;
-use retroflex::primitives::units::Mm;
+use retroflex::primitives::units::{Mm, Seconds};
+use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::world::World;
+use retroflex::supervisor::machine::Machine;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
@@ -56,6 +57,8 @@ static ALLOCATOR: Counting = Counting;
 fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
     let mut state = LoopState::new(config);
     let mut input = Input { dt_s: world.info().period_s, ..Input::default() };
+    let mut machine = Lockstep::new(world, &config.motion);
+    machine.energise(true);
     let mut poses = paper().into_iter().step_by(7).cycle();
     let mut during = 0;
     for k in 0..40_000 {
@@ -65,8 +68,9 @@ fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
         let before = taken();
         let frame = tick(config, &mut state, &input);
         during += taken() - before;
-        let reply = world.step(&frame.steps).unwrap();
-        input = Input { t: reply.t, imu: ImuReading::from_world(reply.imu), steps: frame.steps, command: None, ..input };
+        let t = Seconds(f64::from(k + 1) * input.dt_s);
+        let sensed = machine.turn(t, &frame.steps).unwrap();
+        input = Input { t, imu: sensed.imu, steps: sensed.counted, command: None, ..input };
     }
     assert!(state.fusion.estimate().is_some_and(|f| f.bend.beta() > 0.1), "the tip must have moved");
     during

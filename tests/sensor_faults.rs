@@ -64,10 +64,10 @@ impl Chip {
 
     fn tick(&mut self) -> Frame {
         let frame = tick(&self.config, &mut self.state, &self.input);
-        self.plant.step(&frame.steps);
+        let steps = self.plant.step(&frame.steps);
         let now = Seconds(self.plant.t_s);
         let reading = self.read(now);
-        self.input = Input { t: now, dt_s: DT_S, imu: reading, steps: frame.steps, ..Input::default() };
+        self.input = Input { t: now, dt_s: DT_S, imu: reading, steps, ..Input::default() };
         frame
     }
 

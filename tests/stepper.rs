@@ -9,12 +9,12 @@ use rand::{RngExt, SeedableRng};
 use retroflex::hardware::pins::map::LineMap;
 use retroflex::hardware::pins::mock::{Edge, LineName, edges};
 use retroflex::hardware::pins::{InputPin, MockPins, PinsConfig, Pull};
-use retroflex::hardware::stepper::{Stepper, SyncStatus};
+use retroflex::hardware::stepper::Stepper;
 use retroflex::motion::lines::{EmergencyStop, Inputs, Levels, PulseTiming};
 use retroflex::motion::pulse::{PulseAction, StepCore};
-use retroflex::motion::queue::TimedSegment;
+use retroflex::motion::queue::{SyncStatus, TimedSegment};
 use retroflex::motion::report::{StepperFault, StepperMode, StepperOrder};
-use retroflex::motion::{ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, Segment, StepperConfig};
+use retroflex::motion::{ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, Segment, StepGenerator, StepperConfig};
 use retroflex::primitives::units::Steps;
 use std::collections::VecDeque;
 

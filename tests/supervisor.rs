@@ -39,7 +39,7 @@ struct Flight {
 
 impl Flight {
     fn new(remembered: Option<RestartState>, machine: Option<Lockstep<Sim>>) -> Self {
-        let machine = machine.unwrap_or_else(|| Lockstep::new(unit(0, 1)));
+        let machine = machine.unwrap_or_else(|| Lockstep::new(unit(0, 1), &twin().drive_limits()));
         let calib: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
         let config = assemble(&twin(), &calib, &Gains::default(), machine.world.info());
         Self { runner: Runner::new(machine, Supervisor::new(config, remembered)), k: 0 }
@@ -70,7 +70,7 @@ fn healthy_tips_never_trip_and_are_rarely_suspected() {
     let mut poses = 0;
     for (seed, u) in (1..=6u64).flat_map(|seed| (0..8u64).map(move |u| (seed, u))) {
         let mut dice = StdRng::seed_from_u64(100 * seed + u);
-        let mut f = Flight::new(None, Some(Lockstep::new(unit(u, 1))));
+        let mut f = Flight::new(None, Some(Lockstep::new(unit(u, 1), &twin().drive_limits())));
         f.run(2.5);
         f.order(Order::Arm);
         f.run(0.1);

@@ -32,7 +32,8 @@ pub fn open(path: &Path, prepare: impl FnOnce(&mut MachineConfig)) -> Result<(Bo
         return Err(miette!("{}: there is neither a [pins] nor a [plant] table, so there is nothing to move", path.display()));
     };
     let sim = Sim::new(&plant.make(), 0, 0, plant.period_s).into_diagnostic()?;
-    Ok((board, Box::new(Lockstep::new(sim))))
+    let machine = Lockstep::new(sim, &board.drive_limits());
+    Ok((board, Box::new(machine)))
 }
 
 /// Converts an error of the hardware into a report with the right exit code.

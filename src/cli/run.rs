@@ -125,7 +125,7 @@ fn open(args: &Args, board: &Board) -> Result<Box<dyn Machine>> {
         let mut words = link::words(line).map_err(|why| miette!("--plant `{plant}`: {why}"))?.into_iter();
         let program = words.next().ok_or_else(|| miette!("--plant `{plant}`: a program must follow `exec:`"))?;
         let args: Vec<String> = words.collect();
-        return Ok(Box::new(Lockstep::new(Link::start(&program, &args).into_diagnostic()?)));
+        return Ok(Box::new(Lockstep::new(Link::start(&program, &args).into_diagnostic()?, &board.drive_limits())));
     }
     if let Some(config) = board.hardware() {
         let path = args.board.as_deref().unwrap_or(Path::new("the built-in board"));
@@ -134,7 +134,8 @@ fn open(args: &Args, board: &Board) -> Result<Box<dyn Machine>> {
     let section = board.plant.clone().ok_or_else(|| {
         miette!("this board has neither [pins] nor [plant], so there is no machine to run; give --plant, or a board that describes one")
     })?;
-    Ok(Box::new(Lockstep::new(Sim::new(&section.make(), args.seed, 1, section.period_s).into_diagnostic()?)))
+    let sim = Sim::new(&section.make(), args.seed, 1, section.period_s).into_diagnostic()?;
+    Ok(Box::new(Lockstep::new(sim, &board.drive_limits())))
 }
 
 /// FNV-1a over the texts, in hexadecimal.

@@ -3,12 +3,11 @@
 use crate::config::power::PowerSection;
 use crate::config::sections::{BusBackend, DriveSection, GeometrySection, HomingSection, ImuSection, LimitsSection, MachineSection};
 use crate::config::service::{SafetySection, ServiceSection};
-use crate::control::follow::Pace;
 use crate::control::limits::ActuatorLimits;
 use crate::hardware::machine::{MachineConfig, SensorConfig};
 use crate::hardware::pins::PinsConfig;
 use crate::motion::lines::EmergencyStop;
-use crate::motion::{MotionConfig, StepperConfig};
+use crate::motion::{DriveLimits, MotionConfig, MotionLimits, StepperConfig};
 use crate::parameters;
 use crate::primitives::parameters::{Setting, Shape};
 use crate::simulation::plant::PlantConfig;
@@ -111,10 +110,10 @@ impl Board {
         MotionConfig { travel_max_mm: self.limits.travel_mm, ..self.motion }
     }
 
-    /// Largest speed and acceleration of one piston.
+    /// How the drive moves the pistons.
     #[must_use]
-    pub fn pace(&self) -> Pace {
-        Pace { speed: self.motion.speed_max_mm_s, acceleration: self.motion.acceleration_max_mm_s2 }
+    pub fn drive_limits(&self) -> DriveLimits {
+        DriveLimits { limits: MotionLimits::of_checked(&self.motion_config()), lead_s: self.stepper.lead_ms * 1e-3 }
     }
 
     /// The static limits of this board.

@@ -33,7 +33,7 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Loop
         side: gains.side(),
         bend_pace: gains.pace.bend(),
         length_pace: gains.pace.length(),
-        piston_pace: board.pace(),
+        motion: board.drive_limits(),
         limits: board.limits(),
         feedback: Some(gains.feedback()),
         refine: gains.refine,

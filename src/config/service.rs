@@ -80,21 +80,22 @@ impl SafetySection {
     /// The gate's limits for a loop of this period.
     #[must_use]
     pub fn gate(&self, config: &LoopConfig, limits: &limits::ActuatorLimits, period_s: f64) -> GateLimits {
-        let pace = &config.piston_pace;
+        let motion = &config.motion.limits;
         GateLimits {
             step_mm: config.drive.step_mm,
             tick_s: period_s,
             // half a step of rounding
             travel_mm: limits.travel_mm + config.drive.step_mm,
-            speed_mm_s: pace.speed * self.speed_share,
-            acceleration_mm_s2: pace.acceleration * self.acceleration_share,
+            speed_mm_s: motion.speed_max_mm_s * self.speed_share,
+            acceleration_mm_s2: motion.acceleration_max_mm_s2 * self.acceleration_share,
             squeeze_mm: self.pressure_max_kpa / limits.pressure_kpa_per_mm,
             following_rad: self.following_deg.to_radians(),
             following_s: self.following_s,
             following_for_s: self.following_for_s,
             stale_s: self.stale_s,
             late_s: self.late_s.max(3.0 * period_s),
-            brake_mm_s2: pace.acceleration,
+            react_s: config.motion.react_s(),
+            brake_mm_s2: motion.acceleration_max_mm_s2,
             relax_mm_s: self.relax_mm_s,
             on: self.on,
         }

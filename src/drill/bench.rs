@@ -7,6 +7,7 @@ use crate::config::supervisor::assemble;
 use crate::control::tick::{Command, RestartState};
 use crate::estimation::fusion::health::{ImuReading, ReadFault};
 use crate::model::bend::Bend;
+use crate::motion::DriveLimits;
 use crate::motion::lines::Inputs;
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::units::{Mm, Seconds, Steps};
@@ -19,7 +20,7 @@ use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
 use crate::supervisor::machine::{Alarm, Machine, MachineError, MachineInfo, Sensed};
 
 /// A simulated machine with fault injection.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct FaultyMachine {
     inner: Lockstep<Sim>,
     /// Every transfer fails with this fault.
@@ -30,14 +31,13 @@ pub struct FaultyMachine {
     pub emergency_stop: bool,
     /// Alarm of the step thread. The pistons stand still until it is cleared.
     pub alarm: Option<Alarm>,
-    held_steps: Steps,
 }
 
 impl FaultyMachine {
     /// A machine without faults.
     #[must_use]
-    pub fn new(sim: Sim) -> Self {
-        Self { inner: Lockstep::new(sim), bus: None, stamp_offset_s: 0.0, emergency_stop: false, alarm: None, held_steps: Steps::default() }
+    pub fn new(sim: Sim, motion: &DriveLimits) -> Self {
+        Self { inner: Lockstep::new(sim, motion), bus: None, stamp_offset_s: 0.0, emergency_stop: false, alarm: None }
     }
 
     /// Injects a fault into the plant.
@@ -69,9 +69,11 @@ impl Machine for FaultyMachine {
         self.inner.info()
     }
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
-        let wanted = if self.alarm.is_some() { self.held_steps } else { *wanted };
-        let mut sensed = self.inner.turn(now, &wanted)?;
-        self.held_steps = sensed.counted;
+        if self.alarm.is_some() {
+            self.inner.fail();
+        }
+        self.inner.inputs = Inputs { emergency_stop: self.emergency_stop, ..Inputs::default() };
+        let mut sensed = self.inner.turn(now, wanted)?;
         if let (Some(fault), ImuReading::Sample(..)) = (self.bus, sensed.imu) {
             sensed.imu = ImuReading::Failed(fault);
         }
@@ -82,8 +84,7 @@ impl Machine for FaultyMachine {
             quality.gyro_load = sample.gyro_rad_s.amax().to_degrees() / chip.gyro_range_deg_s;
             quality.acc_load = sample.acc_m_s2.amax() / (chip.acc_range_g * 9.80665);
         }
-        sensed.inputs = Inputs { emergency_stop: self.emergency_stop, ..sensed.inputs };
-        sensed.alarm = self.alarm;
+        sensed.alarm = self.alarm.or(sensed.alarm);
         Ok(sensed)
     }
     fn energise(&mut self, on: bool) {
@@ -94,6 +95,7 @@ impl Machine for FaultyMachine {
     }
     fn clear(&mut self) {
         self.alarm = None;
+        self.inner.clear();
     }
     fn is_simulated(&self) -> bool {
         true
@@ -147,7 +149,7 @@ impl BenchConfig {
     /// # Errors
     /// [`PlantError`].
     pub fn bench(&self, unit: u64, noise: u64) -> Result<Bench, PlantError> {
-        let machine = FaultyMachine::new(self.sim(unit, noise)?);
+        let machine = FaultyMachine::new(self.sim(unit, noise)?, &self.board.drive_limits());
         Ok(self.bench_on(machine, None, 0.0))
     }
 

@@ -35,7 +35,7 @@ pub struct Allowance {
 }
 
 impl Allowance {
-    /// Braking takes v²/2a per piston after the longest blind time at full speed. A move takes twice what the same
+    /// Braking takes the braking distance of every piston after the longest blind time at full speed. A move takes twice what the same
     /// flight needs without a fault, because a correction may need as much again, and the travel of every piston.
     ///
     /// # Errors
@@ -43,10 +43,9 @@ impl Allowance {
     pub fn new(config: &BenchConfig) -> Result<Self, MachineError> {
         let mut bench = config.bench(0, 1)?;
         let supervisor = bench.runner.supervisor.config();
-        let (gate, pace) = (supervisor.gate, supervisor.tick.piston_pace);
-        let stopping_mm = pace.speed * pace.speed / (2.0 * pace.acceleration);
-        let blind_mm = pace.speed * supervisor.tick.fuse.health.blind_max_s;
-        let braking = (3.0 * (stopping_mm + blind_mm) / gate.step_mm).ceil() as i64 + 6;
+        let (gate, motion) = (supervisor.gate, supervisor.tick.motion);
+        let blind_mm = motion.limits.speed_max_mm_s * supervisor.tick.fuse.health.blind_max_s;
+        let braking = (3.0 * (motion.braking_mm() + blind_mm) / gate.step_mm).ceil() as i64 + 6;
         let Some(mut last) = take_off(&mut bench)? else { return Ok(Self { braking, moving: 0 }) };
         let mut moving = 0;
         bench.turn(Some(bend(TO.0, TO.1)))?;

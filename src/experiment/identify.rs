@@ -112,8 +112,8 @@ pub fn plausible(channels: &[Estimate; 3]) -> Result<[Line; 3], IdentifyError> {
 fn hold(rig: &mut Rig<'_>, round: &mut Round, progress: &mut dyn FnMut()) -> Result<(), RigError> {
     let mut command = Some(round.command());
     loop {
-        let (frame, _) = rig.advance(command.take())?;
-        match round.step(&frame, &rig.config.drive.piston_mm(&frame.steps), rig.period_s()) {
+        let (frame, sensed) = rig.advance(command.take())?;
+        match round.step(&frame, &rig.config.drive.piston_mm(&sensed.counted), rig.period_s()) {
             Step::Waiting => continue,
             Step::Next => command = Some(round.command()),
             Step::Over => {

@@ -1,9 +1,10 @@
-//! A loop and a world in lockstep.
+//! A loop and a world in lockstep. The pistons follow the loop's targets as those of the hardware do ([`Lockstep`]).
 
 use crate::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
-use crate::estimation::fusion::health::ImuReading;
-use crate::simulation::world::{Reply, World};
-use crate::supervisor::machine::MachineError;
+use crate::primitives::units::Seconds;
+use crate::simulation::lockstep::Lockstep;
+use crate::simulation::world::World;
+use crate::supervisor::machine::{Machine, MachineError, Sensed};
 use thiserror::Error;
 
 /// Longest duration of the alignment, s.
@@ -31,30 +32,35 @@ pub struct Rig<'w> {
     pub config: LoopConfig,
     /// State of the loop.
     pub state: LoopState,
-    world: &'w mut dyn World,
+    machine: Lockstep<&'w mut dyn World>,
     input: Input,
+    ticks: u64,
 }
 
 impl<'w> Rig<'w> {
-    /// A fresh loop at rest.
+    /// A fresh loop at rest, with energised drivers.
     pub fn new(config: LoopConfig, world: &'w mut dyn World) -> Self {
         let state = LoopState::new(&config);
         let dt_s = world.info().period_s;
         let input = Input { dt_s, ..Input::default() };
-        Self { config, state, world, input }
+        let mut machine = Lockstep::new(world, &config.motion);
+        machine.energise(true);
+        Self { config, state, machine, input, ticks: 0 }
     }
 
-    /// One tick and one period of the world.
+    /// One tick and one period of the world. The true orientation is in [`Sensed::truth`], for scoring.
     ///
     /// # Errors
     /// Those of the world.
-    pub fn advance(&mut self, command: Option<Command>) -> Result<(Frame, Reply), RigError> {
+    pub fn advance(&mut self, command: Option<Command>) -> Result<(Frame, Sensed), RigError> {
         self.input.command = command;
         let frame = tick(&self.config, &mut self.state, &self.input);
-        let reply = self.world.step(&frame.steps)?;
-        let imu = ImuReading::from_world(reply.imu);
-        self.input = Input { t: reply.t, imu, steps: frame.steps, command: None, ..self.input };
-        Ok((frame, reply))
+        self.ticks += 1;
+        let now = Seconds(self.ticks as f64 * self.input.dt_s);
+        let sensed = self.machine.turn(now, &frame.steps)?;
+        let Sensed { imu, base_imu, counted, .. } = sensed;
+        self.input = Input { t: now, imu, base_imu, steps: counted, command: None, ..self.input };
+        Ok((frame, sensed))
     }
 
     /// Waits for the alignment.

@@ -7,12 +7,14 @@
 
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
-use crate::hardware::stepper::{StartError, Stepper, Summary, SyncStatus};
+use crate::hardware::stepper::{StartError, Stepper, Summary};
 use crate::motion::Motion;
 use crate::motion::config::{MotionConfig, StepperConfig};
+use crate::motion::drive::StepGenerator;
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::MotionLimits;
 use crate::motion::lines::{EmergencyStop, Inputs, Levels};
+use crate::motion::queue::SyncStatus;
 use crate::motion::report::StepperMode;
 use crate::report::chart::{Axis, Chart, Series, Stroke, sheet};
 use crate::report::svg::Ink;

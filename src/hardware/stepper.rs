@@ -14,12 +14,13 @@
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
 use crate::motion::config::{MotionConfig, StepperConfig};
+use crate::motion::drive::StepGenerator;
 use crate::motion::histogram::Histogram;
 use crate::motion::limits::MotionLimits;
 use crate::motion::lines::{EmergencyStop, Levels, PulseTiming};
 use crate::motion::pulse::{PulseAction, StepCore};
-use crate::motion::queue::{self, FeedError, Feeder, TimedSegment};
-use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
+use crate::motion::queue::{self, FeedError, Feeder, SyncStatus, TimedSegment};
+use crate::motion::report::{StepperOrder, StepperReport};
 use crate::motion::segment::Segment;
 use crate::primitives::check::Invalid;
 use std::sync::{Arc, OnceLock};
@@ -163,21 +164,6 @@ impl<P: Pins> Shell<P> {
     }
 }
 
-/// What the loop must do before it plans the next tick.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum SyncStatus {
-    /// Feed the next segment.
-    Ready,
-    /// Motion was interrupted and the pistons rest here, mm: reset the motion, then feed.
-    Restart([f64; 3]),
-    /// Feed nothing; the thread is braking.
-    Busy,
-    /// Feed nothing until the fault is cleared.
-    Faulted(StepperFault),
-    /// The thread has ended.
-    Dead,
-}
-
 /// The loop's handle on the step thread.
 #[derive(Debug)]
 pub struct Stepper<P> {
@@ -247,59 +233,39 @@ impl<P: Pins + 'static> Stepper<P> {
     }
 }
 
-impl<P> Stepper<P> {
-    /// Whether the drivers are energised, by the last report; before the first one, as they were found.
-    #[must_use]
-    pub fn is_energised(&self) -> bool {
-        self.latest.as_ref().map_or(self.energised, |r| r.energised)
-    }
-
-    /// Reads the reports of the thread and returns what the loop must do.
-    pub fn sync(&mut self, now_ns: u64) -> SyncStatus {
+impl<P> StepGenerator for Stepper<P> {
+    fn sync(&mut self, now_ns: u64) -> SyncStatus {
         while let Ok(report) = self.reports.pop() {
             self.latest = Some(report);
         }
         if self.reports.is_abandoned() {
             return SyncStatus::Dead;
         }
-        let Some(report) = &self.latest else { return SyncStatus::Busy };
-        match report.mode {
-            StepperMode::Faulted(fault) => SyncStatus::Faulted(fault),
-            _ if self.feeder.epoch() == Some(report.epoch) => SyncStatus::Ready,
-            StepperMode::Resting => {
-                self.feeder.begin(report.epoch, now_ns);
-                SyncStatus::Restart(report.rest_mm)
-            }
-            StepperMode::Following | StepperMode::Stopping => SyncStatus::Busy,
-        }
+        self.latest.as_ref().map_or(SyncStatus::Busy, |report| self.feeder.sync(report, now_ns))
     }
 
-    /// Queues the motion of the next tick.
-    ///
-    /// # Errors
-    /// [`FeedError`]; nothing was queued.
-    pub fn feed(&mut self, segment: &Segment, now_ns: u64) -> Result<(), FeedError> {
+    fn feed(&mut self, segment: &Segment, now_ns: u64) -> Result<(), FeedError> {
         self.feeder.push(segment, now_ns)
     }
 
-    /// Time by which the queued motion extends past `now_ns`, ns.
-    #[must_use]
-    pub fn lead_ns(&self, now_ns: u64) -> i64 {
+    fn lead_ns(&self, now_ns: u64) -> i64 {
         self.feeder.lead_ns(now_ns)
     }
 
-    /// Sends an order that bypasses the queue of segments. Returns false if 32 orders are waiting.
-    #[must_use]
-    pub fn order(&mut self, order: StepperOrder) -> bool {
+    fn order(&mut self, order: StepperOrder) -> bool {
         self.orders.push(order).is_ok()
     }
 
-    /// The last report that [`Stepper::sync`] read; `None` before the first.
-    #[must_use]
-    pub fn latest(&self) -> Option<&StepperReport> {
+    fn latest(&self) -> Option<&StepperReport> {
         self.latest.as_ref()
     }
 
+    fn is_energised(&self) -> bool {
+        self.latest.as_ref().map_or(self.energised, |r| r.energised)
+    }
+}
+
+impl<P> Stepper<P> {
     /// The message of the first failure of the pins.
     #[must_use]
     pub fn pin_error(&self) -> Option<&str> {

@@ -14,7 +14,7 @@ pub const TOLERANCE: f64 = 1e-9;
 /// Tolerance of a comparison of positions, mm. The planner closes its position equation to 1e-8 mm.
 pub const POSITION_TOLERANCE_MM: f64 = 1e-7;
 
-/// Limits of motion of one channel, built only from a valid [`MotionConfig`].
+/// Limits of motion of one channel, from a valid [`MotionConfig`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionLimits {
     /// Largest speed, mm/s.
@@ -37,17 +37,23 @@ impl TryFrom<&MotionConfig> for MotionLimits {
         let mut checker = Checker::default();
         checker.range("limits.travel_mm", c.travel_max_mm, 0.1..=1000.0, "mm", "what rack and syringe allow either side of rest");
         checker.done()?;
-        Ok(Self {
+        Ok(Self::of_checked(c))
+    }
+}
+
+impl MotionLimits {
+    /// The limits of a configuration that is valid, as that of every board is once it has been read.
+    #[must_use]
+    pub fn of_checked(c: &MotionConfig) -> Self {
+        Self {
             speed_max_mm_s: c.speed_max_mm_s,
             acceleration_max_mm_s2: c.acceleration_max_mm_s2,
             jerk_max_mm_s3: c.jerk_max_mm_s3,
             travel_max_mm: c.travel_max_mm,
             retarget_min_mm: c.retarget_min_mm,
-        })
+        }
     }
-}
 
-impl MotionLimits {
     /// Whether a position is within travel.
     #[inline]
     #[must_use]

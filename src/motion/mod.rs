@@ -2,7 +2,7 @@
 //!
 //! One move takes this path:
 //!
-//! 1. The hardware drive calls [`Motion::tick`] once per control tick with three target positions.
+//! 1. The [`drive::Drive`] calls [`Motion::tick`] once per control tick with three target positions.
 //! 2. When a target has changed, [`solver::Ruckig`] plans from the present position, velocity and
 //!    acceleration to rest at the new target. The plan is jerk-limited and time-optimal for the
 //!    slowest channel; the other two are stretched so that all three arrive together.
@@ -10,12 +10,13 @@
 //!    followed for a few more ticks; after that, the pistons brake.
 //! 4. The tick's share of the plan is cut out as a [`Segment`]: constant-jerk pieces for each channel
 //!    with the states at both ends.
-//! 5. The segment travels through the wait-free ring of [`queue`] to the step thread.
-//! 6. The step thread solves each piece for the instants at which the position passes the midpoint
+//! 5. The segment travels through the wait-free ring of [`queue`] to the step generator.
+//! 6. The step generator solves each piece for the instants at which the position passes the midpoint
 //!    between two microsteps ([`steps`]), and [`pulse::StepCore`] decides at each instant which lines
 //!    change.
 //!
-//! Simulated plants receive microstep counts directly and do not use this room.
+//! On hardware the step generator is a thread that pulses pins. In simulation it is the same step core in simulated time;
+//! its pulses take no time and are never late.
 //!
 //! Nothing here reads a clock, touches a pin, takes a lock or allocates after construction.
 //!
@@ -25,6 +26,7 @@
 //! underrun, a lost loop or a failed plan.
 
 pub mod config;
+pub mod drive;
 pub mod follow;
 pub mod histogram;
 pub mod limits;
@@ -40,6 +42,7 @@ pub mod steps;
 pub mod stop;
 
 pub use config::{MotionConfig, StepperConfig};
+pub use drive::{Drive, DriveLimits, DriveState, StepGenerator};
 pub use follow::{Motion, MoveStatus};
 pub use limits::MotionLimits;
 pub use segment::{ChannelSegment, Segment};

@@ -6,6 +6,7 @@
 //! motion planned before the break is never resumed halfway. The loop reads the new epoch in a report,
 //! restarts its motion from the reported rest position, and continues to feed.
 
+use crate::motion::report::{StepperFault, StepperMode, StepperReport};
 use crate::motion::segment::Segment;
 
 /// A segment with its place in time.
@@ -40,6 +41,21 @@ pub enum FeedError {
     NotBegun,
 }
 
+/// What the loop must do before it plans the next tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum SyncStatus {
+    /// Feed the next segment.
+    Ready,
+    /// Motion was interrupted and the pistons rest here, mm: reset the motion, then feed.
+    Restart([f64; 3]),
+    /// Feed nothing; the step generator is braking.
+    Busy,
+    /// Feed nothing until the fault is cleared.
+    Faulted(StepperFault),
+    /// The step generator has ended.
+    Dead,
+}
+
 /// The loop's end of the ring.
 #[derive(Debug)]
 pub struct Feeder {
@@ -63,10 +79,17 @@ impl Feeder {
         self.next_start_ns = now_ns + self.lead_ns;
     }
 
-    /// The present epoch; `None` before the first one.
-    #[must_use]
-    pub fn epoch(&self) -> Option<u32> {
-        self.epoch
+    /// What a report requires. A step core at rest in another epoch begins it here.
+    pub fn sync(&mut self, report: &StepperReport, now_ns: u64) -> SyncStatus {
+        match report.mode {
+            StepperMode::Faulted(fault) => SyncStatus::Faulted(fault),
+            _ if self.epoch == Some(report.epoch) => SyncStatus::Ready,
+            StepperMode::Resting => {
+                self.begin(report.epoch, now_ns);
+                SyncStatus::Restart(report.rest_mm)
+            }
+            StepperMode::Following | StepperMode::Stopping => SyncStatus::Busy,
+        }
     }
 
     /// Time by which the queued motion extends past `now_ns`, ns; negative after an underrun.

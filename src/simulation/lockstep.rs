@@ -1,79 +1,89 @@
 //! Any [`World`] as a [`Machine`].
+//!
+//! The path from the requested counts to the steps is that of the hardware: the same [`Drive`] with the same limits, lead,
+//! queue and step core. What is left out: the pulses take no time and are never late, and the loop takes no time between
+//! a sample and its request. A world takes the counts that are made by the end of each period.
 
 use crate::estimation::fusion::health::ImuReading;
 use crate::motion::lines::Inputs;
+use crate::motion::{Drive, DriveLimits};
 use crate::primitives::units::{Seconds, Steps};
+use crate::simulation::stepper::SimulatedStepper;
 use crate::simulation::world::World;
 use crate::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Largest number of periods that the world advances in one cycle of a late loop.
-const CATCH_UP_MAX: u32 = 2000;
+const CATCH_UP_MAX: u64 = 2000;
 
-/// Any [`World`] as a machine: with its drivers off it holds its counts, and during a late cycle of the loop it
-/// advances with the counts of the cycle before.
-#[derive(Debug, Clone)]
+/// Any [`World`] as a machine.
+#[derive(Debug)]
 pub struct Lockstep<W> {
     /// The world.
     pub world: W,
-    /// Time that the world has reached, s.
-    reached_s: f64,
-    /// Counts last sent to the world, from its own zero.
-    held: Steps,
-    /// Counts of the world at the zero of the loop.
-    zero: Steps,
-    energised: bool,
+    /// The input lines.
+    pub inputs: Inputs,
+    drive: Drive<SimulatedStepper>,
+    period_ns: u64,
+    /// Time that the world has reached, ns.
+    reached_ns: u64,
+    /// Steps made, from the zero of the world, whatever the drive was told to count.
+    made: Steps,
 }
 
 impl<W: World> Lockstep<W> {
-    /// A world at rest with its drivers off.
-    pub fn new(world: W) -> Self {
-        Self { world, reached_s: 0.0, held: Steps::default(), zero: Steps::default(), energised: false }
+    /// A world at rest with its drivers off. Motion is queued for at least one period.
+    pub fn new(world: W, motion: &DriveLimits) -> Self {
+        let &MachineInfo { period_s, step_mm, .. } = world.info();
+        let motion = DriveLimits { lead_s: motion.lead_s.max(period_s), ..*motion };
+        let drive = Drive::new(SimulatedStepper::new(&motion, step_mm), &motion, step_mm, period_s);
+        let period_ns = ((period_s * 1e9).round() as u64).max(1);
+        Self { world, inputs: Inputs::default(), drive, period_ns, reached_ns: 0, made: Steps::default() }
+    }
+
+    /// The step generator stops at once, until [`Machine::clear`].
+    pub fn fail(&mut self) {
+        self.drive.generator_mut().fail();
     }
 }
 
-impl<W: World + Send> Machine for Lockstep<W> {
+impl<W: World> Machine for Lockstep<W> {
     fn info(&self) -> &MachineInfo {
         self.world.info()
     }
 
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
-        let period_s = self.world.info().period_s;
-        let mut sensed = Sensed {
-            t: now,
-            imu: ImuReading::Nothing,
-            base_imu: None,
-            counted: Steps::default(),
-            energised: self.energised,
-            inputs: Inputs::default(),
-            alarm: None,
-            truth: None,
-        };
-        let periods = (((now.0 - self.reached_s) / period_s).round().max(0.0) as u32).min(CATCH_UP_MAX);
-        for k in 0..periods {
-            // the new counts apply to the last of several periods only
-            if k + 1 == periods && self.energised {
-                self.held = Steps([0, 1, 2].map(|i| wanted.0[i].wrapping_add(self.zero.0[i])));
+        let late_ns = (now.0 * 1e9 - self.reached_ns as f64).max(0.0);
+        let periods = ((late_ns / self.period_ns as f64).round() as u64).min(CATCH_UP_MAX);
+        let (mut imu, mut truth) = (ImuReading::Nothing, None);
+        for k in 1..=periods {
+            // a late loop requests nothing new before the last period
+            if k == periods {
+                self.drive.update(self.reached_ns, wanted);
             }
-            let reply = self.world.step(&self.held)?;
+            let from_ns = self.reached_ns;
+            self.reached_ns += self.period_ns;
+            let made = self.drive.generator_mut().run(from_ns, self.reached_ns, self.inputs);
+            self.made = Steps(std::array::from_fn(|i| self.made.0[i].wrapping_add(made[i])));
+            let reply = self.world.step(&self.made)?;
             if let Some(sample) = reply.imu {
-                sensed.imu = ImuReading::from_world(Some(sample));
+                imu = ImuReading::from_world(Some(sample));
             }
-            sensed.truth = reply.truth;
+            truth = reply.truth;
         }
-        self.reached_s += f64::from(periods) * period_s;
-        sensed.counted = Steps([0, 1, 2].map(|i| self.held.0[i].wrapping_sub(self.zero.0[i])));
-        Ok(sensed)
+        Ok(Sensed { imu, truth, ..Sensed::of_drive(now, &self.drive) })
     }
 
     fn energise(&mut self, on: bool) {
-        self.energised = on;
+        self.drive.energise(on);
     }
 
     fn recount(&mut self, counted: &Steps) {
-        self.zero = Steps([0, 1, 2].map(|i| self.held.0[i].wrapping_sub(counted.0[i])));
+        self.drive.rebase(counted);
     }
 
-    fn clear(&mut self) {}
+    fn clear(&mut self) {
+        self.drive.clear();
+    }
 
     fn is_simulated(&self) -> bool {
         true

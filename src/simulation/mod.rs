@@ -4,4 +4,5 @@ pub mod link;
 pub mod lockstep;
 pub mod plant;
 pub mod sim;
+pub mod stepper;
 pub mod world;

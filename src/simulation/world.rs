@@ -21,7 +21,7 @@ pub struct Reply {
 }
 
 /// A simulated machine.
-pub trait World {
+pub trait World: Send {
     /// Description of the machine.
     fn info(&self) -> &MachineInfo;
     /// Holds the counts for one period.
@@ -29,6 +29,15 @@ pub trait World {
     /// # Errors
     /// [`MachineError`] if a plant program ends, does not answer or violates the protocol.
     fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError>;
+}
+
+impl<W: World + ?Sized> World for &mut W {
+    fn info(&self) -> &MachineInfo {
+        (**self).info()
+    }
+    fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError> {
+        (**self).step(steps)
+    }
 }
 
 impl From<PlantError> for MachineError {

@@ -14,6 +14,8 @@
 
 use crate::estimation::fusion::health::ImuReading;
 use crate::motion::lines::Inputs;
+use crate::motion::report::StepperFault;
+use crate::motion::{Drive, DriveState, StepGenerator};
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Seconds, Steps};
@@ -38,6 +40,28 @@ pub struct Sensed {
     pub alarm: Option<Alarm>,
     /// True tip orientation, if the machine is simulated. It serves scoring only; the loop never reads it.
     pub truth: Option<Rotation<Base, Tip>>,
+}
+
+impl Sensed {
+    /// What the drive reports at `t`, without any sample.
+    #[must_use]
+    pub fn of_drive<G: StepGenerator>(t: Seconds, drive: &Drive<G>) -> Self {
+        let state = drive.state();
+        let (mut counted, mut inputs) = (Steps::default(), Inputs::default());
+        if let Some(report) = drive.generator().latest() {
+            (counted, inputs) = (report.counted, report.inputs);
+        }
+        inputs.emergency_stop |= drive.has_stopped();
+        let alarm = match state {
+            DriveState::Faulted(StepperFault::Late { late_ns, .. }) => Some(Alarm::Late { late_s: late_ns as f64 * 1e-9 }),
+            DriveState::Faulted(StepperFault::Discontinuity { jump_mm, .. }) => Some(Alarm::Discontinuity { jump_mm }),
+            DriveState::Faulted(StepperFault::Pins) => Some(Alarm::Pins),
+            DriveState::Dead => Some(Alarm::Dead),
+            _ => drive.is_starved().then_some(Alarm::Underrun),
+        };
+        let energised = drive.generator().is_energised();
+        Self { t, imu: ImuReading::Nothing, base_imu: None, counted, energised, inputs, alarm, truth: None }
+    }
 }
 
 /// An alarm of the step generator.

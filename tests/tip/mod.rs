@@ -11,6 +11,8 @@ use retroflex::model::arc::Geometry;
 use retroflex::model::bend::Bend;
 use retroflex::model::drive::Drive;
 use retroflex::model::transmission::Line;
+use retroflex::motion::steps::count;
+use retroflex::motion::{Motion as Pistons, MotionConfig, MotionLimits};
 use retroflex::primitives::frames::{Base, Rotation, Tip};
 use retroflex::primitives::sample::ImuSample;
 use retroflex::primitives::units::{Seconds, Steps};
@@ -60,6 +62,7 @@ pub struct TipPlant {
     /// Positions of the sensor in the base at this and the two previous steps, m.
     positions: [Vector3<f64>; 3],
     steps: Steps,
+    pistons: Pistons,
     n: u64,
     rng: StdRng,
 }
@@ -106,14 +109,17 @@ impl TipPlant {
             before: base,
             positions: [position(&Bend::STRAIGHT); 3],
             steps: Steps::default(),
+            pistons: Pistons::new(&MotionLimits::of_checked(&MotionConfig::default())),
             n: 0,
             rng,
         }
     }
 
-    /// One period with the counts held.
-    pub fn step(&mut self, steps: &Steps) {
-        let piston = self.drive.piston_mm(steps);
+    /// One period in which the pistons move towards `wanted`; returns the counts that they reach.
+    pub fn step(&mut self, wanted: &Steps) -> Steps {
+        let moved = self.pistons.tick(self.drive.piston_mm(wanted).into(), self.dt_s).end();
+        let steps = Steps(moved.map(|state| count(state.position_mm, self.drive.step_mm)));
+        let piston = self.drive.piston_mm(&steps);
         let keep = (-self.dt_s / self.lag_s).exp();
         for i in 0..3 {
             self.play_output[i] = self.lines[i].play(self.play_output[i], piston[i]);
@@ -124,7 +130,8 @@ impl TipPlant {
         self.bend = Bend(self.geometry.shape(&self.bellow).bend.0 + self.aside);
         self.positions = [position(&self.bend), self.positions[0], self.positions[1]];
         self.base = UnitQuaternion::from_scaled_axis(self.base_rate * self.dt_s) * self.base;
-        (self.steps, self.n, self.t_s) = (*steps, self.n + 1, self.t_s + self.dt_s);
+        (self.steps, self.n, self.t_s) = (steps, self.n + 1, self.t_s + self.dt_s);
+        steps
     }
 
     pub fn truth(&self) -> Rotation<Base, Tip> {

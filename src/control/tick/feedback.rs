@@ -8,15 +8,15 @@ use crate::control::pi::PiGains;
 use crate::control::standstill::StandstillLatch;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
-use crate::primitives::units::Mm;
-use nalgebra::{Vector1, Vector2, Vector3};
+use crate::primitives::units::{Mm, Steps};
+use nalgebra::{Vector1, Vector2};
 
 /// Time after the standstill latch has closed at which a pose is used for learning, s.
 const LEARN_AFTER_S: f64 = 0.15;
 
 /// Decides whether the pistons must stand: during a re-alignment, and in closed loop without a usable sensor. At the
-/// beginning of a hold each piston brakes at its own pace; afterwards the targets start from where it stands.
-pub(super) fn hold(config: &LoopConfig, state: &mut LoopState) -> bool {
+/// beginning of a hold each piston stops within its braking distance; afterwards the targets start from where it stands.
+pub(super) fn hold(config: &LoopConfig, state: &mut LoopState, steps: &Steps) -> bool {
     let blind = state.fusion.hold() && config.feedback.is_some();
     let must_hold = blind || state.fusion.realigning();
     state.hold = match state.hold {
@@ -24,10 +24,9 @@ pub(super) fn hold(config: &LoopConfig, state: &mut LoopState) -> bool {
         Hold::Released { .. } | Hold::Leaving { .. } if must_hold => {
             state.setpoint.bend = Follower::resting(state.setpoint.bend.at);
             state.setpoint.length = Follower::resting(state.setpoint.length.at);
-            let stop_mm = Vector3::from_fn(|i, _| {
-                let (at, v) = (state.pistons[i].at.x, state.pistons[i].velocity.x);
-                at + v * v.abs() / (2.0 * config.piston_pace.acceleration)
-            });
+            // a target beyond the braking distance is given up; one within it is where the piston stops anyway
+            let (at_mm, reach_mm) = (config.drive.piston_mm(steps), config.motion.braking_mm());
+            let stop_mm = at_mm + (state.targets_mm - at_mm).map(|to_go| to_go.clamp(-reach_mm, reach_mm));
             Hold::Holding { stop_mm }
         }
         unchanged => unchanged,

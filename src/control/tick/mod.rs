@@ -4,7 +4,7 @@
 //! ImuSample ─ fusion ─▶ estimated bend ─┐
 //! target ─ profile ─▶ set-point         ▼
 //! steps ─ play, 1/(1+k_ε) ─▶ bend from pistons ─ lag, dead time ─▶ predicted bend ─▶ error ─ PI ─▶ feedback
-//! set-point + feedback ─▶ bend command ─ arc ─▶ bellow lengths ─ transmission⁻¹ ─▶ piston targets ─ limits, pace ─▶ steps
+//! set-point + feedback ─▶ bend command ─ arc ─▶ bellow lengths ─ transmission⁻¹ ─▶ piston targets ─ limits ─▶ steps
 //! ```
 //!
 //! The tick neither allocates, locks nor reads a clock. Hardware, simulation and replay run the same function and get
@@ -27,7 +27,7 @@ use crate::estimation::fusion::tip::TipEstimate;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::primitives::units::Mm;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 use pistons::PistonOutput;
 
 /// Measured and modelled bends of one tick, rad.
@@ -50,7 +50,7 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     if let Some(command) = input.command {
         state.setpoint.target = Shape { bend: command.bend, length: command.length };
     }
-    let holding = feedback::hold(config, state);
+    let holding = feedback::hold(config, state, &input.steps);
     let setpoint_cut = if holding { Cut::None } else { feedback::advance_setpoint(config, state, input.dt_s) };
     let moving = !state.setpoint.has_arrived();
     let without_feedback = from_pistons.0 - state.feedback.pi.feedback;
@@ -90,7 +90,7 @@ fn frame(config: &LoopConfig, state: &LoopState, input: &Input, observation: &Ob
         command: output.command,
         bellow_mm: output.bellow_mm,
         piston_target_mm: output.piston_target_mm,
-        steps: config.drive.steps(&Vector3::from_fn(|i, _| state.pistons[i].at.x)),
+        steps: config.drive.steps(&output.piston_target_mm),
         k_epsilon: state.transmission.lines.map(|l| l.k_epsilon),
         dynamics: state.dynamics,
         cut: output.cut,

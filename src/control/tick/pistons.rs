@@ -1,4 +1,4 @@
-//! The command path of the tick: bend command → bellow lengths → transmission inverse → limits → paced pistons.
+//! The command path of the tick: bend command → bellow lengths → transmission inverse → limits → piston targets.
 
 use super::state::{Hold, LoopState};
 use super::types::LoopConfig;
@@ -8,7 +8,7 @@ use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::model::transmission::{Wanted, realised};
 use crate::primitives::units::{Mm, Steps};
-use nalgebra::{Vector1, Vector3};
+use nalgebra::Vector3;
 
 /// Time constant with which the offset after a hold decays, s.
 const EASE_S: f64 = 0.15;
@@ -24,9 +24,9 @@ pub(super) struct PistonOutput {
 }
 
 impl PistonOutput {
-    /// The pistons stay where they are.
+    /// The pistons stay at their targets.
     pub(super) fn resting(state: &LoopState) -> Self {
-        Self { command: Bend::STRAIGHT, bellow_mm: Vector3::zeros(), piston_target_mm: positions(state), cut: Cut::None }
+        Self { command: Bend::STRAIGHT, bellow_mm: Vector3::zeros(), piston_target_mm: state.targets_mm, cut: Cut::None }
     }
 }
 
@@ -51,29 +51,22 @@ pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend
     let length = Mm(setpoint.length.at.x);
     let wanted_mm = config.geometry.lengths(&Shape { bend, length });
     let bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.transmission.lines));
+    let follows = !state.hold.is_holding() && !state.feedback.standstill.closed;
     let piston_mm = match state.hold {
         Hold::Holding { stop_mm } => stop_mm,
-        _ if state.feedback.standstill.closed => positions(state),
-        _ => invert_transmission(config, state, &bellow_mm, estimate, moving, dt_s),
+        _ if follows => invert_transmission(config, state, &bellow_mm, estimate, moving, dt_s),
+        _ => state.targets_mm,
     };
     let estimated_mm = config.geometry.lengths(&Shape { bend: estimate, length });
     let (allowed_mm, cut) = config.limits.pistons(&piston_mm, &estimated_mm);
-    let piston_target_mm = ease(&mut state.hold, allowed_mm, dt_s);
-    for i in 0..3 {
-        state.pistons[i].step(&Vector1::new(piston_target_mm[i]), &config.piston_pace, dt_s);
-    }
-    PistonOutput { command: bend, bellow_mm, piston_target_mm, cut }
-}
-
-fn positions(state: &LoopState) -> Vector3<f64> {
-    Vector3::from_fn(|i, _| state.pistons[i].at.x)
+    state.targets_mm = if follows { ease(&mut state.hold, allowed_mm, dt_s) } else { allowed_mm };
+    PistonOutput { command: bend, bellow_mm, piston_target_mm: state.targets_mm, cut }
 }
 
 /// Targets with the offset that remains of a hold, so that they leave it without a jump.
 fn ease(hold: &mut Hold, target_mm: Vector3<f64>, dt_s: f64) -> Vector3<f64> {
     let mut offset_mm = match *hold {
-        Hold::Holding { stop_mm } => return stop_mm,
-        Hold::Leaving { stop_mm } => stop_mm - target_mm,
+        Hold::Holding { stop_mm } | Hold::Leaving { stop_mm } => stop_mm - target_mm,
         Hold::Released { offset_mm } => offset_mm,
     };
     offset_mm *= (-dt_s / EASE_S).exp();

@@ -31,8 +31,8 @@ pub struct LoopState {
     pub(super) learning: Learning,
     pub(super) base: BaseState,
     pub(super) hold: Hold,
-    /// Paced pistons, mm and mm/s.
-    pub(super) pistons: [Follower<1>; 3],
+    /// Piston targets of the last tick, mm.
+    pub(super) targets_mm: Vector3<f64>,
 }
 
 /// Activity of the motors.
@@ -137,7 +137,7 @@ pub(super) struct QuietPose {
 pub(super) enum Hold {
     /// The pistons follow their targets, plus an offset that decays after a hold.
     Released { offset_mm: Vector3<f64> },
-    /// Each piston brakes to this position and stands there.
+    /// Each piston stops at this position and stands there.
     Holding { stop_mm: Vector3<f64> },
     /// The first tick after a hold.
     Leaving { stop_mm: Vector3<f64> },
@@ -170,7 +170,7 @@ impl LoopState {
             learning: Learning { refine: RefineState::new(&config.lines), bank: DynamicsBank::default() },
             base: BaseState::default(),
             hold: Hold::RELEASED,
-            pistons: [Follower::resting(Vector1::zeros()); 3],
+            targets_mm: Vector3::zeros(),
         }
     }
 
@@ -197,7 +197,6 @@ impl LoopState {
             lines.play_output_mm[i] = w_mm;
             lines.intended_mm[i] = w_mm;
             lines.sides[i] = SideState { w_mm, side, way: if side == 0.0 { 0.0 } else { side.signum() } };
-            self.pistons[i] = Follower::resting(Vector1::new(piston_mm[i]));
         }
         let given = lines.intended_shape(&config.geometry);
         let length = given.length.0.clamp(0.5 * config.geometry.rest_length_mm, 2.0 * config.geometry.rest_length_mm);
@@ -212,6 +211,7 @@ impl LoopState {
             ..Feedback::default()
         };
         self.hold = Hold::RELEASED;
+        self.targets_mm = piston_mm;
         self.motors.last_steps = *steps;
     }
 

@@ -15,6 +15,7 @@ use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
 use crate::model::drive::Drive;
 use crate::model::transmission::{Line, Side};
+use crate::motion::DriveLimits;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Mm, Seconds, Steps};
 use nalgebra::{Vector2, Vector3};
@@ -36,8 +37,8 @@ pub struct LoopConfig {
     pub bend_pace: Pace,
     /// Pace of the centre length, mm/s and mm/s².
     pub length_pace: Pace,
-    /// Pace of each piston, mm/s and mm/s².
-    pub piston_pace: Pace,
+    /// How the machine moves each piston to its target.
+    pub motion: DriveLimits,
     /// Static limits of the pistons and bellows.
     pub limits: ActuatorLimits,
     /// Settings of the outer loop; `None` for an open loop.
@@ -168,7 +169,7 @@ pub struct Frame {
     pub bellow_mm: Vector3<f64>,
     /// Piston targets q̃ after limits, mm.
     pub piston_target_mm: Vector3<f64>,
-    /// Microsteps to be reached by the next tick.
+    /// The targets in microsteps. The machine moves there within the limits of motion.
     pub steps: Steps,
     /// k_ε in use.
     pub k_epsilon: [f64; 3],

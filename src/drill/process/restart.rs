@@ -100,7 +100,7 @@ fn kill_after(program: &Path, folder: &Path, after: Duration) -> io::Result<Opti
 
 /// Restarts on a machine at rest. Returns the microsteps within three seconds, and the mode.
 fn start_at_rest(config: &BenchConfig, restart: RestartState) -> Result<(i64, Mode), MachineError> {
-    let mut bench = config.bench_on(FaultyMachine::new(config.sim(0, 3)?), Some(restart), 0.0);
+    let mut bench = config.bench_on(FaultyMachine::new(config.sim(0, 3)?, &config.board.drive_limits()), Some(restart), 0.0);
     let output = bench.run(3.0)?;
     Ok((distance(&output.counted.0, &restart.steps.0), output.mode))
 }

@@ -11,12 +11,10 @@
 //! No thread waits for another. A bus that hangs blocks only its own thread. The loop then receives no
 //! reading, and the health monitor reacts.
 
-mod drive;
 mod error;
 mod hardware;
 mod sensor;
 
-pub use drive::{Drive, DriveState};
 pub use error::HardwareError;
 pub use hardware::{Hardware, MachineConfig};
 pub use sensor::{Sensor, SensorConfig};

@@ -1,4 +1,4 @@
-//! Counts sent during the last ticks, and the speeds that follow from them.
+//! Counts that the machine reported during the last ticks, and the speeds that follow from them.
 //!
 //! The speed is the mean over a window of W ticks and the acceleration the change between two consecutive windows:
 //! `v = (n_k − n_{k−W})/W`, `a = (v_k − v_{k−W})/W`, with the true duration of each tick. Both have the resolution of
@@ -15,65 +15,69 @@ const WINDOW: usize = 16;
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct History {
     step_mm: f64,
-    /// Counts sent; the newest is at `head`.
-    sent: [Steps; 2 * WINDOW],
-    /// Duration of each tick, s.
-    took_s: [f64; 2 * WINDOW],
+    /// Counts at both ends of each tick; the newest is at `head`.
+    counted: [Steps; 2 * WINDOW + 1],
+    /// Duration of the tick before each count, s.
+    took_s: [f64; 2 * WINDOW + 1],
     head: usize,
+    /// Nothing has been reported yet: the first counts are where the pistons rest.
+    fresh: bool,
 }
 
 impl History {
-    /// Pistons that have rested at `at` for both windows.
+    /// Pistons that have rested for both windows, presumably at `at`.
     pub(super) fn resting(at: &Steps, step_mm: f64, tick_s: f64) -> Self {
-        Self { step_mm, sent: [*at; 2 * WINDOW], took_s: [tick_s; 2 * WINDOW], head: 0 }
+        Self { step_mm, counted: [*at; 2 * WINDOW + 1], took_s: [tick_s; 2 * WINDOW + 1], head: 0, fresh: true }
     }
 
-    /// The counts sent last.
+    /// The counts of the last tick.
     pub(super) fn newest(&self) -> Steps {
-        self.sent[self.head]
+        self.counted[self.head]
     }
 
-    /// Appends the counts of a tick of `dt_s`.
-    pub(super) fn push(&mut self, steps: Steps, dt_s: f64) {
-        self.head = (self.head + 1) % self.sent.len();
-        self.sent[self.head] = steps;
+    /// Appends the counts after a tick of `dt_s`.
+    pub(super) fn push(&mut self, counted: Steps, dt_s: f64) {
+        if std::mem::take(&mut self.fresh) {
+            self.counted = [counted; 2 * WINDOW + 1];
+        }
+        self.head = (self.head + 1) % self.counted.len();
+        self.counted[self.head] = counted;
         self.took_s[self.head] = dt_s.max(0.0);
     }
 
-    /// Speeds over the last window, mm/s.
-    pub(super) fn speed_mm_s(&self) -> [f64; 3] {
-        let window_s = self.took(0, WINDOW);
-        let (now, then) = (self.newest(), self.sent[self.back(WINDOW)]);
-        std::array::from_fn(|i| f64::from(now.0[i] - then.0[i]) * self.step_mm / window_s)
+    /// Speed of channel `i` over the last window, mm/s.
+    pub(super) fn speed(&self, i: usize) -> Quotient {
+        self.mean_speed(i, 0)
     }
 
-    /// Speed and acceleration of channel `i` if `wanted` were sent after `dt_s`, in mm/s and mm/s².
-    pub(super) fn motion(&self, i: usize, wanted: i32, dt_s: f64) -> (Quotient, Quotient) {
-        let (mid, old) = (self.back(WINDOW - 1), self.back(2 * WINDOW - 1));
-        let mm = |a: i32, b: i32| (f64::from(a) - f64::from(b)) * self.step_mm;
-        let now_s = dt_s + self.took(0, WINDOW - 1);
-        let then_s = self.took(WINDOW - 1, 2 * WINDOW - 1);
-        let (now, then) = (mm(wanted, self.sent[mid].0[i]) / now_s, mm(self.sent[mid].0[i], self.sent[old].0[i]) / then_s);
-        let (now_resolution, then_resolution) = (self.step_mm / now_s, self.step_mm / then_s);
-        let between_s = (now_s + then_s) / 2.0;
-        let speed = Quotient { value: now, resolution: now_resolution };
-        (speed, Quotient { value: (now - then) / between_s, resolution: (now_resolution + then_resolution) / between_s })
+    /// Change of the speed of channel `i` between the last two windows, mm/s².
+    pub(super) fn acceleration(&self, i: usize) -> Quotient {
+        let (now, then) = (self.mean_speed(i, 0), self.mean_speed(i, WINDOW));
+        let between_s = (self.took_s(0) + self.took_s(WINDOW)) / 2.0;
+        Quotient { value: (now.value - then.value) / between_s, resolution: (now.resolution + then.resolution) / between_s }
+    }
+
+    /// Mean speed of channel `i` over the window that ended `ago` ticks ago, mm/s.
+    fn mean_speed(&self, i: usize, ago: usize) -> Quotient {
+        let [end, start] = [ago, ago + WINDOW].map(|ticks| f64::from(self.counted[self.back(ticks)].0[i]));
+        let took_s = self.took_s(ago);
+        Quotient { value: (end - start) * self.step_mm / took_s, resolution: self.step_mm / took_s }
     }
 
     fn back(&self, ticks: usize) -> usize {
-        (self.head + self.sent.len() - ticks) % self.sent.len()
+        (self.head + self.counted.len() - ticks) % self.counted.len()
     }
 
-    /// Duration of the ticks from `from` to before `to` ticks ago, s.
-    fn took(&self, from: usize, to: usize) -> f64 {
-        (from..to).map(|k| self.took_s[self.back(k)]).sum()
+    /// Duration of the window that ended `ago` ticks ago, s.
+    fn took_s(&self, ago: usize) -> f64 {
+        (ago..ago + WINDOW).map(|ticks| self.took_s[self.back(ticks)]).sum()
     }
 }
 
 /// A quotient of counts and the value of one count in it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Quotient {
-    value: f64,
+    pub(super) value: f64,
     resolution: f64,
 }
 

@@ -17,9 +17,9 @@ pub enum TripCause {
     Unarmed,
     /// The requested position is outside the travel of a piston.
     Travel,
-    /// The requested speed of a piston is too high.
+    /// A piston is counted faster than permitted.
     Rate,
-    /// The requested acceleration of a piston is too high.
+    /// The counted acceleration of a piston is too high.
     Acceleration,
     /// The requested position compresses or stretches the air of a line too far.
     Pressure,
@@ -69,6 +69,8 @@ pub struct GateLimits {
     pub stale_s: f64,
     /// Largest time between two ticks, s.
     pub late_s: f64,
+    /// Time that the machine needs to begin to brake, s.
+    pub react_s: f64,
     /// Deceleration of the gate's own motion, mm/s².
     pub brake_mm_s2: f64,
     /// Speed of the return to zero, mm/s.
@@ -93,9 +95,9 @@ parameters! {
         unarmed: SafeState = SafeState::Hold;
         /// A piston would leave its travel; the tip is not at fault.
         travel: SafeState = SafeState::Hold;
-        /// A piston would be too fast.
+        /// A piston is too fast.
         rate: SafeState = SafeState::Hold;
-        /// A piston would be accelerated too strongly.
+        /// A piston is accelerated too strongly.
         acceleration: SafeState = SafeState::Hold;
         /// A line would be compressed too far: less pressure is the way out.
         pressure: SafeState = SafeState::Relax;

@@ -4,7 +4,9 @@
 //! [`TripCause`]. From then on the gate ignores the controller and either brakes and stands, returns to zero slowly, or
 //! releases the drivers, as the board file states for the cause. Only [`Gate::reset`] clears the latch.
 //!
-//! The gate shares no state with the controller. It derives speed and acceleration from the counts that it has sent.
+//! The gate shares no state with the controller. It judges the requested position before it is sent, and speed and
+//! acceleration on the counts that the machine reports: the machine paces the way to a request itself. The gate's own
+//! motion begins at the counted position with the counted speed.
 
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "NaN is outside every limit")]
 
@@ -23,6 +25,8 @@ pub struct GateInput {
     pub dt_s: f64,
     /// Counts requested by the controller.
     pub wanted: Steps,
+    /// Counts reported by the machine.
+    pub counted: Steps,
     /// The drivers are armed.
     pub armed: bool,
     /// Bellow length changes at the estimated bend, mm; `None` without an estimate.
@@ -94,7 +98,10 @@ pub struct Gate {
     latched: Option<TripCause>,
     /// Emergency stop and alarm in the previous tick: a lasting one trips a gate that does not pass only once.
     reported: [bool; 2],
+    /// Counted steps of the last ticks.
     history: History,
+    /// Counts sent last.
+    sent: Steps,
     /// Position of the gate's own motion, mm.
     at_mm: [f64; 3],
     speed_mm_s: [f64; 3],
@@ -111,6 +118,7 @@ impl Gate {
             latched: None,
             reported: [false; 2],
             history: History::resting(at, limits.step_mm, limits.tick_s),
+            sent: *at,
             at_mm: [0.0; 3],
             speed_mm_s: [0.0; 3],
             following: FollowingError::default(),
@@ -171,7 +179,7 @@ impl Gate {
 
     /// Passes again once a [`Gate::brake`] has come to rest and all its steps are counted; true at that moment.
     pub fn hand_over(&mut self, counted: &Steps) -> bool {
-        let over = self.is_braking() && self.speed_mm_s == [0.0; 3] && *counted == self.history.newest();
+        let over = self.is_braking() && self.speed_mm_s == [0.0; 3] && *counted == self.sent;
         if over {
             self.reset(counted);
         }
@@ -181,6 +189,11 @@ impl Gate {
     /// One tick.
     pub fn pass(&mut self, input: &GateInput) -> GateOutput {
         self.following.step(&self.limits, input);
+        if self.motion == Motion::Passing && !input.armed {
+            // the counts of pistons at rest may be declared anew
+            self.history = History::resting(&input.counted, self.limits.step_mm, self.limits.tick_s);
+        }
+        self.history.push(input.counted, input.dt_s);
         let tripped = self.check(input);
         if let Some(cause) = tripped {
             self.latched = Some(self.latched.unwrap_or(cause));
@@ -194,7 +207,7 @@ impl Gate {
         self.reported = [input.emergency_stop, input.alarm];
         let mut rested = false;
         match self.motion {
-            Motion::Passing => self.history.push(input.wanted, input.dt_s),
+            Motion::Passing => self.sent = input.wanted,
             Motion::Braking | Motion::Standing => self.go(input.dt_s, |_, _| 0.0),
             Motion::Returning => {
                 let GateLimits { brake_mm_s2, relax_mm_s, .. } = self.limits;
@@ -204,9 +217,12 @@ impl Gate {
                 });
                 rested = self.arrive();
             }
-            Motion::Released => self.speed_mm_s = [0.0; 3],
+            Motion::Released => {
+                self.speed_mm_s = [0.0; 3];
+                self.sent = input.counted;
+            }
         }
-        GateOutput { steps: self.history.newest(), energise: self.motion != Motion::Released, tripped, rested }
+        GateOutput { steps: self.sent, energise: self.motion != Motion::Released, tripped, rested }
     }
 
     /// The first violated limit. Causes of the machine count at any time, those of the controller only while it is
@@ -229,28 +245,26 @@ impl Gate {
         self.check_motion(input).or_else(|| self.check_estimate(input))
     }
 
-    /// The first limit that the requested counts violate.
+    /// The first limit that the requested or the counted steps violate.
     fn check_motion(&self, input: &GateInput) -> Option<TripCause> {
         let l = &self.limits;
-        let last = self.history.newest();
         if !input.armed {
-            return (input.wanted != last).then_some(TripCause::Unarmed);
+            return (input.wanted != self.sent).then_some(TripCause::Unarmed);
         }
         for i in 0..3 {
             let at_mm = f64::from(input.wanted.0[i]) * l.step_mm;
             if at_mm.abs() > l.travel_mm {
                 return Some(TripCause::Travel);
             }
-            let (speed, acceleration) = self.history.motion(i, input.wanted.0[i], input.dt_s);
-            if speed.exceeds(l.speed_mm_s) {
+            if self.history.speed(i).exceeds(l.speed_mm_s) {
                 return Some(TripCause::Rate);
             }
-            if acceleration.exceeds(l.acceleration_mm_s2) {
+            if self.history.acceleration(i).exceeds(l.acceleration_mm_s2) {
                 return Some(TripCause::Acceleration);
             }
             if let Some(estimate) = input.estimated_bellow_mm
                 && (at_mm - estimate[i]).abs() > l.squeeze_mm
-                && input.wanted.0[i] != last.0[i]
+                && input.wanted.0[i] != self.sent.0[i]
             {
                 return Some(TripCause::Pressure);
             }
@@ -266,12 +280,14 @@ impl Gate {
         stale.or(disagree).or(astray).filter(|_| input.armed)
     }
 
-    /// Changes what determines the counts; the gate's own motion starts with the speed of the last window.
+    /// Changes what determines the counts. The gate's own motion starts with the counted speed, where the machine can begin
+    /// to brake.
     fn begin(&mut self, motion: Motion) {
         if self.motion == Motion::Passing {
-            let step_mm = self.limits.step_mm;
-            self.at_mm = self.history.newest().0.map(|n| f64::from(n) * step_mm);
-            self.speed_mm_s = self.history.speed_mm_s();
+            let GateLimits { step_mm, react_s, .. } = self.limits;
+            self.speed_mm_s = std::array::from_fn(|i| self.history.speed(i).value);
+            let counted = self.history.newest().0;
+            self.at_mm = std::array::from_fn(|i| f64::from(counted[i]) * step_mm + self.speed_mm_s[i] * react_s);
         }
         self.motion = motion;
     }
@@ -287,13 +303,12 @@ impl Gate {
             let at_mm = self.at_mm[i] + self.speed_mm_s[i] * dt_s;
             self.at_mm[i] = at_mm.clamp(-self.limits.travel_mm, self.limits.travel_mm);
         }
-        let steps = self.at_mm.map(|mm| (mm / self.limits.step_mm).round() as i32);
-        self.history.push(Steps(steps), dt_s);
+        self.sent = Steps(self.at_mm.map(|mm| (mm / self.limits.step_mm).round() as i32));
     }
 
-    /// Releases the drivers once all counts are zero; true at that moment.
+    /// Releases the drivers once all pistons are counted at zero; true at that moment.
     fn arrive(&mut self) -> bool {
-        let there = self.history.newest() == Steps::default();
+        let there = [self.sent, self.history.newest()] == [Steps::default(); 2];
         if there {
             self.speed_mm_s = [0.0; 3];
             self.at_mm = [0.0; 3];
@@ -305,6 +320,7 @@ impl Gate {
     /// The pistons have rested at these counts for as long as the gate remembers.
     fn settle(&mut self, at: &Steps) {
         self.history = History::resting(at, self.limits.step_mm, self.limits.tick_s);
+        self.sent = *at;
         self.speed_mm_s = [0.0; 3];
         self.following = FollowingError::default();
     }
