@@ -15,7 +15,7 @@ use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::identify::{Identified, algorithm_1};
 use retroflex::experiment::rig::Rig;
-use retroflex::experiment::schedule::{HOLD_S, paper, short};
+use retroflex::experiment::schedule::{HOLD_S, arrivals, paper, short};
 use retroflex::model::arc::Shape;
 use retroflex::model::bend::Bend;
 use retroflex::model::transmission::Line;
@@ -43,7 +43,7 @@ fn effective(config: &LoopConfig, mut world: Sim, warm: usize) -> [Line; 3] {
         let mut bend = Bend::STRAIGHT;
         for _ in 0..(HOLD_S / rig.period_s()).round() as usize {
             let sensed = rig.advance(command.take()).unwrap().1;
-            bend = Bend::from_rotation(&sensed.truth.unwrap());
+            bend = Bend::nearest(&sensed.truth.unwrap());
             let now = config.drive.piston_mm(&sensed.counted);
             for i in 0..3 {
                 let step = now[i] - last[i];
@@ -74,7 +74,7 @@ fn effective_closed(config: &LoopConfig, mut world: Sim) -> [f64; 3] {
         let mut bend = Bend::STRAIGHT;
         for _ in 0..(HOLD_S / rig.period_s()).round() as usize {
             let sensed = rig.advance(command.take()).unwrap().1;
-            bend = Bend::from_rotation(&sensed.truth.unwrap());
+            bend = Bend::nearest(&sensed.truth.unwrap());
             let piston = config.drive.piston_mm(&sensed.counted);
             play_output = Vector3::from_fn(|i, _| config.lines[i].play(play_output[i], piston[i]));
         }
@@ -146,7 +146,7 @@ fn a_gain_30_percent_off_converges_to_5_percent_in_one_experiment() {
         let mut world = unit(1, 70);
         let start = [0, 1, 2].map(|i: usize| Line { k_epsilon: by * truth[i], ..found.lines()[i] });
         let mut rig = Rig::new(LoopConfig { lines: start, ..config.clone() }, &mut world);
-        let result = arm::run("closed", &mut rig, &paper(), &mut || ()).unwrap();
+        let result = arm::run("closed", &mut rig, &arrivals(12), &mut || ()).unwrap();
         let end = rig.state.lines().map(|l| l.k_epsilon);
         let off = (0..3).map(|i| (end[i] / truth[i] - 1.0).abs()).fold(0.0, f64::max);
         println!("from {by}: {end:?}, error {:.1} %, bend RMSE {:.2}°", 100.0 * off, result.bend_rmse_deg);

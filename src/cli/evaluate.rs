@@ -1,4 +1,6 @@
-//! `retroflex evaluate`: the paper's experiment on a plant.
+//! `retroflex evaluate`: the paper's experiment on a plant; `--sweep` and `--ablate`: studies on the built-in plant.
+
+mod studies;
 
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::assemble;
@@ -46,6 +48,16 @@ pub struct Args {
     /// Seed of the built-in plant; selects the simulated unit and its noise.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Instead of the arms: the closed loop and the best open loop over conditions, with the paper's calibration unless
+    /// another is given; exit code 1 if a row fails.
+    #[arg(long, conflicts_with_all = ["plant", "html", "arms", "ablate"])]
+    sweep: bool,
+    /// With --sweep: only the conditions whose name contains this text.
+    #[arg(long, requires = "sweep", value_name = "TEXT")]
+    only: Option<String>,
+    /// Instead of the arms: the closed loop with each of its mechanisms off in turn.
+    #[arg(long, conflicts_with_all = ["plant", "html", "svg", "arms"])]
+    ablate: bool,
 }
 
 impl clap::ValueEnum for Arm {
@@ -68,6 +80,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     check(args)?;
     let board = inputs::board(args.board.as_deref())?;
     let gains = inputs::gains(args.gains.as_deref())?;
+    if args.sweep || args.ablate {
+        return studies::run(args, &board, &gains);
+    }
     let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
     let plant = Plant::new(args, &board)?;
     let plan = Plan {
@@ -118,11 +133,7 @@ impl Plant {
             let (program, args) = inputs::program(plant)?;
             return Ok(Self::Foreign { program, args });
         }
-        let section = board.plant.clone().ok_or_else(|| {
-            let name = args.board.as_deref().unwrap_or(Path::new("boards/sim.toml")).display();
-            miette!("{name} has no [plant] table, so there is nothing to run on; give --plant 'exec:PROGRAM ARG…' or a board that describes a plant")
-        })?;
-        Ok(Self::BuiltIn { section: Box::new(section), seed: args.seed })
+        Ok(Self::BuiltIn { section: Box::new(built_in(args, board)?), seed: args.seed })
     }
 
     fn open(&self, purpose: Purpose) -> Result<Box<dyn World>, MachineError> {
@@ -131,6 +142,16 @@ impl Plant {
             Self::BuiltIn { section, seed } => Box::new(Sim::new(&section.make(), *seed, noise_of(purpose), section.period_s)?),
         })
     }
+}
+
+/// The built-in plant of a board.
+fn built_in(args: &Args, board: &Board) -> Result<PlantSection> {
+    board.plant.clone().ok_or_else(|| {
+        let name = args.board.as_deref().unwrap_or(Path::new("boards/sim.toml")).display();
+        miette!(
+            "{name} has no [plant] table, so there is nothing to run on; give --plant 'exec:PROGRAM ARG…' or a board that describes a plant"
+        )
+    })
 }
 
 /// Seed of the noise: each run has its own, independent of the selection of arms.

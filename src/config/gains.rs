@@ -47,6 +47,8 @@ parameters! {
         lead: f64 = 1.0, "", 0.0..=1.5, "1 leads by the whole lag";
         /// Learns lag and dead time during operation.
         learn_dynamics: bool = true;
+        /// Learns how much of the backlash a reversal by feedback crosses; without it, all of it.
+        learn_backlash: bool = true;
     }
 }
 
@@ -138,6 +140,7 @@ impl Gains {
             integral_max_rad: o.integral_max_deg.to_radians(),
             lead: o.lead,
             learn_dynamics: o.learn_dynamics,
+            learn_backlash: o.learn_backlash,
             standstill: StandstillConfig {
                 close_rad: r.close_deg.to_radians(),
                 close_after_s: r.close_after_s,

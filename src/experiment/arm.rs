@@ -1,15 +1,18 @@
-//! One arm of the experiment: 120 held states on a fresh world, scored against the true orientation.
+//! One arm of the experiment: held states on a fresh world, scored against the true orientation.
+//!
+//! The true bend is that of the estimator, [`Bend::nearest`]: where the tip has twisted, half of the twist is in its
+//! direction. The bend angle β is the same in every definition.
 
 use crate::control::tick::Command;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::bend::Bend;
+use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::units::Mm;
-use nalgebra::Vector2;
 use serde::Serialize;
 
 /// Result of one held state.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Held {
     /// Desired bend, degrees.
     pub bend_deg: f64,
@@ -23,10 +26,12 @@ pub struct Held {
     pub bend_error_sq: f64,
     /// Mean square of the angle between desired and true tip orientation, degrees².
     pub orientation_error_sq: f64,
+    /// Mean square of the part of it that the twist of the tip alone causes, degrees².
+    pub orientation_floor_sq: f64,
     /// Mean square of the difference between estimated and true bend vector, degrees².
     pub estimate_error_sq: f64,
-    /// Time until the bend error stays within 1°, s; the whole hold if it does not.
-    pub settle_s: f64,
+    /// Time until the bend error stays within 1°, s; `None` if it exceeds 1° within the scored part.
+    pub settle_s: Option<f64>,
     /// Peak-to-peak motion of the true bend over the scored part, degrees.
     pub peak_to_peak_deg: f64,
     /// The loop detected an obstruction.
@@ -44,7 +49,7 @@ pub struct Held {
 }
 
 /// Result of one arm.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct ArmResult {
     /// Arm name.
     pub name: String,
@@ -52,10 +57,17 @@ pub struct ArmResult {
     pub bend_rmse_deg: f64,
     /// RMSE of the tip orientation, degrees.
     pub orientation_rmse_deg: f64,
+    /// The least orientation RMSE that any controller of the bend can reach, degrees: the twist is not actuated.
+    pub orientation_floor_deg: f64,
     /// RMSE of the estimated bend vector, degrees.
     pub estimate_rmse_deg: f64,
-    /// Median settling time to 1°, s.
+    /// Median settling time to 1° over all states, s. A state that does not settle counts as the slowest; if it is the
+    /// median, the value is the duration of the hold, a lower bound.
     pub settle_s_median: f64,
+    /// 95th percentile of the settling time, s, as the median.
+    pub settle_s_p95: f64,
+    /// Number of states that do not settle within the hold.
+    pub unsettled: usize,
     /// Largest motion within a scored part, degrees.
     pub peak_to_peak_max_deg: f64,
     /// Number of held states.
@@ -75,7 +87,7 @@ pub struct ArmResult {
 /// Bend error of a settled tip, degrees.
 const SETTLED_DEG: f64 = 1.0;
 
-/// Runs an arm; `progress` is called after every state.
+/// Runs an arm; `progress` is called after every scored state.
 ///
 /// # Errors
 /// [`RigError`] from the world or the alignment, or if there is no reference.
@@ -83,72 +95,122 @@ pub fn run(name: &str, rig: &mut Rig<'_>, poses: &[Pose], progress: &mut dyn FnM
     rig.align()?;
     let mut held = Vec::with_capacity(poses.len());
     for pose in poses {
-        held.push(hold(rig, pose)?);
-        progress();
+        let state = hold(rig, pose)?;
+        if pose.scored {
+            held.push(state);
+            progress();
+        }
     }
     Ok(summary(name, held, rig.state.lines().map(|l| l.k_epsilon)))
+}
+
+/// Sums over the scored part of a state.
+#[derive(Default)]
+struct Score {
+    samples: f64,
+    error: f64,
+    error_sq: f64,
+    orientation_sq: f64,
+    floor_sq: f64,
+    estimate_sq: f64,
+    low_high: Option<(f64, f64)>,
+}
+
+impl Score {
+    fn add(&mut self, pose: &Pose, truth: &Rotation<Base, Tip>, error_deg: f64, estimate: Option<Bend>) {
+        let want = pose.bend();
+        self.samples += 1.0;
+        self.error += error_deg;
+        self.error_sq += error_deg * error_deg;
+        self.orientation_sq += want.rotation().angle_to(truth).to_degrees().powi(2);
+        self.floor_sq += floor(&want, truth).to_degrees().powi(2);
+        self.estimate_sq += estimate.map_or(0.0, |b| (b.0 - Bend::nearest(truth).0).norm().to_degrees().powi(2));
+        let (low, high) = self.low_high.unwrap_or((error_deg, error_deg));
+        self.low_high = Some((low.min(error_deg), high.max(error_deg)));
+    }
+}
+
+/// Smallest angle between the rotation of `want` and that of any bend with the twist of `truth`, rad.
+///
+/// A bend with twist ψ is the quaternion of the bend (β, axis in the plate) times that about z by ψ. Its largest scalar
+/// product with that of `want` (β*, no twist) over all bends is √(1 − cos²(β*/2) sin²(ψ/2)).
+fn floor(want: &Bend, truth: &Rotation<Base, Tip>) -> f64 {
+    let q = truth.quat();
+    let half_twist = q.k.atan2(q.w);
+    2.0 * ((want.beta() / 2.0).cos() * half_twist.sin()).abs().asin()
 }
 
 fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
     let dt_s = rig.period_s();
     let ticks = (HOLD_S / dt_s).round() as usize;
     let scored_from = ticks - (SCORED_S / dt_s).round() as usize;
-    let want = pose.bend().rotation();
     let mut command = Some(Command { bend: pose.bend(), length: Mm(rig.config.geometry.rest_length_mm) });
-    let (mut sum, mut sum_sq, mut turn_sq, mut estimate_sq, mut low, mut high) = (0.0, 0.0, 0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
-    let (mut settled_since, mut last) = (0, None);
+    let (mut score, mut settled_since, mut last) = (Score::default(), 0, None);
     let (mut blocked, mut base_moved, mut stopped) = (false, false, false);
     for k in 0..ticks {
         let (frame, reply) = rig.advance(command.take())?;
         let truth = reply.truth.ok_or(RigError::NoReference)?;
-        let true_bend = Bend::from_rotation(&truth);
-        let error_deg = pose.bend_deg - true_bend.beta().to_degrees();
+        let error_deg = pose.bend_deg - Bend::nearest(&truth).beta().to_degrees();
         blocked |= frame.blocked;
         base_moved |= frame.base_moved || frame.base_doubted;
         stopped |= frame.senses.held;
-        last = Some((frame.dynamics, frame.feedback));
+        last = Some(frame);
         if error_deg.abs() > SETTLED_DEG {
             settled_since = k + 1;
         }
         if k >= scored_from {
-            sum += error_deg;
-            sum_sq += error_deg * error_deg;
-            turn_sq += want.angle_to(&truth).to_degrees().powi(2);
-            estimate_sq += frame.estimate.map_or(0.0, |f| (f.bend.0 - true_bend.0).norm().to_degrees().powi(2));
-            (low, high) = (low.min(error_deg), high.max(error_deg));
+            score.add(pose, &truth, error_deg, frame.estimate.map(|e| e.bend));
         }
     }
-    let n = (ticks - scored_from) as f64;
-    let (dynamics, feedback) = last.unwrap_or((rig.config.dynamics, Vector2::zeros()));
+    let n = score.samples.max(1.0);
     Ok(Held {
         bend_deg: pose.bend_deg,
         dir_deg: pose.dir_deg,
         outward: pose.outward,
-        bend_error_deg: sum / n,
-        bend_error_sq: sum_sq / n,
-        orientation_error_sq: turn_sq / n,
-        estimate_error_sq: estimate_sq / n,
-        settle_s: settled_since as f64 * dt_s,
-        peak_to_peak_deg: high - low,
+        bend_error_deg: score.error / n,
+        bend_error_sq: score.error_sq / n,
+        orientation_error_sq: score.orientation_sq / n,
+        orientation_floor_sq: score.floor_sq / n,
+        estimate_error_sq: score.estimate_sq / n,
+        settle_s: (settled_since <= scored_from).then_some(settled_since as f64 * dt_s),
+        peak_to_peak_deg: score.low_high.map_or(0.0, |(low, high)| high - low),
         blocked,
         base_moved,
         stopped,
-        lag_s: dynamics.lag_s,
-        delay_s: dynamics.delay_s,
-        feedback_deg: feedback.norm().to_degrees(),
+        lag_s: last.map_or(0.0, |f| f.dynamics.lag_s),
+        delay_s: last.map_or(0.0, |f| f.dynamics.delay_s),
+        feedback_deg: last.map_or(0.0, |f| f.feedback.norm().to_degrees()),
     })
 }
 
+/// The root of the mean; 0 if there are no values.
+#[must_use]
+pub fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
+    let (n, sum) = squares.into_iter().fold((0.0, 0.0), |(n, sum), x| (n + 1.0, sum + x));
+    (sum / f64::max(n, 1.0)).sqrt()
+}
+
+/// The value below which a share of the values lies; 0 if there are none.
+#[must_use]
+pub fn percentile(values: impl IntoIterator<Item = f64>, share: f64) -> f64 {
+    let mut sorted: Vec<f64> = values.into_iter().collect();
+    sorted.sort_by(f64::total_cmp);
+    let last = sorted.len().saturating_sub(1);
+    sorted.get(((share * sorted.len() as f64) as usize).min(last)).copied().unwrap_or(0.0)
+}
+
 fn summary(name: &str, held: Vec<Held>, k_eps_end: [f64; 3]) -> ArmResult {
-    let rms = |f: fn(&Held) -> f64| (held.iter().map(f).sum::<f64>() / held.len().max(1) as f64).sqrt();
-    let mut settle: Vec<f64> = held.iter().map(|h| h.settle_s).collect();
-    settle.sort_by(f64::total_cmp);
+    let rms = |f: fn(&Held) -> f64| root_mean(held.iter().map(f));
+    let settle = |share: f64| percentile(held.iter().map(|h| h.settle_s.unwrap_or(HOLD_S)), share);
     ArmResult {
         name: name.to_owned(),
         bend_rmse_deg: rms(|h| h.bend_error_sq),
         orientation_rmse_deg: rms(|h| h.orientation_error_sq),
+        orientation_floor_deg: rms(|h| h.orientation_floor_sq),
         estimate_rmse_deg: rms(|h| h.estimate_error_sq),
-        settle_s_median: settle.get(settle.len() / 2).copied().unwrap_or(0.0),
+        settle_s_median: settle(0.5),
+        settle_s_p95: settle(0.95),
+        unsettled: held.iter().filter(|h| h.settle_s.is_none()).count(),
         peak_to_peak_max_deg: held.iter().map(|h| h.peak_to_peak_deg).fold(0.0, f64::max),
         states: held.len(),
         blocked: held.iter().filter(|h| h.blocked).count(),
@@ -156,5 +218,39 @@ fn summary(name: &str, held: Vec<Held>, k_eps_end: [f64; 3]) -> ArmResult {
         stopped: held.iter().filter(|h| h.stopped).count(),
         k_eps_end,
         held,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::primitives::units::Rad;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    fn twisted(bend: Bend, twist: f64) -> Rotation<Base, Tip> {
+        Rotation::assert_frames(bend.rotation().quat() * UnitQuaternion::from_scaled_axis(Vector3::z() * twist))
+    }
+
+    #[test]
+    fn no_bend_with_the_same_twist_is_nearer_than_the_floor() {
+        for (beta, twist) in [(75.0, 0.2), (15.0, -0.1), (45.0, 0.0), (0.0, 0.3)] {
+            let want = Bend::from_deg(beta, 40.0);
+            let floor = floor(&want, &twisted(want, twist));
+            let other = |db: f64, dd: f64| Bend::from_polar(Rad(want.beta() + db), Rad(want.delta() + dd));
+            let angle = |db: f64, dd: f64| want.rotation().angle_to(&twisted(other(db, dd), twist));
+            let steps = || (-80..=80).map(|k| f64::from(k) * 2.5e-3);
+            let best = steps().flat_map(|db| steps().map(move |dd| (db, dd))).map(|(b, d)| angle(b, d)).fold(f64::INFINITY, f64::min);
+            assert!(best >= floor - 1e-9 && best < floor + 2e-3, "{beta}° {twist}: {best} {floor}");
+        }
+    }
+
+    #[test]
+    fn a_state_that_does_not_settle_is_the_slowest_and_is_counted() {
+        let state = |settle_s| Held { settle_s, ..Held::default() };
+        let of = |times: &[Option<f64>]| summary("closed", times.iter().map(|&t| state(t)).collect(), [0.0; 3]);
+        let r = of(&[Some(0.2), Some(0.4), Some(0.3), None]);
+        assert_eq!((r.settle_s_median, r.settle_s_p95, r.unsettled), (0.4, HOLD_S, 1));
+        let r = of(&[Some(0.2), None, None]);
+        assert_eq!((r.settle_s_median, r.unsettled), (HOLD_S, 2));
     }
 }

@@ -4,7 +4,7 @@ use crate::control::tick::LoopConfig;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::identify::{self, Identified, IdentifyError};
 use crate::experiment::rig::{Rig, RigError};
-use crate::experiment::schedule::paper;
+use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
 use crate::model::drive::Drive;
 use crate::model::transmission::Line;
 use crate::simulation::world::World;
@@ -148,7 +148,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
         plant.clone_from(&world.info().name);
         let config = arm.config(&for_world(&base, world.as_ref()));
         let name = format!("arm {}", arm.name());
-        arms.push(arm::run(arm.name(), &mut Rig::new(config, world.as_mut()), &paper(), &mut || progress(&name))?);
+        arms.push(arm::run(arm.name(), &mut Rig::new(config, world.as_mut()), &arrivals(DIRECTIONS), &mut || progress(&name))?);
     }
     Ok(gather(plan, &base, found.as_ref(), plant, arms))
 }

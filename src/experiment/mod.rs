@@ -1,8 +1,11 @@
-//! The paper's experiment (§V): 120 held states in open and closed loop, and the identification of the gains.
+//! The paper's experiment (§V): 120 held states in open and closed loop, and the identification of the gains; over
+//! conditions, and with one mechanism off at a time.
 
+pub mod ablation;
 pub mod arm;
 pub mod evaluation;
 pub mod identify;
 pub mod pose;
 pub mod rig;
 pub mod schedule;
+pub mod sweep;

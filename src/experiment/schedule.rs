@@ -2,7 +2,8 @@
 //!
 //! The paper states 12 directions, 5 angles and 120 states. This is read as: in every direction out through 15, 30, 45,
 //! 60 and 75° and back through the same five, so that each angle is reached from below and from above; then directly on
-//! to the next direction.
+//! to the next direction. The arms visit 80° between the two states at 75°, without a score: otherwise the second one would
+//! be no arrival.
 
 use crate::model::bend::Bend;
 
@@ -15,6 +16,8 @@ pub struct Pose {
     pub dir_deg: f64,
     /// The previous bend is smaller.
     pub outward: bool,
+    /// Scored; a visit is not.
+    pub scored: bool,
 }
 
 impl Pose {
@@ -33,16 +36,25 @@ pub const SCORED_S: f64 = 0.3;
 pub const ANGLES_DEG: [f64; 5] = [15.0, 30.0, 45.0, 60.0, 75.0];
 /// Number of directions of the paper.
 pub const DIRECTIONS: usize = 12;
+/// Bend angle of the visit between the way out and the way back, degrees.
+const VISIT_DEG: f64 = 80.0;
 
-/// The 120 states.
+/// The 120 states, as Algorithm 1 measures them.
 #[must_use]
 pub fn paper() -> Vec<Pose> {
-    let pose = |bend_deg: f64, d: usize, outward| Pose { bend_deg, dir_deg: d as f64 * 360.0 / DIRECTIONS as f64, outward };
-    (0..DIRECTIONS)
+    arrivals(DIRECTIONS).into_iter().filter(|p| p.scored).collect()
+}
+
+/// Ten states and a visit in each of `directions`, which are evenly spaced from 0°: the schedule of an arm.
+#[must_use]
+pub fn arrivals(directions: usize) -> Vec<Pose> {
+    (0..directions)
         .flat_map(|d| {
-            let out = ANGLES_DEG.iter().map(move |&a| pose(a, d, true));
-            let back = ANGLES_DEG.iter().rev().map(move |&a| pose(a, d, false));
-            out.chain(back)
+            let dir_deg = d as f64 * 360.0 / directions as f64;
+            let pose = move |bend_deg: f64, outward, scored| Pose { bend_deg, dir_deg, outward, scored };
+            let out = ANGLES_DEG.iter().map(move |&a| pose(a, true, true));
+            let back = ANGLES_DEG.iter().rev().map(move |&a| pose(a, false, true));
+            out.chain([pose(VISIT_DEG, true, false)]).chain(back)
         })
         .collect()
 }
@@ -56,7 +68,7 @@ pub fn short() -> Vec<Pose> {
         .map(|n| {
             let (turn, outward) = (n / 2, n % 2 == 0);
             let dir_deg = f64::from((turn / 2) * 30 + (turn % 2) * 180);
-            Pose { bend_deg: if outward { 70.0 } else { 40.0 }, dir_deg, outward }
+            Pose { bend_deg: if outward { 70.0 } else { 40.0 }, dir_deg, outward, scored: true }
         })
         .collect()
 }
@@ -68,10 +80,20 @@ mod tests {
     #[test]
     fn the_paper_schedule_has_120_states_with_each_angle_from_both_sides() {
         let all = paper();
-        assert_eq!(all.len(), 120);
+        assert_eq!((all.len(), arrivals(DIRECTIONS).len()), (120, 132));
         for a in ANGLES_DEG {
             assert_eq!(all.iter().filter(|p| p.bend_deg == a && p.outward).count(), 12);
             assert_eq!(all.iter().filter(|p| p.bend_deg == a && !p.outward).count(), 12);
+        }
+    }
+
+    #[test]
+    fn every_scored_state_is_an_arrival() {
+        for all in [arrivals(DIRECTIONS), arrivals(4)] {
+            let resting = std::iter::once(Bend::STRAIGHT).chain(all.iter().map(Pose::bend));
+            for (before, pose) in resting.zip(&all).filter(|(_, p)| p.scored) {
+                assert!((pose.bend().0 - before.0).norm().to_degrees() > 4.9, "{pose:?} does not move");
+            }
         }
     }
 

@@ -7,3 +7,4 @@ pub mod gap;
 pub mod page;
 pub mod polar;
 pub mod svg;
+pub mod sweep;

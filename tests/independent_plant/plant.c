@@ -3,6 +3,7 @@
  *     cc -O2 -o plant plant.c -lm
  *     retroflex evaluate --plant 'exec:./plant --effect leak --seed 3'
  *     ./plant --list                      prints the names that --effect accepts
+ *     ./plant --calib --seed 3            prints the gains of that unit as a calibration file
  *
  * The equations are not those of the Rust code: line pressure is a state found by a force balance, memory effects use other
  * operators (Dahl friction for hysteresis, a Prony series for creep, two compartments for the line), and the tip rotation is
@@ -330,8 +331,8 @@ static void advance(const long steps[3], double dt) {
             want[0] *= k, want[1] *= k;
         }
     }
-    want[0] += p_breath * sin(2 * PI * p_breath_hz * now_s) * cos(p_breath_dir);
-    want[1] += p_breath * sin(2 * PI * p_breath_hz * now_s) * sin(p_breath_dir);
+    double breath = p_breath * sin(2 * PI * p_breath_hz * fmax(0, now_s - 3)); /* the start is still */
+    want[0] += breath * cos(p_breath_dir), want[1] += breath * sin(p_breath_dir);
     /* a well damped second-order tip whose mean delay is lag_s */
     double w = 2.2 / lag_s;
     for (int k = 0; k < 2; k++) {
@@ -365,6 +366,15 @@ static Rot tip_in_base(void) {
     return r;
 }
 
+/* Position of the sensor, 5 mm beyond an arc of constant curvature, in mm along base axes. */
+static Vec place(void) {
+    double beta = hypot(tilt[0], tilt[1]), d = atan2(tilt[1], tilt[0]), across, along;
+    if (beta < 1e-6) across = 0, along = REST_LENGTH;
+    else across = REST_LENGTH * (1 - cos(beta)) / beta, along = REST_LENGTH * sin(beta) / beta;
+    across += 5 * sin(beta), along += 5 * cos(beta);
+    return (Vec){{across * cos(d), -across * sin(d), along}};
+}
+
 typedef struct { Vec acc, gyr, mag; int has_mag; } Sample;
 #define SAMPLES 128
 static Sample history[SAMPLES];
@@ -372,10 +382,15 @@ static int history_at;
 
 int main(int argc, char **argv) {
     uint64_t seed = 1;
+    int print_calib = 0;
     for (int i = 1; i < argc; i++) {
         if (!strcmp(argv[i], "--list")) {
             for (int k = 0; k < EFFECTS; k++) puts(NAMES[k]);
             return 0;
+        }
+        if (!strcmp(argv[i], "--calib")) {
+            print_calib = 1;
+            continue;
         }
         if (i + 1 >= argc) return fprintf(stderr, "plant: %s needs a value\n", argv[i]), 2;
         if (!strcmp(argv[i], "--seed")) seed = strtoull(argv[++i], NULL, 10);
@@ -393,11 +408,16 @@ int main(int argc, char **argv) {
     }
     rng_state = seed * 0x2545f4914f6cdd1dULL + 11, noise_state = rng_state ^ 0x5bf03635ULL;
     draw_unit();
+    if (print_calib) {
+        printf("[transmission]\nk_epsilon = [%f, %f, %f]\n", ratio[0] - 1, ratio[1] - 1, ratio[2] - 1);
+        return printf("k_lambda_mm = [%f, %f, %f]\n", half_play[0], half_play[1], half_play[2]), 0;
+    }
     printf("{\"plant\":\"independent\",\"protocol\":1,\"imu_period_s\":%g,\"step_mm\":%.6f,\"rest_length_mm\":%g}\n", PERIOD, STEP_MM, REST_LENGTH);
     fflush(stdout);
 
     static char line[65536];
     Rot rest = IDENTITY, before = IDENTITY;
+    Vec at[2] = {{{0, 0, 0}}, {{0, 0, 0}}}; /* the last two positions of the sensor in the world */
     long n = 0;
     int started = 0;
     while (fgets(line, sizeof line, stdin)) {
@@ -410,10 +430,11 @@ int main(int argc, char **argv) {
         Rot tip = IDENTITY;
         if (!started) { /* the sag at rest defines zero */
             long zero[3] = {0, 0, 0};
-            for (int k = 0; k < 4000; k++) advance(zero, PERIOD / SUB);
+            for (int k = 0; k < 4000; k++) now_s = 0, advance(zero, PERIOD / SUB);
             now_s = 0;
             memset(lost, 0, sizeof lost);
             rest = tip_in_base(), before = mul(base_now(), rest), started = 1;
+            at[0] = at[1] = apply(base_now(), place());
         }
         while ((n + 1) * PERIOD <= t + 1e-9) {
             n++;
@@ -422,7 +443,12 @@ int main(int argc, char **argv) {
             Rot world = mul(base_now(), tip), sensor = mul(world, mount);
             Vec rate = rotation_vector(mul(transpose(mul(before, mount)), sensor));
             before = world;
-            Vec up = apply(transpose(sensor), (Vec){{0, 0, 9.81}}), mag = apply(transpose(sensor), field_world);
+            Vec here = apply(base_now(), place()), force = {{0, 0, 9.81}};
+            for (int j = 0; j < 3; j++) {
+                force.v[j] += (here.v[j] - 2 * at[0].v[j] + at[1].v[j]) / (PERIOD * PERIOD) * 1e-3;
+                at[1].v[j] = at[0].v[j], at[0].v[j] = here.v[j];
+            }
+            Vec up = apply(transpose(sensor), force), mag = apply(transpose(sensor), field_world);
             Vec coils = {{0, 0, 0}};
             for (int i = 0; i < 3; i++) {
                 double phase = 2 * PI * (double)(steps[i] % 64) / 64, current = idle[i] > 0.5 ? 0.5 : 1;

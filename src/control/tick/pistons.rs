@@ -83,7 +83,7 @@ fn invert_transmission(
     moving: bool,
     dt_s: f64,
 ) -> Vector3<f64> {
-    let by_feedback = config.feedback.is_some() && !moving;
+    let by_feedback = config.feedback.is_some_and(|f| f.learn_backlash) && !moving;
     let (lines, backlash) = (&mut state.transmission, &mut state.feedback.backlash);
     let mut reversed = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {

@@ -68,6 +68,8 @@ pub struct FeedbackConfig {
     pub lead: f64,
     /// Learn lag and dead time online.
     pub learn_dynamics: bool,
+    /// Learn how much of the backlash a reversal by feedback crosses.
+    pub learn_backlash: bool,
     /// The standstill latch.
     pub standstill: StandstillConfig,
     /// The obstruction detector.

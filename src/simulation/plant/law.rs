@@ -69,6 +69,8 @@ pub(crate) struct BellowState {
 /// The bending section at one moment, besides its bend.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SectionState {
+    /// Time at the end of the step, s.
+    pub(crate) t: f64,
     /// Centre length, mm.
     pub(crate) length_mm: f64,
     /// Centre length beyond the rest length, mm.
@@ -132,7 +134,7 @@ pub(crate) trait Law: std::fmt::Debug + Send + CloneLaw {
     /// Bend vector, rad.
     fn bend(&mut self, _bend: &mut Vector2<f64>, _section: &SectionState) {}
     /// Bend vector at a wall, rad; true if the wall touches.
-    fn contact(&mut self, _bend: &mut Vector2<f64>) -> bool {
+    fn contact(&mut self, _bend: &mut Vector2<f64>, _at: &Moment) -> bool {
         false
     }
     /// A wall that was put in the way is taken away.

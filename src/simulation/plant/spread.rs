@@ -33,5 +33,11 @@ parameters! {
         acc_bias_mg: f64 = 0.0, 0.0..=50.0, "5 is a calibrated chip";
         /// Of each axis' constant magnetometer bias, µT. Default 0; 0.5 for a chip after calibration.
         mag_bias_ut: f64 = 0.0, 0.0..=50.0, "0.5 is a calibrated chip";
+        /// Of each component of the chip's tilt in the tip, degrees. Default 0; 0.5 for a glued chip.
+        mount_deg: f64 = 0.0, 0.0..=20.0, "0.5 is a glued chip";
+        /// Of the tip's twist at 60° of bend, degrees. Default 0; 1 for a moulded tip.
+        torsion_deg: f64 = 0.0, 0.0..=20.0, "1 is a moulded tip";
+        /// Of the amplitude of each motor's field where the tip is, µT. Default 0; 0.1 for motors half a metre away.
+        motor_field_ut: f64 = 0.0, 0.0..=50.0, "0.1 is half a metre away";
     }
 }

@@ -31,6 +31,19 @@ impl PlantConfig {
         unit.base.pitch_deg = wrapped(unit.base.pitch_deg + about(spread.tilt_deg));
         unit.base.roll_deg = wrapped(unit.base.roll_deg + about(spread.tilt_deg));
         unit.base.yaw_deg = wrapped(unit.base.yaw_deg + spread.heading_deg * rng.between(-1.0, 1.0));
+        let mut about = |sigma: f64| sigma * rng.normal().clamp(-LIMIT, LIMIT);
+        let effects = &mut unit.effects;
+        if spread.mount_deg > 0.0 {
+            let mount = effects.mount_misalignment.get_or_insert_default();
+            mount.tilt_deg = mount.tilt_deg.map(|tilt| tilt + about(spread.mount_deg));
+        }
+        if spread.torsion_deg > 0.0 {
+            effects.torsion.get_or_insert_default().twist_deg += about(spread.torsion_deg);
+        }
+        if spread.motor_field_ut > 0.0 {
+            let motors = effects.motor_field.get_or_insert_default();
+            motors.amplitude_ut = motors.amplitude_ut.map(|field| field + about(spread.motor_field_ut));
+        }
         unit
     }
 }
@@ -59,6 +72,9 @@ mod tests {
             gyro_bias_deg_s: 0.5,
             acc_bias_mg: 5.0,
             mag_bias_ut: 0.5,
+            mount_deg: 0.5,
+            torsion_deg: 1.0,
+            motor_field_ut: 0.1,
         }
     }
 
@@ -71,6 +87,10 @@ mod tests {
         let mean = gains.iter().sum::<f64>() / 400.0;
         let sigma = (gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / 400.0).sqrt();
         assert!((mean - 1.0).abs() < 0.01 && (sigma - 0.06).abs() < 0.01, "{mean} {sigma}");
+        let rms = |f: fn(&PlantConfig) -> f64| ((0..400).map(|s| f(&make.drawn(s)).powi(2)).sum::<f64>() / 400.0).sqrt();
+        assert!((rms(|u| u.effects.torsion.as_ref().unwrap().twist_deg) - 1.0).abs() < 0.1);
+        assert!((rms(|u| u.effects.mount_misalignment.as_ref().unwrap().tilt_deg[2]) - 0.5).abs() < 0.05);
+        assert!((rms(|u| u.effects.motor_field.as_ref().unwrap().amplitude_ut[1]) - 0.1).abs() < 0.01);
         for s in 0..400 {
             make.drawn(s).validate().unwrap();
         }

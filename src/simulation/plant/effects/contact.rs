@@ -4,7 +4,7 @@
 //! that stiffens as it yields), scaled by `block`. While pressed, the tip sticks sideways: it follows along the
 //! wall only once it lags by `μ` times the pressing.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
+use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
 use crate::simulation::plant::parameters::parameters;
 use crate::simulation::plant::rng::PlantRng;
 use nalgebra::Vector2;
@@ -23,6 +23,8 @@ parameters! {
         give_deg: f64 = 6.0, 0.1..=90.0, "6 is soft tissue";
         /// Friction μ along the wall. Default 0.3. A larger value sticks more.
         friction: f64 = 0.3, 0.0..=2.0, "0.3 is wet tissue";
+        /// When the wall goes away, s. Default never. A larger value leaves it for longer.
+        until_s: f64 = 1e9, 0.0..=1e9, "seconds since the start";
     }
 }
 
@@ -36,6 +38,7 @@ impl PlantEffect for Contact {
             at_deg: rng.between(15.0, 40.0 - 15.0 * severity),
             give_deg: rng.between(3.0, 10.0),
             friction: rng.between(0.1, 0.5),
+            ..Self::default()
         }
     }
     fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
@@ -75,7 +78,11 @@ impl Touching {
 }
 
 impl Law for Touching {
-    fn contact(&mut self, bend: &mut Vector2<f64>) -> bool {
+    fn contact(&mut self, bend: &mut Vector2<f64>, at: &Moment) -> bool {
+        if at.t > self.config.until_s {
+            self.stuck = None;
+            return false;
+        }
         let (left, touched) = self.step(bend);
         *bend = left;
         touched
@@ -91,7 +98,7 @@ mod tests {
 
     #[test]
     fn the_wall_stops_the_tip_one_way_and_holds_it_sideways() {
-        let mut w = Touching::new(Contact { block: 1.0, friction: 0.5, ..Contact::default() });
+        let mut w = Touching::new(Contact { block: 1.0, friction: 0.5, until_s: 5.0, ..Contact::default() });
         let rad = |x: f64, y: f64| Vector2::new(x.to_radians(), y.to_radians());
         assert_eq!(w.step(&rad(29.0, 50.0)), (rad(29.0, 50.0), false));
         assert_eq!(w.step(&rad(-60.0, 0.0)), (rad(-60.0, 0.0), false));
@@ -99,6 +106,8 @@ mod tests {
         assert!(touched && (35.0..45.0).contains(&b.x.to_degrees()));
         let (dragged, _) = w.step(&rad(60.0, 20.0));
         assert!(dragged.y > 0.0 && dragged.y < rad(0.0, 20.0).y - 0.1);
+        let mut there = |t: f64| w.contact(&mut rad(60.0, 0.0), &Moment { t, dt_s: 0.001 });
+        assert!(there(5.0) && !there(5.1), "the wall goes away");
         // meets it without a jump
         assert!((w.step(&rad(30.0, 0.0)).0 - rad(30.0, 0.0)).norm() < 1e-9);
     }

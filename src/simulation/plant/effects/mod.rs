@@ -34,6 +34,7 @@ pub mod motor_field;
 pub mod mount_misalignment;
 pub mod play_wear;
 pub mod rate_coupling;
+pub mod respiration;
 pub mod ringing;
 pub mod sensor_freeze;
 pub mod sensor_latency;
@@ -170,6 +171,7 @@ table! {
         soft_iron: SoftIron,
         clock_drift: ClockDrift,
         sensor_freeze: SensorFreeze,
+        respiration: Respiration,
     }
 }
 

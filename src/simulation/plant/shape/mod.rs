@@ -53,15 +53,15 @@ impl Shape {
             Some(offsets) => self.section.turned(&offsets).shape(bellow_mm),
             None => self.section.shape(bellow_mm),
         };
-        let section = SectionState { length_mm, longer_mm: length_mm - self.section.rest_length_mm, r_world_plate };
+        let section = SectionState { t: at.t, length_mm, longer_mm: length_mm - self.section.rest_length_mm, r_world_plate };
         laws.iter_mut().for_each(|law| law.bend(&mut bend, &section));
         bend += self.push;
         let touched = match &mut self.wall {
-            Some(wall) => wall.contact(&mut bend),
+            Some(wall) => wall.contact(&mut bend, at),
             None => {
                 let mut touched = false;
                 for law in laws.iter_mut() {
-                    touched |= law.contact(&mut bend);
+                    touched |= law.contact(&mut bend, at);
                 }
                 touched
             }

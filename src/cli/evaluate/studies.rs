@@ -1,0 +1,98 @@
+//! `evaluate --sweep` and `evaluate --ablate`: tables, JSON and the drawing of the envelope.
+
+use super::{Args, built_in};
+use crate::cli::{CommandOutcome, inputs, output};
+use crate::config::assemble;
+use crate::config::board::Board;
+use crate::config::gains::Gains;
+use crate::experiment::ablation::{self, AblationRow, MECHANISMS};
+use crate::experiment::sweep::{self, CONDITIONS, Condition, Study, SweepRow};
+use crate::report::sweep as picture;
+use miette::{IntoDiagnostic, Result, miette};
+use serde_json::json;
+use std::time::Instant;
+
+/// Units of a row of the sweep, and of the ablation.
+const SWEEP_UNITS: u64 = 5;
+const ABLATION_UNITS: u64 = 10;
+
+/// Runs the study that `args` select.
+///
+/// # Errors
+/// A report about the input or the plant.
+pub(super) fn run(args: &Args, board: &Board, gains: &Gains) -> Result<CommandOutcome> {
+    let section = built_in(args, board)?;
+    let study = Study {
+        config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
+        make: section.make(),
+        period_s: section.period_s,
+        seed: args.seed,
+        units: if args.sweep { SWEEP_UNITS } else { ABLATION_UNITS },
+    };
+    if args.sweep { run_sweep(args, &study) } else { run_ablation(args, &study) }
+}
+
+fn run_sweep(args: &Args, study: &Study) -> Result<CommandOutcome> {
+    let start = Instant::now();
+    let only = args.only.as_deref().unwrap_or_default();
+    let conditions: Vec<Condition> = CONDITIONS.into_iter().filter(|c| c.name.contains(only)).collect();
+    if conditions.is_empty() {
+        let names = CONDITIONS.map(|c| c.name).join(", ");
+        return Err(miette!("--only {only}: no condition has a name that contains this text; there are {names}"));
+    }
+    let rows: usize = conditions.iter().map(|c| c.values.len()).sum();
+    let bar = output::bar(rows as u64 * study.units, "units,");
+    let rows = sweep::run(study, &conditions, &|| bar.inc(1)).into_diagnostic()?;
+    bar.finish_and_clear();
+    output::json(args.json.as_deref(), &json!({ "seed": study.seed, "units": study.units, "sweep": rows }))?;
+    if let Some(path) = &args.svg {
+        output::write(path, &picture::svg(&rows))?;
+    }
+    let failed = rows.iter().filter(|r| !r.ok).count();
+    let table = output::table(&["condition", "value", "open", "closed", "95 %", "hunting", ""], 1..6, rows.iter().map(sweep_row));
+    let text = format!(
+        "{table}\n{} of {} rows fail; {} units each, {} of 12 directions; {} (in {:.0} s)\n",
+        failed,
+        rows.len(),
+        study.units,
+        sweep::DIRECTIONS,
+        calibration(args),
+        start.elapsed().as_secs_f64()
+    );
+    output::show(&text, args.json.as_deref());
+    Ok(if failed == 0 { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
+}
+
+fn sweep_row(r: &SweepRow) -> Vec<String> {
+    let deg = |x: f64| format!("{x:.2}°");
+    let verdict = if r.ok { "" } else { "FAILS" };
+    let numbers = [r.open_deg, r.closed_deg, r.p95_deg, r.hunting_deg].map(deg);
+    [r.condition.to_owned(), r.value.to_string()].into_iter().chain(numbers).chain([verdict.to_owned()]).collect()
+}
+
+fn run_ablation(args: &Args, study: &Study) -> Result<CommandOutcome> {
+    let bar = output::bar(MECHANISMS.len() as u64 * study.units, "units,");
+    let rows = ablation::run(study, &MECHANISMS, &|| bar.inc(1)).into_diagnostic()?;
+    bar.finish_and_clear();
+    output::json(args.json.as_deref(), &json!({ "seed": study.seed, "units": study.units, "ablate": rows }))?;
+    let columns = ["without", "bend RMSE", "worst unit", "median to 1°", "95 % to 1°", "never to 1°", "peak to peak"];
+    let table = output::table(&columns, 1..columns.len(), rows.iter().map(ablation_row));
+    output::show(&format!("{table}\nclosed loop, {} units, {}\n", study.units, calibration(args)), args.json.as_deref());
+    Ok(CommandOutcome::Good)
+}
+
+fn ablation_row(r: &AblationRow) -> Vec<String> {
+    vec![
+        r.without.to_owned(),
+        format!("{:.3}°", r.bend_rmse_deg),
+        format!("{:.3}°", r.worst_deg),
+        format!("{:.2} s", r.settle_s_median),
+        format!("{:.2} s", r.settle_s_p95),
+        r.unsettled.to_string(),
+        format!("{:.2}°", r.peak_to_peak_max_deg),
+    ]
+}
+
+fn calibration(args: &Args) -> String {
+    args.calib.as_ref().map_or("the paper's calibration for every unit".to_owned(), |path| format!("calibration {}", path.display()))
+}

@@ -1,0 +1,285 @@
+//! The envelope: the closed loop and the best open loop over conditions of the built-in plant.
+//!
+//! Every row simulates several drawn units in a short form of the schedule: four directions, 40 scored states a unit. The
+//! loop has the same calibration everywhere and does not know the condition.
+
+use crate::control::tick::LoopConfig;
+use crate::experiment::arm::{self, ArmResult, percentile, root_mean};
+use crate::experiment::evaluation::{Arm, for_world};
+use crate::experiment::rig::{Rig, RigError};
+use crate::experiment::schedule::arrivals;
+use crate::simulation::plant::PlantConfig;
+use crate::simulation::sim::Sim;
+use crate::supervisor::machine::MachineError;
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Directions of the schedule of a row.
+pub const DIRECTIONS: usize = 4;
+/// Bend RMSE that is good enough even where the open loop is better, degrees.
+const GOOD_DEG: f64 = 0.3;
+/// Largest permitted hunting, degrees.
+const HUNTING_MAX_DEG: f64 = 0.5;
+/// Time at which the wall of `contact_and_release_deg` goes away: after half of the directions, s.
+const RELEASE_S: f64 = 36.0;
+/// Angle between the directions of successive units, degrees: the golden angle.
+const TURN_DEG: f64 = 137.5;
+
+/// A condition: what it changes on a unit, and the values of its rows.
+#[derive(Debug, Clone, Copy)]
+pub struct Condition {
+    /// Name with the unit of the value.
+    pub name: &'static str,
+    /// Values, mildest first.
+    pub values: &'static [f64],
+    /// Sets the value on a unit; the angle turns directions from unit to unit.
+    set: fn(&mut PlantConfig, f64, f64),
+}
+
+/// Every condition.
+pub const CONDITIONS: [Condition; 15] = [
+    Condition {
+        name: "line_lag_s",
+        values: &[0.1, 0.25, 0.6, 1.0],
+        set: |p, v, _| p.effects.line_lag.get_or_insert_default().lag_s = [v; 3],
+    },
+    Condition { name: "dead_time_s", values: &[0.05, 0.12, 0.2, 0.3], set: |p, v, _| dead_time(p, v) },
+    Condition { name: "sensor_latency_s", values: &[0.05, 0.12, 0.2, 0.3], set: |p, v, _| latency(p, v) },
+    Condition {
+        name: "dead_time_and_latency_s",
+        values: &[0.1, 0.2, 0.3],
+        set: |p, v, _| {
+            dead_time(p, v / 2.0);
+            latency(p, v / 2.0);
+        },
+    },
+    Condition {
+        name: "motor_field_ut",
+        values: &[0.1, 0.3, 1.0, 3.0, 8.0, 20.0],
+        set: |p, v, turn| {
+            let motors = p.effects.motor_field.get_or_insert_default();
+            motors.amplitude_ut = [v; 3];
+            motors.azimuth_deg = motors.azimuth_deg.map(|a| (a + turn) % 360.0);
+        },
+    },
+    Condition {
+        name: "hard_iron_ut",
+        values: &[5.0, 20.0, 50.0],
+        set: |p, v, turn| p.effects.hard_iron.get_or_insert_default().offset_ut = askew(v, turn),
+    },
+    Condition {
+        name: "contact_and_release_deg",
+        values: &[60.0, 40.0, 20.0],
+        set: |p, v, turn| {
+            let wall = p.effects.contact.get_or_insert_default();
+            (wall.block, wall.at_deg, wall.direction_deg, wall.until_s) = (1.0, v, turn, RELEASE_S);
+        },
+    },
+    Condition {
+        name: "stick_slip_mm",
+        values: &[0.5, 1.6, 2.6],
+        set: |p, v, _| p.effects.outside.stick_slip.get_or_insert_default().breakaway_mm = v,
+    },
+    Condition {
+        name: "respiration_deg",
+        values: &[1.0, 3.0, 5.0],
+        set: |p, v, turn| {
+            let breath = p.effects.outside.respiration.get_or_insert_default();
+            (breath.amplitude_deg, breath.direction_deg) = (v, turn);
+        },
+    },
+    Condition { name: "base_sway_deg", values: &[1.0, 3.0, 5.0], set: sway },
+    Condition {
+        name: "base_sway_with_imu_deg",
+        values: &[1.0, 3.0, 5.0],
+        set: |p, v, turn| {
+            sway(p, v, turn);
+            p.base.imu = true;
+        },
+    },
+    Condition { name: "torsion_deg", values: &[5.0, 10.0, 20.0], set: |p, v, _| p.effects.torsion.get_or_insert_default().twist_deg = v },
+    Condition {
+        name: "mount_deg",
+        values: &[3.0, 8.0, 15.0],
+        set: |p, v, turn| p.effects.mount_misalignment.get_or_insert_default().tilt_deg = askew(v, turn),
+    },
+    Condition {
+        name: "noise_factor",
+        values: &[3.0, 10.0],
+        set: |p, v, _| {
+            let imu = &mut p.imu;
+            for noise in [&mut imu.gyro_noise_deg_s_rthz, &mut imu.acc_noise_mg_rthz, &mut imu.mag_noise_ut] {
+                *noise *= v;
+            }
+        },
+    },
+    Condition {
+        name: "temperature_drift_mm",
+        values: &[1.0, 2.0, 4.0],
+        set: |p, v, _| {
+            let air = p.effects.thermal_drift.get_or_insert_default();
+            (air.offset_mm, air.case_s) = ([v, -0.5 * v, -0.5 * v], 40.0);
+        },
+    },
+];
+
+fn dead_time(p: &mut PlantConfig, s: f64) {
+    p.effects.transport_delay.get_or_insert_default().delay_s = s;
+}
+
+fn latency(p: &mut PlantConfig, s: f64) {
+    p.effects.sensor_latency.get_or_insert_default().latency_s = s;
+}
+
+fn sway(p: &mut PlantConfig, deg: f64, turn_deg: f64) {
+    let base = p.effects.base_motion.get_or_insert_default();
+    (base.sway_deg, base.axis) = (deg, askew(1.0, turn_deg));
+}
+
+/// A vector of length `size` that is inclined to all axes and turns about z.
+fn askew(size: f64, turn_deg: f64) -> [f64; 3] {
+    let (sin, cos) = turn_deg.to_radians().sin_cos();
+    [0.8 * size * cos, 0.8 * size * sin, 0.6 * size]
+}
+
+/// Units and loop of a study.
+#[derive(Debug, Clone)]
+pub struct Study {
+    /// Loop of every run.
+    pub config: LoopConfig,
+    /// Make of the units.
+    pub make: PlantConfig,
+    /// Period of the simulation, s.
+    pub period_s: f64,
+    /// Serial number before that of the first unit.
+    pub seed: u64,
+    /// Number of units.
+    pub units: u64,
+}
+
+/// One row of the envelope.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SweepRow {
+    /// Name of the condition, with its unit.
+    pub condition: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// Bend RMSE of the best of the open arms, degrees.
+    pub open_deg: f64,
+    /// Bend RMSE of the closed loop, degrees.
+    pub closed_deg: f64,
+    /// 95th percentile of the absolute bend error of a held state in the closed loop, degrees.
+    pub p95_deg: f64,
+    /// How much more a held state moves in the closed loop than in the best open arm, peak to peak, degrees; the largest.
+    pub hunting_deg: f64,
+    /// Closed ≤ max(0.3°, open), and hunting ≤ 0.5°.
+    pub ok: bool,
+}
+
+impl Study {
+    /// The unit `n` (from 0) of the study.
+    #[must_use]
+    pub fn unit(&self, n: u64) -> PlantConfig {
+        self.make.drawn(self.seed + 1 + n)
+    }
+
+    /// An arm on a unit, in `directions` directions.
+    ///
+    /// # Errors
+    /// [`RigError`] from the plant.
+    pub fn run(&self, config: &LoopConfig, arm: Arm, unit: &PlantConfig, n: u64, directions: usize) -> Result<ArmResult, RigError> {
+        let mut world = Sim::new(unit, 0, 10 * (self.seed + n) + arm as u64, self.period_s).map_err(MachineError::from)?;
+        let config = arm.config(&for_world(config, &world));
+        arm::run(arm.name(), &mut Rig::new(config, &mut world), &arrivals(directions), &mut || ())
+    }
+}
+
+/// Runs every row of `conditions`; `progress` is called after each unit of a row, from several threads.
+///
+/// # Errors
+/// [`RigError`] from a plant.
+pub fn run(study: &Study, conditions: &[Condition], progress: &(dyn Fn() + Sync)) -> Result<Vec<SweepRow>, RigError> {
+    let rows: Vec<(&Condition, f64)> = conditions.iter().flat_map(|c| c.values.iter().map(move |&v| (c, v))).collect();
+    let row = |&(condition, value): &(&Condition, f64)| {
+        let unit = |n: u64| {
+            let mut unit = study.unit(n);
+            (condition.set)(&mut unit, value, TURN_DEG * n as f64 % 360.0);
+            let arms = Arm::ALL.map(|arm| study.run(&study.config, arm, &unit, n, DIRECTIONS));
+            progress();
+            arms.into_iter().collect::<Result<Vec<_>, _>>()
+        };
+        let units = (0..study.units).into_par_iter().map(unit).collect::<Result<Vec<_>, _>>()?;
+        Ok(judge(condition.name, value, &units))
+    };
+    rows.par_iter().map(row).collect()
+}
+
+/// The row of the units, each with its arms in the order of [`Arm::ALL`].
+fn judge(condition: &'static str, value: f64, units: &[Vec<ArmResult>]) -> SweepRow {
+    let rmse = |arm: Arm| root_mean(units.iter().flat_map(|arms| &arms[arm as usize].held).map(|h| h.bend_error_sq));
+    let mut best = Arm::None;
+    for arm in [Arm::Extension, Arm::Backlash] {
+        best = if rmse(arm) < rmse(best) { arm } else { best };
+    }
+    let (open_deg, closed_deg) = (rmse(best), rmse(Arm::Closed));
+    let closed = || units.iter().flat_map(|arms| &arms[Arm::Closed as usize].held);
+    let open = units.iter().flat_map(|arms| &arms[best as usize].held);
+    let hunting_deg = closed().zip(open).map(|(c, o)| c.peak_to_peak_deg - o.peak_to_peak_deg).fold(0.0, f64::max);
+    let ok = closed_deg <= open_deg.max(GOOD_DEG) && hunting_deg <= HUNTING_MAX_DEG;
+    SweepRow {
+        condition,
+        value,
+        open_deg,
+        closed_deg,
+        p95_deg: percentile(closed().map(|h| h.bend_error_deg.abs()), 0.95),
+        hunting_deg,
+        ok,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::arm::Held;
+
+    /// A unit whose arms have the given errors and motions, degrees, in the order of [`Arm::ALL`].
+    fn unit(arms: [(f64, f64); 4]) -> Vec<ArmResult> {
+        let held = |(error, moves): (f64, f64)| Held {
+            bend_error_deg: error,
+            bend_error_sq: error * error,
+            peak_to_peak_deg: moves,
+            ..Held::default()
+        };
+        Arm::ALL
+            .iter()
+            .zip(arms)
+            .map(|(a, figures)| ArmResult { name: a.name().to_owned(), held: vec![held(figures)], ..ArmResult::default() })
+            .collect()
+    }
+
+    #[test]
+    fn a_row_fails_if_the_loop_is_worse_than_open_or_hunts() {
+        let row = |closed| judge("x", 1.0, &[unit([(30.0, 0.0), (8.0, 0.0), (6.0, 0.2), closed])]);
+        let good = row((0.4, 0.6));
+        assert!(
+            good.ok && (good.open_deg, good.closed_deg, good.p95_deg) == (6.0, 0.4, 0.4) && (good.hunting_deg - 0.4).abs() < 1e-12,
+            "{good:?}"
+        );
+        assert!(!row((6.1, 0.2)).ok, "worse than open");
+        assert!(!row((0.1, 0.8)).ok, "hunts");
+        let small = judge("x", 1.0, &[unit([(0.2, 0.0), (0.1, 0.0), (0.1, 0.0), (0.29, 0.0)])]);
+        assert!(small.ok, "0.3° is good enough");
+    }
+
+    #[test]
+    fn every_condition_changes_a_unit_and_is_valid() {
+        for c in &CONDITIONS {
+            for &value in c.values {
+                let mut unit = PlantConfig::default();
+                (c.set)(&mut unit, value, 137.5);
+                unit.validate().unwrap_or_else(|e| panic!("{} = {value}: {e}", c.name));
+                assert_ne!(unit, PlantConfig::default(), "{}", c.name);
+            }
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! The envelope as a drawing: a row for each condition and a cell for each value, which shows the closed loop against the
+//! best open loop and where it fails.
+
+use crate::experiment::sweep::SweepRow;
+use crate::report::svg::{Anchor, Ink, Svg};
+
+const LEFT: f64 = 200.0;
+const TOP: f64 = 52.0;
+const CELL: (f64, f64) = (112.0, 40.0);
+
+/// The drawing.
+#[must_use]
+pub fn svg(rows: &[SweepRow]) -> String {
+    let groups: Vec<&[SweepRow]> = rows.chunk_by(|a, b| a.condition == b.condition).collect();
+    let columns = groups.iter().map(|g| g.len()).max().unwrap_or(0).max(3);
+    let (width, height) = (LEFT + CELL.0 * columns as f64 + 10.0, TOP + CELL.1 * groups.len() as f64 + 10.0);
+    let mut out = Svg::new(width, height, "The closed loop over conditions");
+    out.rect([0.0, 0.0, width, height], "#fff", 1.0);
+    out.heading(12.0, "Closed loop over conditions: bend RMSE, in brackets that of the best open loop");
+    out.text(
+        (12.0, 40.0),
+        Anchor::Start,
+        Ink::FAINT,
+        "green: closed is no worse than max(0.3°, open) and a held state moves by at most 0.5°",
+    );
+    for (n, group) in groups.iter().enumerate() {
+        let y = TOP + CELL.1 * n as f64;
+        out.text((LEFT - 10.0, y + 24.0), Anchor::End, Ink::TEXT, group[0].condition);
+        for (k, row) in group.iter().enumerate() {
+            cell(&mut out, LEFT + CELL.0 * k as f64, y, row);
+        }
+    }
+    out.finish()
+}
+
+fn cell(out: &mut Svg, x: f64, y: f64, row: &SweepRow) {
+    let (ink, opacity) = if row.ok { (Ink::GREEN, 0.16) } else { (Ink::RED, 0.35) };
+    out.rect([x, y, CELL.0 - 4.0, CELL.1 - 4.0], ink.0, opacity);
+    let middle = x + CELL.0 / 2.0 - 2.0;
+    out.text((middle, y + 15.0), Anchor::Middle, Ink::FAINT, &format!("{}{}", row.value, if row.ok { "" } else { ": fails" }));
+    let style = "font-size=\"11\" font-weight=\"600\" text-anchor=\"middle\"";
+    out.styled_text(middle, y + 30.0, Ink::TEXT, style, &format!("{:.2}° ({:.1}°)", row.closed_deg, row.open_deg));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_is_a_cell_and_a_failure_is_named() {
+        let row = |condition, value, ok| SweepRow { condition, value, open_deg: 7.0, closed_deg: 0.2, p95_deg: 0.3, hunting_deg: 0.0, ok };
+        let svg = svg(&[row("a_s", 0.1, true), row("a_s", 0.2, false), row("b < c", 1.0, true)]);
+        assert_eq!((svg.matches("0.20° (7.0°)").count(), svg.matches("fails").count()), (3, 1));
+        assert!(svg.contains("b &lt; c") && svg.matches(">a_s<").count() == 1);
+    }
+}
