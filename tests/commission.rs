@@ -185,7 +185,17 @@ impl Machine for Racks {
         });
         let inputs = Inputs { emergency_stop: false, home };
         let (counted, energised) = (Steps(self.counted), self.on);
-        Ok(Sensed { t: now, imu: ImuReading::Nothing, base_imu: None, counted, energised, inputs, alarm: None, truth: None })
+        Ok(Sensed {
+            t: now,
+            imu: ImuReading::Nothing,
+            base_imu: None,
+            counted,
+            energised,
+            inputs,
+            alarm: None,
+            gauges: Default::default(),
+            truth: None,
+        })
     }
     fn energise(&mut self, on: bool) {
         self.on = on;

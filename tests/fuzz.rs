@@ -213,6 +213,7 @@ fn tapes_do_not_panic() {
             energised: true,
             inputs: retroflex::motion::lines::Inputs::default(),
             alarm: None,
+            gauges: Default::default(),
             truth: None,
         };
         tape::write(&mut seed, &tape::Record { sensed, order: (k % 2 == 0).then_some(order), digest: 7 });

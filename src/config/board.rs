@@ -4,8 +4,9 @@ use crate::config::power::PowerSection;
 use crate::config::sections::{BusBackend, DriveSection, GeometrySection, HomingSection, ImuSection, LimitsSection, MachineSection};
 use crate::config::service::{SafetySection, ServiceSection};
 use crate::control::limits::ActuatorLimits;
-use crate::hardware::machine::{MachineConfig, SensorConfig};
+use crate::hardware::machine::{GaugeConfig, MachineConfig, SensorConfig};
 use crate::hardware::pins::PinsConfig;
+use crate::hardware::pressure::PressureSection;
 use crate::motion::lines::EmergencyStop;
 use crate::motion::{DriveLimits, MotionConfig, MotionLimits, StepperConfig};
 use crate::parameters;
@@ -48,6 +49,8 @@ parameters! {
         /// An IMU on the base, with the keys of `[imu]`. Left out, the base is assumed to stand still. On the same bus it needs
         /// the other address.
         base_imu: Option<ImuSection> = None;
+        /// Pressure sensors of the lines, on boards that have any.
+        pressure: Option<PressureSection> = None;
         /// The gate between controller and step generator.
         safety: SafetySection;
         /// The service.
@@ -156,6 +159,13 @@ impl Board {
             motion: self.motion_config(),
             imu: self.imu.as_ref().map(sensor),
             base_imu: self.base_imu.as_ref().map(sensor),
+            gauges: GaugeConfig {
+                pressure: self.pressure.clone(),
+                pressure_max_kpa: self.safety.pressure_max_kpa,
+                temp_offset_c: self.imu.as_ref().map_or(0.0, |imu| imu.temp_offset_c),
+                tip_warm_c: self.safety.tip_warm_c,
+                tip_max_c: self.safety.tip_max_c,
+            },
         })
     }
 }

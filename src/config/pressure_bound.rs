@@ -1,11 +1,11 @@
-//! What bounds the pressure if the program fails.
+//! What bounds the pressure if the counted position is wrong.
 //!
-//! The program knows the pressure only through the position that it believes: a lost count, a wrong stiffness or a fault
-//! in the program itself leaves the motor as the last bound. Something outside the program has to bound it.
+//! Without sensors the program knows the pressure only through the position that it believes: after a lost count or with a
+//! wrong stiffness the motor is the last bound. Something else has to bound the pressure.
 
 use crate::config::board::Board;
 
-/// What bounds the gauge pressure of a line independently of the program.
+/// What bounds the gauge pressure of a line independently of the counted position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PressureBound {
     /// The board has no pins, so no pressure is made.
@@ -22,6 +22,11 @@ pub enum PressureBound {
         /// Opening pressure, kPa.
         opens_kpa: f64,
     },
+    /// Pressure sensors trip the gate.
+    Sensors {
+        /// `safety.pressure_max_kpa`.
+        limit_kpa: f64,
+    },
     /// Nothing does.
     Nothing {
         /// Largest pressure that the motor makes, kPa.
@@ -33,8 +38,8 @@ pub enum PressureBound {
 
 impl PressureBound {
     /// What to do about [`PressureBound::Nothing`].
-    pub const REMEDY: &str = "fit relief valves and state safety.relief_valve_kpa, or lower the motor's current so that \
-        power.holding_torque_n_mm suffices for limits.pressure_max_kpa only; see docs/hardware.md";
+    pub const REMEDY: &str = "fit relief valves and state safety.relief_valve_kpa, or pressure sensors and state [pressure], or lower the \
+        motor's current so that power.holding_torque_n_mm suffices for limits.pressure_max_kpa only; see docs/hardware.md";
 
     /// The bound of a board.
     #[must_use]
@@ -45,6 +50,7 @@ impl PressureBound {
             _ if board.pins.is_none() => Self::Simulated,
             _ if stall_kpa <= limit_kpa => Self::Motor { stall_kpa, limit_kpa },
             Some(opens_kpa) => Self::ReliefValve { opens_kpa },
+            None if board.pressure.is_some() => Self::Sensors { limit_kpa },
             None => Self::Nothing { stall_kpa, limit_kpa },
         }
     }
@@ -64,9 +70,10 @@ impl std::fmt::Display for PressureBound {
                 write!(f, "bounded by the motor, which makes {stall_kpa:.1} kPa of safety.pressure_max_kpa = {limit_kpa} kPa")
             }
             Self::ReliefValve { opens_kpa } => write!(f, "bounded by relief valves that open at {opens_kpa} kPa"),
+            Self::Sensors { limit_kpa } => write!(f, "watched by pressure sensors, which trip the gate at {limit_kpa} kPa"),
             Self::Nothing { stall_kpa, limit_kpa } => write!(
                 f,
-                "the motor makes {stall_kpa:.0} kPa, more than safety.pressure_max_kpa = {limit_kpa} kPa, and nothing outside the program prevents it"
+                "the motor makes {stall_kpa:.0} kPa, more than safety.pressure_max_kpa = {limit_kpa} kPa, and only the counted position prevents it"
             ),
         }
     }

@@ -118,12 +118,34 @@ fn sensors(board: &Board, to: &mut Checker) {
             pass_on(imu.chip.check().map_err(|e| Invalid { key: e.key.replacen("imu", table, 1), ..e }), to);
         }
     }
+    pressure_sensors(board, to);
     if let (Some(tip), Some(base)) = (&board.imu, &board.base_imu) {
         let place = |imu: &ImuSection| (imu.bus.clone(), imu.chip.address());
         let problem = format!("{:#04x} on {} is already the tip's IMU", base.chip.address(), base.bus);
         let hint = "pull the address pin of one sensor the other way, or use another bus";
         to.holds("base_imu.chip.address", place(tip) != place(base), &problem, hint);
     }
+}
+
+/// Every sensor has an address of its own, and the range of the part contains the limit.
+fn pressure_sensors(board: &Board, to: &mut Checker) {
+    let Some(p) = &board.pressure else { return };
+    let imus = [("imu", &board.imu), ("base_imu", &board.base_imu)];
+    for (i, address) in p.addresses.iter().enumerate() {
+        let imu = imus.iter().find(|(_, imu)| imu.as_ref().is_some_and(|imu| imu.bus == p.bus && imu.chip.address() == *address));
+        let twin = p.addresses[..i].iter().position(|a| a == address).map(|k| format!("pressure.addresses[{}]", k + 1));
+        let other = twin.or(imu.map(|(table, _)| format!("{table}.chip.address")));
+        let problem = other.map(|o| format!("{address:#04x} on {} is already {o}", p.bus));
+        to.holds(
+            &format!("pressure.addresses.{i}"),
+            problem.is_none(),
+            &problem.unwrap_or_default(),
+            "order the part with another address",
+        );
+    }
+    let (limit, low, high) = (board.safety.pressure_max_kpa, p.low_kpa, p.high_kpa);
+    let problem = format!("{low} to {high} kPa does not contain ±safety.pressure_max_kpa = ±{limit} kPa");
+    to.holds("pressure.high_kpa", high > limit && low < -limit, &problem, "use a differential part with a larger range");
 }
 
 /// The wiring against the header: every line exists, has one use, and no other task.

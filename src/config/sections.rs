@@ -141,6 +141,9 @@ parameters! {
         /// GPIO numbers of SDA and SCL on the header of a Raspberry Pi. With them the driver frees a bus whose SDA a chip holds
         /// low, by up to nine clock pulses; it needs access to the registers (/dev/gpiomem). Leave it out on other computers.
         bus_lines: Option<[u32; 2]> = None;
+        /// What the die reads above the surface of the tip: the offset of the part, up to 15 °C, and its own heat. Measure it with
+        /// a thermometer while the tip rests. A larger value shows a colder tip.
+        temp_offset_c: f64 = 0.0, "°C", -30.0..=30.0, "reading of the die minus that of a thermometer";
         /// Rotation from the sensor to the tip (or base) as a rotation vector: axis times angle. With the default, z points out
         /// of the tip and x towards bellow 1. `retroflex commission` measures it; an error turns every bend plane.
         mount_deg: [f64; 3] = [0.0; 3], "deg", -360.0..=360.0, "a rotation vector: axis times angle";

@@ -51,6 +51,11 @@ parameters! {
         /// that can make more than `pressure_max_kpa` needs valves or pressure sensors, because the program limits the pressure
         /// only by the position that it believes. A larger value lets a failed program press harder.
         relief_valve_kpa: Option<f64> = None, "kPa", 1.0..=200.0, "as stamped on the valve; above limits.pressure_max_kpa";
+        /// Temperature of the tip, as the IMU's die measures it, at which the status reports a warm tip.
+        tip_warm_c: f64 = 39.0, "°C", 20.0..=85.0, "a few degrees below tip_max_c";
+        /// Temperature of the tip at which the gate trips. IEC 60601-1 limits what heats a patient without intent to 41 °C. The die
+        /// is not the surface: see `imu.temp_offset_c`. A larger value permits a hotter tip.
+        tip_max_c: f64 = 41.0, "°C", 20.0..=85.0, "41 for what touches a patient, more on a bench";
         /// Distance of the estimated bend from a constant set-point at which the gate trips. A larger value pushes a tip that
         /// does not follow further.
         following_deg: f64 = 20.0, "deg", 1.0..=90.0, "20 is well above what backlash and load make";

@@ -5,5 +5,6 @@ pub mod cyclictest;
 pub mod imu;
 pub mod machine;
 pub mod pins;
+pub mod pressure;
 pub mod rt;
 pub mod stepper;

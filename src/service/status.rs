@@ -19,7 +19,10 @@ pub fn trip_message(cause: TripCause) -> &'static str {
         TripCause::Travel => "a piston would have left its travel: see [limits] of the board file",
         TripCause::Rate => "a piston would have exceeded its speed: see [motion] of the board file",
         TripCause::Acceleration => "a piston would have exceeded its acceleration: see [motion] of the board file",
-        TripCause::Pressure => "the pressure of a line would have been too high: look for a kink, or relax and calibrate again",
+        TripCause::Pressure => {
+            "the pressure of a line was or would have been too high: look for a kink and at `alarm`, or relax and calibrate again"
+        }
+        TripCause::Temperature => "the tip is hotter than safety.tip_max_c: withdraw it, and let it cool before `retroflex reset-fault`",
         TripCause::Stale => "no usable orientation for too long: check the cable of the IMU; `retroflex doctor`",
         TripCause::Disagreement => "the two orientation filters disagree: `retroflex relax`, then `retroflex zero`",
         TripCause::Following => "the tip does not follow its set-point: see the suspected cause",
@@ -87,6 +90,9 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
         },
         "emergency_stop": output.sensed.inputs.emergency_stop,
         "alarm": output.sensed.alarm.map(|a| a.to_string()),
+        "pressure_kpa": output.sensed.gauges.pressure_kpa.map(|all| all.map(round)),
+        "tip_c": output.sensed.gauges.tip_c.map(round),
+        "tip_warm": output.sensed.gauges.tip_warm,
         "k_epsilon": f.k_epsilon.map(round),
         "lag_s": round(f.dynamics.lag_s),
         "delay_s": round(f.dynamics.delay_s),

@@ -11,7 +11,7 @@ use crate::primitives::units::{Seconds, Steps};
 use crate::service::tape_code::{AlarmCode, Code};
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
-use crate::supervisor::machine::Sensed;
+use crate::supervisor::machine::{Gauges, Sensed};
 use serde::{Deserialize, Serialize};
 
 /// First line of a tape.
@@ -90,7 +90,7 @@ fn read(input: &mut &[u8]) -> Option<Record> {
     let bit = |n: u8| bits >> n & 1 == 1;
     let inputs = Inputs { emergency_stop: bit(1), home: [bit(2), bit(3), bit(4)] };
     let alarm = AlarmCode::get(input)?.0;
-    let sensed = Sensed { t, imu, base_imu, counted, energised: bit(0), inputs, alarm, truth: None };
+    let sensed = Sensed { t, imu, base_imu, counted, energised: bit(0), inputs, alarm, gauges: Gauges::default(), truth: None };
     Some(Record { sensed, order: Option::get(input)?, digest: u64::get(input)? })
 }
 
@@ -155,6 +155,8 @@ mod tests {
             Some(Alarm::Discontinuity { jump_mm: 1.0 }),
             Some(Alarm::Pins),
             Some(Alarm::Dead),
+            Some(Alarm::Pressure { kpa: 50.0 }),
+            Some(Alarm::Hot { temp_c: 43.0 }),
         ];
         let mut records = Vec::new();
         for (k, (order, (imu, alarm))) in orders.map(Some).chain([None]).zip(readings.cycle().zip(alarms.into_iter().cycle())).enumerate() {
@@ -168,6 +170,7 @@ mod tests {
                 energised: k % 3 == 1,
                 inputs,
                 alarm,
+                gauges: Gauges::default(),
                 truth: None,
             };
             records.push(Record { sensed, order, digest: k as u64 });

@@ -120,6 +120,8 @@ impl Code for AlarmCode {
             Some(Alarm::Discontinuity { jump_mm }) => (3, jump_mm),
             Some(Alarm::Pins) => (4, 0.0),
             Some(Alarm::Dead) => (5, 0.0),
+            Some(Alarm::Pressure { kpa }) => (6, kpa),
+            Some(Alarm::Hot { temp_c }) => (7, temp_c),
         };
         tag.put(out);
         x.put(out);
@@ -133,6 +135,8 @@ impl Code for AlarmCode {
             3 => Some(Alarm::Discontinuity { jump_mm: x }),
             4 => Some(Alarm::Pins),
             5 => Some(Alarm::Dead),
+            6 => Some(Alarm::Pressure { kpa: x }),
+            7 => Some(Alarm::Hot { temp_c: x }),
             _ => return None,
         }))
     }

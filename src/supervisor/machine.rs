@@ -36,8 +36,10 @@ pub struct Sensed {
     pub energised: bool,
     /// The input lines.
     pub inputs: Inputs,
-    /// Alarm of the step generator, until [`Machine::clear`].
+    /// Alarm of the step generator, until [`Machine::clear`], or a limit of the gauges, while it is exceeded.
     pub alarm: Option<Alarm>,
+    /// Pressure and temperature, for the status; what exceeds a limit is an alarm.
+    pub gauges: Gauges,
     /// True tip orientation, if the machine is simulated. It serves scoring only; the loop never reads it.
     pub truth: Option<Rotation<Base, Tip>>,
 }
@@ -60,11 +62,22 @@ impl Sensed {
             _ => drive.is_starved().then_some(Alarm::Underrun),
         };
         let energised = drive.generator().is_energised();
-        Self { t, imu: ImuReading::Nothing, base_imu: None, counted, energised, inputs, alarm, truth: None }
+        Self { t, imu: ImuReading::Nothing, base_imu: None, counted, energised, inputs, alarm, gauges: Gauges::default(), truth: None }
     }
 }
 
-/// An alarm of the step generator.
+/// Readings of the gauges that a machine has.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Gauges {
+    /// Gauge pressure of each line, kPa; NaN while a sensor does not answer.
+    pub pressure_kpa: Option<[f64; 3]>,
+    /// Temperature of the tip, °C.
+    pub tip_c: Option<f64>,
+    /// The tip is warmer than the board file's `safety.tip_warm_c`.
+    pub tip_warm: bool,
+}
+
+/// An alarm of the machine.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Alarm {
     /// A step was later than permitted.
@@ -83,6 +96,24 @@ pub enum Alarm {
     Pins,
     /// The step thread has ended.
     Dead,
+    /// A pressure sensor measures too much.
+    Pressure {
+        /// Gauge pressure, kPa; NaN if the sensor does not answer.
+        kpa: f64,
+    },
+    /// The tip is too hot.
+    Hot {
+        /// Temperature, °C.
+        temp_c: f64,
+    },
+}
+
+impl Alarm {
+    /// True for an alarm of the step generator, false for a limit of the gauges.
+    #[must_use]
+    pub fn is_of_steps(&self) -> bool {
+        !matches!(self, Self::Pressure { .. } | Self::Hot { .. })
+    }
 }
 
 impl std::fmt::Display for Alarm {
@@ -93,6 +124,9 @@ impl std::fmt::Display for Alarm {
             Self::Discontinuity { jump_mm } => write!(f, "the motion handed to the step thread jumps by {jump_mm:.3} mm"),
             Self::Pins => f.write_str("the pins cannot be written or read"),
             Self::Dead => f.write_str("the step thread has ended"),
+            Self::Pressure { kpa } if kpa.is_nan() => f.write_str("a pressure sensor does not answer"),
+            Self::Pressure { kpa } => write!(f, "a line is at {kpa:.1} kPa"),
+            Self::Hot { temp_c } => write!(f, "the tip is at {temp_c:.1} °C"),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::machine::error::HardwareError;
+use crate::hardware::machine::gauges::{GaugeConfig, GaugeWatch};
 use crate::hardware::machine::sensor::{Sensor, SensorConfig};
 use crate::hardware::pins::{self, Pins, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
@@ -37,6 +38,8 @@ pub struct MachineConfig {
     pub imu: Option<SensorConfig>,
     /// IMU of the base.
     pub base_imu: Option<SensorConfig>,
+    /// Pressure sensors, and limits of pressure and temperature.
+    pub gauges: GaugeConfig,
 }
 
 /// A machine with drivers that are pulsed and sensors that are read.
@@ -44,6 +47,7 @@ pub struct Hardware {
     drive: Drive<Stepper<Box<dyn Pins>>>,
     imu: Option<Sensor>,
     base_imu: Option<Sensor>,
+    gauges: GaugeWatch,
     info: MachineInfo,
     /// Monotonic time at the loop's zero, ns; set by the first cycle.
     zero_ns: Option<u64>,
@@ -57,6 +61,7 @@ impl Hardware {
     pub fn open(config: &MachineConfig) -> Result<Self, HardwareError> {
         let imu = config.imu.as_ref().map(Sensor::start).transpose()?;
         let base_imu = config.base_imu.as_ref().map(Sensor::start).transpose()?;
+        let gauges = GaugeWatch::start(&config.gauges)?;
         let pins = pins::open(&config.pins, config.microsteps)?;
         let limits = MotionLimits::try_from(&config.motion).map_err(StartError::from)?;
         let stepper = Stepper::start(pins, &config.stepper, &config.motion, config.step_mm, config.emergency_stop)?;
@@ -68,20 +73,20 @@ impl Hardware {
             step_mm: config.step_mm,
             rest_length_mm: config.rest_length_mm,
         };
-        Ok(Self { drive, imu, base_imu, info, zero_ns: None })
+        Ok(Self { drive, imu, base_imu, gauges, info, zero_ns: None })
     }
 }
 
-/// The newest reading of a sensor with its time on the loop's clock; readings from before the loop's
+/// The newest reading of a sensor with its time on the loop's clock, and its temperature; readings from before the loop's
 /// zero are at zero.
-fn newest(sensor: &mut Option<Sensor>, zero_ns: u64) -> ImuReading {
-    let Some(reading) = sensor.as_mut().and_then(Sensor::newest) else { return ImuReading::Nothing };
+fn newest(sensor: &mut Option<Sensor>, zero_ns: u64) -> (ImuReading, Option<f64>) {
+    let Some(reading) = sensor.as_mut().and_then(Sensor::newest) else { return (ImuReading::Nothing, None) };
     match reading.reading {
         ImuReading::Sample(sample, quality) => {
             let t = Seconds(reading.t_ns.saturating_sub(zero_ns) as f64 * 1e-9);
-            ImuReading::Sample(ImuSample { t, ..sample }, quality)
+            (ImuReading::Sample(ImuSample { t, ..sample }, quality), reading.temp_c)
         }
-        other => other,
+        other => (other, None),
     }
 }
 
@@ -95,11 +100,13 @@ impl Machine for Hardware {
         let zero_ns = *self.zero_ns.get_or_insert_with(|| now_ns.saturating_sub((now.0 * 1e9) as u64));
         self.drive.update(now_ns, wanted);
         let base_imu = match newest(&mut self.base_imu, zero_ns) {
-            ImuReading::Sample(sample, _) => Some(sample),
+            (ImuReading::Sample(sample, _), _) => Some(sample),
             _ => None,
         };
-        let imu = newest(&mut self.imu, zero_ns);
-        Ok(Sensed { imu, base_imu, ..Sensed::of_drive(now, &self.drive) })
+        let (imu, die_c) = newest(&mut self.imu, zero_ns);
+        let (gauges, limit) = self.gauges.turn(now_ns, die_c);
+        let steps = Sensed::of_drive(now, &self.drive);
+        Ok(Sensed { imu, base_imu, gauges, alarm: steps.alarm.or(limit), ..steps })
     }
 
     fn energise(&mut self, on: bool) {

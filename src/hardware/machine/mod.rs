@@ -12,9 +12,11 @@
 //! reading, and the health monitor reacts.
 
 mod error;
+mod gauges;
 mod hardware;
 mod sensor;
 
 pub use error::HardwareError;
+pub use gauges::GaugeConfig;
 pub use hardware::{Hardware, MachineConfig};
 pub use sensor::{Sensor, SensorConfig};

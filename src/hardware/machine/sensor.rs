@@ -195,18 +195,23 @@ fn recovery(config: &SensorConfig, driver: Box<dyn Imu + Send>) -> ImuRecovery<d
     imu
 }
 
+/// The file of a bus. The libraries merge the causes of a failure; opening the file here distinguishes them.
+#[cfg(feature = "hw")]
+pub(super) fn open_bus(path: &str) -> Result<std::fs::File, HardwareError> {
+    let path = path.to_owned();
+    std::fs::File::options().read(true).write(true).open(&path).map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => HardwareError::NoBus { path },
+        std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission { path },
+        _ => HardwareError::Bus { path, why: e.to_string() },
+    })
+}
+
 /// The driver on its bus, and whether transfers have a time limit.
 #[cfg(feature = "hw")]
 fn open(config: &SensorConfig) -> Result<(Box<dyn Imu + Send>, bool), HardwareError> {
     use crate::hardware::imu::linux::{Classified, bound_transfers};
     let path = config.bus.clone();
-    // The libraries merge the causes of a failure; opening the file here distinguishes them.
-    let file = std::fs::File::options().read(true).write(true).open(&path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => HardwareError::NoBus { path: path.clone() },
-        std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission { path: path.clone() },
-        _ => HardwareError::Bus { path: path.clone(), why: e.to_string() },
-    })?;
-    let bounded = bound_transfers(&file).is_ok();
+    let bounded = bound_transfers(&open_bus(&path)?).is_ok();
     if config.rppal {
         let Some(number) = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok()) else {
             return Err(HardwareError::Bus { path, why: "rppal requires a path of the form /dev/i2c-N".to_owned() });

@@ -8,7 +8,7 @@ use crate::supervisor::cycle::restart_check;
 use crate::supervisor::cycle::state::{ModeState, Position, Supervisor};
 use crate::supervisor::cycle::types::CycleOutput;
 use crate::supervisor::gate::{Following, GateInput, SafeState, TripCause};
-use crate::supervisor::machine::Sensed;
+use crate::supervisor::machine::{Alarm, Sensed};
 use crate::supervisor::mode::{Event, Mode};
 use crate::supervisor::residual_monitor::{ResidualInput, bellows};
 use nalgebra::{Vector2, Vector3};
@@ -150,7 +150,9 @@ impl Supervisor {
             stale_s: self.sensors.blind_s,
             disagree: frame.senses.disagrees,
             emergency_stop: sensed.inputs.emergency_stop,
-            alarm: sensed.alarm.is_some() && self.clearing_s <= 0.0,
+            alarm: sensed.alarm.is_some_and(|a| a.is_of_steps()) && self.clearing_s <= 0.0,
+            overpressure: matches!(sensed.alarm, Some(Alarm::Pressure { .. })),
+            hot: matches!(sensed.alarm, Some(Alarm::Hot { .. })),
         }
     }
 

@@ -21,8 +21,10 @@ pub enum TripCause {
     Rate,
     /// The counted acceleration of a piston is too high.
     Acceleration,
-    /// The requested position compresses or stretches the air of a line too far.
+    /// The requested position compresses or stretches the air of a line too far, or a sensor measures too much pressure.
     Pressure,
+    /// The tip is too hot.
+    Temperature,
     /// The last usable orientation is too old.
     Stale,
     /// The two orientation filters disagree.
@@ -101,6 +103,8 @@ parameters! {
         acceleration: SafeState = SafeState::Hold;
         /// A line would be compressed too far: less pressure is the way out.
         pressure: SafeState = SafeState::Relax;
+        /// The tip is hotter than `safety.tip_max_c`. Motion does not cool it; `relax` prepares its withdrawal.
+        temperature: SafeState = SafeState::Hold;
         /// No usable orientation for too long: a bus often recovers within a second.
         stale: SafeState = SafeState::Hold;
         /// The two orientation filters disagree; one of them may be right.
@@ -123,6 +127,7 @@ impl SafeStates {
             TripCause::Rate => self.rate,
             TripCause::Acceleration => self.acceleration,
             TripCause::Pressure => self.pressure,
+            TripCause::Temperature => self.temperature,
             TripCause::Stale => self.stale,
             TripCause::Disagreement => self.disagreement,
             TripCause::Following => self.following,

@@ -41,6 +41,10 @@ pub struct GateInput {
     pub emergency_stop: bool,
     /// The step generator reports an alarm.
     pub alarm: bool,
+    /// A sensor measures too much pressure, or does not answer.
+    pub overpressure: bool,
+    /// The tip is too hot.
+    pub hot: bool,
 }
 
 /// Set-point and estimated bend vector, rad.
@@ -96,8 +100,8 @@ pub struct Gate {
     limits: GateLimits,
     motion: Motion,
     latched: Option<TripCause>,
-    /// Emergency stop and alarm in the previous tick: a lasting one trips a gate that does not pass only once.
-    reported: [bool; 2],
+    /// Emergency stop, alarm and overpressure in the previous tick: a lasting one trips a gate that does not pass only once.
+    reported: [bool; 3],
     /// Counted steps of the last ticks.
     history: History,
     /// Counts sent last.
@@ -116,7 +120,7 @@ impl Gate {
             limits: *limits,
             motion: Motion::Passing,
             latched: None,
-            reported: [false; 2],
+            reported: [false; 3],
             history: History::resting(at, limits.step_mm, limits.tick_s),
             sent: *at,
             at_mm: [0.0; 3],
@@ -204,7 +208,7 @@ impl Gate {
                 (_, SafeState::Relax) => Motion::Returning,
             });
         }
-        self.reported = [input.emergency_stop, input.alarm];
+        self.reported = [input.emergency_stop, input.alarm, input.overpressure];
         let mut rested = false;
         match self.motion {
             Motion::Passing => self.sent = input.wanted,
@@ -235,8 +239,14 @@ impl Gate {
         if input.alarm && (passing || !self.reported[1]) {
             return Some(TripCause::StepGenerator);
         }
+        if input.overpressure && (passing || !self.reported[2]) {
+            return Some(TripCause::Pressure);
+        }
         if !passing {
             return None;
+        }
+        if input.hot {
+            return Some(TripCause::Temperature);
         }
         // NaN is late
         if !(input.dt_s <= self.limits.late_s) {

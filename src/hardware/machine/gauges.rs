@@ -1,0 +1,151 @@
+//! Pressure sensors and the temperature of the tip: limits that do not depend on the counted position.
+
+use crate::hardware::machine::error::HardwareError;
+#[cfg(feature = "hw")]
+use crate::hardware::machine::sensor::open_bus;
+use crate::hardware::pressure::{CONVERSION_MS, PressureError, PressureSection, PressureSensor};
+use crate::hardware::rt::monotonic_ns;
+use crate::supervisor::machine::{Alarm, Gauges};
+use embedded_hal::i2c::I2c;
+use std::sync::mpsc::{Sender, channel};
+use std::time::Duration;
+
+/// Age at which a pressure counts as unknown, ns.
+const STALE_NS: u64 = 100_000_000;
+/// Time constant that smooths the temperature, s: one misread byte does not trip.
+const SMOOTH_S: f64 = 1.0;
+/// Time between two readings of all pressures, besides the conversion.
+const PAUSE: Duration = Duration::from_millis(4);
+/// Longest time for the first reading.
+const SETUP_MAX: Duration = Duration::from_secs(2);
+
+/// Sensors and limits.
+#[derive(Debug, Clone)]
+pub struct GaugeConfig {
+    /// Pressure sensors, if there are any.
+    pub pressure: Option<PressureSection>,
+    /// Largest gauge pressure of either sign, kPa.
+    pub pressure_max_kpa: f64,
+    /// What the die of the tip's IMU reads too high, °C.
+    pub temp_offset_c: f64,
+    /// Temperature of the tip that is reported, °C.
+    pub tip_warm_c: f64,
+    /// Temperature of the tip that trips, °C.
+    pub tip_max_c: f64,
+}
+
+/// Pressures of all lines, kPa, and the time of the reading.
+type Pressures = ([f64; 3], u64);
+
+/// The loop's side of all gauges.
+pub(super) struct GaugeWatch {
+    config: GaugeConfig,
+    pressures: Option<(rtrb::Consumer<Pressures>, Pressures)>,
+    tip_c: Option<(f64, u64)>,
+}
+
+impl GaugeWatch {
+    /// Opens the pressure sensors and starts their thread.
+    ///
+    /// # Errors
+    /// [`HardwareError`]: no bus, no permission, or a sensor that does not answer.
+    pub(super) fn start(config: &GaugeConfig) -> Result<Self, HardwareError> {
+        let pressures = config.pressure.as_ref().map(start_pressures).transpose()?;
+        Ok(Self { config: config.clone(), pressures, tip_c: None })
+    }
+
+    /// Takes what has arrived; `die_c` is a new temperature of the IMU.
+    pub(super) fn turn(&mut self, now_ns: u64, die_c: Option<f64>) -> (Gauges, Option<Alarm>) {
+        let pressure_kpa = self.pressures.as_mut().map(|(ring, last)| {
+            while let Ok(newer) = ring.pop() {
+                *last = newer;
+            }
+            if now_ns.saturating_sub(last.1) > STALE_NS { [f64::NAN; 3] } else { last.0 }
+        });
+        if let Some(die_c) = die_c {
+            let new_c = die_c - self.config.temp_offset_c;
+            let smooth_c = self.tip_c.map_or(new_c, |(old_c, then_ns)| {
+                let keep = (-(now_ns.saturating_sub(then_ns) as f64) * 1e-9 / SMOOTH_S).exp();
+                new_c + (old_c - new_c) * keep
+            });
+            self.tip_c = Some((smooth_c, now_ns));
+        }
+        let tip_c = self.tip_c.map(|(c, _)| c);
+        let gauges = Gauges { pressure_kpa, tip_c, tip_warm: tip_c.is_some_and(|c| c >= self.config.tip_warm_c) };
+        (gauges, self.alarm(&gauges))
+    }
+
+    /// The limit that is exceeded. A pressure that is unknown exceeds it.
+    fn alarm(&self, gauges: &Gauges) -> Option<Alarm> {
+        let limit_kpa = self.config.pressure_max_kpa;
+        let over = gauges.pressure_kpa.and_then(|all| all.into_iter().find(|kpa| kpa.is_nan() || kpa.abs() > limit_kpa));
+        let hot = gauges.tip_c.filter(|c| *c > self.config.tip_max_c);
+        over.map(|kpa| Alarm::Pressure { kpa }).or(hot.map(|temp_c| Alarm::Hot { temp_c }))
+    }
+}
+
+/// Reads all pressures once.
+fn read_all<I: I2c>(sensors: &mut [PressureSensor<I>; 3]) -> Result<[f64; 3], PressureError> {
+    for sensor in sensors.iter_mut() {
+        sensor.start()?;
+    }
+    std::thread::sleep(Duration::from_millis(CONVERSION_MS));
+    let mut kpa = [0.0; 3];
+    for (kpa, sensor) in kpa.iter_mut().zip(sensors) {
+        *kpa = sensor.fetch()?;
+    }
+    Ok(kpa)
+}
+
+/// The thread: reports the first result, then reads until the ring is dropped. A failed reading is left out, and its age
+/// tells.
+fn run<I: I2c>(
+    mut sensors: [PressureSensor<I>; 3],
+    mut output: rtrb::Producer<Pressures>,
+    first: &Sender<Result<Pressures, PressureError>>,
+) {
+    let result = read_all(&mut sensors).map(|kpa| (kpa, monotonic_ns()));
+    if first.send(result).is_err() || result.is_err() {
+        return;
+    }
+    while !output.is_abandoned() {
+        std::thread::sleep(PAUSE);
+        if let Ok(kpa) = read_all(&mut sensors) {
+            // a full ring means that the loop is stuck
+            let _ = output.push((kpa, monotonic_ns()));
+        }
+    }
+}
+
+#[cfg(feature = "hw")]
+fn start_pressures(config: &PressureSection) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
+    // if the bus refuses a limit, the age of the readings is one
+    let _ = crate::hardware::imu::linux::bound_transfers(&open_bus(&config.bus)?);
+    let path = || config.bus.clone();
+    let open = |channel| {
+        let bus = linux_embedded_hal::I2cdev::new(&config.bus).map_err(|e| HardwareError::Bus { path: path(), why: e.to_string() })?;
+        Ok(PressureSensor::new(bus, config, channel))
+    };
+    let sensors: [Result<_, HardwareError>; 3] = [open(0), open(1), open(2)];
+    let [first, second, third] = sensors;
+    watch([first?, second?, third?], &config.bus)
+}
+
+#[cfg(not(feature = "hw"))]
+fn start_pressures(_: &PressureSection) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
+    Err(HardwareError::NotBuilt)
+}
+
+/// Starts the thread and waits for its first reading.
+fn watch<I: I2c + Send + 'static>(
+    sensors: [PressureSensor<I>; 3],
+    bus: &str,
+) -> Result<(rtrb::Consumer<Pressures>, Pressures), HardwareError> {
+    let (output, ring) = rtrb::RingBuffer::new(16);
+    let (sender, first) = channel();
+    std::thread::Builder::new().name("pressure".into()).spawn(move || run(sensors, output, &sender))?;
+    let path = || bus.to_owned();
+    let hangs = |_| HardwareError::BusHangs { path: path(), limit_s: SETUP_MAX.as_secs_f64() };
+    let last = first.recv_timeout(SETUP_MAX).map_err(hangs)?;
+    Ok((ring, last.map_err(|e| HardwareError::Bus { path: path(), why: e.to_string() })?))
+}
