@@ -217,12 +217,26 @@ fn a_board_whose_motor_can_exceed_the_pressure_limit_is_reported() {
     // 124.5 N·mm hold 41.3 kPa and 126 N·mm stall at 41.8 kPa
     let (code, said) = checked("[power]\nholding_torque_n_mm = 126.0\n[safety]\npressure_max_kpa = 42.0\n");
     assert!(code == 0 && said.contains("bounded by the motor, which makes 41.8 kPa"), "{said}");
+    let (code, said) = checked("[pressure]\n");
+    assert!(code == 0 && said.contains("pressure sensors, which trip the gate at 41.3 kPa"), "{said}");
     let sim = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(["board", "check", "sim"]).status().unwrap();
     assert!(sim.success(), "a simulated machine makes no pressure");
 
     let doctor = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(["doctor", "--board"]).arg(repo("boards/pi4.toml")).output().unwrap();
     let said = String::from_utf8_lossy(&doctor.stdout);
     assert!(said.contains("WARN  pressure") && said.contains("safety.relief_valve_kpa"), "{said}");
+}
+
+#[test]
+fn pressure_sensors_need_addresses_of_their_own_and_a_sufficient_range() {
+    for (text, words) in [
+        ("addresses = [24, 40, 24]", "pressure.addresses[3]: 0x18 on /dev/i2c-1 is already pressure.addresses[1]"),
+        ("addresses = [24, 40, 104]", "pressure.addresses[3]: 0x68 on /dev/i2c-1 is already imu.chip.address"),
+        ("high_kpa = 40.0", "pressure.high_kpa: -100 to 40 kPa does not contain ±safety.pressure_max_kpa = ±41.3 kPa"),
+    ] {
+        let error = source::parse::<Board>("b.toml", &format!("base = \"pi4\"\n[pressure]\n{text}\n")).unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+    }
 }
 
 #[test]

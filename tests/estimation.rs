@@ -48,8 +48,7 @@ impl Session {
         let steps = self.plant.step(&frame.steps);
         let sample = self.plant.sample();
         let base_imu = self.with_base_imu.then(|| self.plant.base_sample());
-        self.input =
-            Input { t: sample.t, dt_s: DT_S, imu: ImuReading::from_world(Some(sample)), base_imu, steps, ..Input::default() };
+        self.input = Input { t: sample.t, dt_s: DT_S, imu: ImuReading::from_world(Some(sample)), base_imu, steps, ..Input::default() };
         frame
     }
     fn command(&mut self, bend_deg: f64, dir_deg: f64) {

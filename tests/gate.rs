@@ -40,6 +40,8 @@ fn request(wanted: [i32; 3]) -> GateInput {
         disagree: false,
         emergency_stop: false,
         alarm: false,
+        overpressure: false,
+        hot: false,
     }
 }
 
@@ -360,12 +362,29 @@ fn an_alarm_of_the_step_generator_trips_at_any_time() {
     }
 }
 
+/// The sensors count whether the tip is armed or not.
+#[test]
+fn measured_pressure_and_temperature_trip_at_any_time() {
+    let (pressed, hot) = (GateInput { overpressure: true, ..request([0; 3]) }, GateInput { hot: true, ..request([0; 3]) });
+    for armed in [true, false] {
+        assert_eq!(trips(&mut at(0), &GateInput { armed, ..pressed }), Some(TripCause::Pressure));
+        assert_eq!(trips(&mut at(0), &GateInput { armed, ..hot }), Some(TripCause::Temperature));
+    }
+    // pressure ends a hold with a return to rest, and heat does not end a return
+    let mut gate = at(60);
+    gate.stand();
+    assert_eq!(trips(&mut gate, &GateInput { overpressure: true, ..request([60; 3]) }), Some(TripCause::Pressure));
+    let arrived = (0..2000).any(|_| gate.pass(&GateInput { overpressure: true, hot: true, ..request([60; 3]) }).rested);
+    assert!(arrived, "the return ends at rest");
+}
+
 /// A lasting cause is reported once, whatever is latched; a new occurrence is reported again.
 #[test]
 fn a_second_cause_is_reported_once_per_occurrence() {
     for (second, cause) in [
         (GateInput { alarm: true, ..request([50; 3]) }, TripCause::StepGenerator),
         (GateInput { emergency_stop: true, ..request([50; 3]) }, TripCause::EmergencyStop),
+        (GateInput { overpressure: true, ..request([50; 3]) }, TripCause::Pressure),
     ] {
         let mut gate = at(50);
         gate.pass(&GateInput { stale_s: 1.0, ..request([50; 3]) });
@@ -659,7 +678,7 @@ fn braking_does_not_leave_the_travel() {
 fn every_cause_leads_to_its_configured_safe_state() {
     let pressure = GateInput { estimated_bellow_mm: Some([-40.0, 0.0, 0.0]), ..request([31, 30, 30]) };
     type Case = (TripCause, GateInput, fn(&mut SafeStates, SafeState));
-    let cases: [Case; 10] = [
+    let cases: [Case; 12] = [
         (TripCause::EmergencyStop, GateInput { emergency_stop: true, ..request([30; 3]) }, |on, s| on.emergency_stop = s),
         (TripCause::StepGenerator, GateInput { alarm: true, ..request([30; 3]) }, |on, s| on.step_generator = s),
         (TripCause::Late, GateInput { dt_s: 0.2, ..request([30; 3]) }, |on, s| on.late = s),
@@ -667,6 +686,8 @@ fn every_cause_leads_to_its_configured_safe_state() {
         (TripCause::Travel, request([3000; 3]), |on, s| on.travel = s),
         (TripCause::Acceleration, request([44; 3]), |on, s| on.acceleration = s),
         (TripCause::Pressure, pressure, |on, s| on.pressure = s),
+        (TripCause::Pressure, GateInput { overpressure: true, ..request([30; 3]) }, |on, s| on.pressure = s),
+        (TripCause::Temperature, GateInput { hot: true, ..request([30; 3]) }, |on, s| on.temperature = s),
         (TripCause::Stale, GateInput { stale_s: 9.0, ..request([30; 3]) }, |on, s| on.stale = s),
         (TripCause::Disagreement, GateInput { disagree: true, ..request([30; 3]) }, |on, s| on.disagreement = s),
         (
@@ -688,6 +709,7 @@ fn every_cause_leads_to_its_configured_safe_state() {
                 rate: other,
                 acceleration: other,
                 pressure: other,
+                temperature: other,
                 stale: other,
                 disagreement: other,
                 following: other,
@@ -720,6 +742,7 @@ fn every_cause_leads_to_its_configured_safe_state() {
 fn defaults_are_as_documented() {
     let on = SafeStates::default();
     let hold = [on.step_generator, on.late, on.unarmed, on.travel, on.rate, on.acceleration, on.stale, on.disagreement, on.following];
+    assert_eq!(on.temperature, SafeState::Hold);
     assert!(hold.iter().all(|s| *s == SafeState::Hold));
     assert_eq!((on.emergency_stop, on.pressure), (SafeState::Release, SafeState::Relax));
 }

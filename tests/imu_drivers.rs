@@ -8,13 +8,14 @@ mod fake_imu;
 use embedded_hal::i2c::{ErrorKind, NoAcknowledgeSource};
 use embedded_hal_mock::eh1::delay::NoopDelay;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
-use fake_imu::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, Motion, Noise};
+use fake_imu::{FakeBus, FakeIcm20948, FakeLis2mdl, FakeLsm6dso, FakePressure, Motion, Noise};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use retroflex::estimation::fusion::health::{HealthCause, ImuReading, KnownErrors, ReadFault, SensorMonitor};
 use retroflex::estimation::imu_calibration::{self, ImuCalibration, Pedigree};
 use retroflex::hardware::imu::icm20948::{self, Icm20948};
 use retroflex::hardware::imu::lsm6dso::{self, Lsm6dsoLis2mdl};
 use retroflex::hardware::imu::{Axes, Axis, ChipConfig, Imu, ImuError, Part, RawImu, STANDARD_GRAVITY_M_S2, open};
+use retroflex::hardware::pressure::{PressureError, PressureSection, PressureSensor};
 use retroflex::primitives::units::Seconds;
 
 const ICM: u8 = 0x68;
@@ -625,6 +626,48 @@ fn a_flawed_sensor_is_calibrated_through_the_driver() {
     let angle = mean.angle(&Vector3::new(20.0, 0.0, -45.0)).to_degrees();
     // 0.29° to 0.45° over 18 seeds of the noise
     assert!(angle < 0.6, "direction of the field restored, axes and all: {angle} deg off");
+}
+
+// --------------------------------------------------------------------------------- pressure
+
+#[test]
+fn pressure_sensors_put_the_data_sheets_bytes_on_the_wire() {
+    // 90 % of the counts are the upper end of the range, half of them its middle
+    let at = |counts: u32, status: u8| {
+        let [_, high, middle, low] = counts.to_be_bytes();
+        [Transaction::write(0x28, vec![0xAA, 0x00, 0x00]), Transaction::read(0x28, vec![status, high, middle, low])]
+    };
+    let script = [at(15_099_494, 0x40), at(8_388_608, 0x40), at(8_388_608, 0x60), at(8_388_608, 0x44), at(8_388_608, 0x00)].concat();
+    let mut sensor = PressureSensor::new(Mock::new(&script), &PressureSection::default(), 1);
+    let mut read = || {
+        sensor.start().unwrap();
+        sensor.fetch()
+    };
+    assert!((read().unwrap() - 100.0).abs() < 1e-9 && read().unwrap().abs() < 1e-4);
+    for status in [0x60, 0x44, 0x00] {
+        assert_eq!(read(), Err(PressureError::Status(0x28, status)), "busy, memory error, no power");
+    }
+    sensor.release().done();
+}
+
+#[test]
+fn pressure_sensors_measure_either_sign_and_tell_a_fault_from_a_missing_part() {
+    let bus = FakeBus::new();
+    bus.machine().attach(FakePressure::new(0x18).at(41.3));
+    bus.machine().attach(FakePressure::new(0x28).at(-38.5).with_fault(0x00));
+    bus.machine().attach(FakePressure::new(0x38).with_fault(0x04));
+    let read = |channel| {
+        let mut sensor = PressureSensor::new(bus.clone(), &PressureSection::default(), channel);
+        sensor.start()?;
+        let early = sensor.fetch();
+        assert!(matches!(early, Err(PressureError::Status(..))), "a conversion takes 5 ms: {early:?}");
+        bus.machine().advance(0.006);
+        sensor.fetch()
+    };
+    assert!((read(0).unwrap() - 41.3).abs() < 1e-4 && (read(1).unwrap() + 38.5).abs() < 1e-4);
+    assert_eq!(read(2), Err(PressureError::Status(0x38, 0x44)));
+    bus.machine().nack(0x18, 1);
+    assert_eq!(read(0), Err(PressureError::Bus(0x18)));
 }
 
 // ----------------------------------------------------------------------------------- oracle

@@ -133,7 +133,7 @@ fn pressure_sensors(board: &Board, to: &mut Checker) {
     let imus = [("imu", &board.imu), ("base_imu", &board.base_imu)];
     for (i, address) in p.addresses.iter().enumerate() {
         let imu = imus.iter().find(|(_, imu)| imu.as_ref().is_some_and(|imu| imu.bus == p.bus && imu.chip.address() == *address));
-        let twin = p.addresses[..i].iter().position(|a| a == address).map(|k| format!("pressure.addresses[{}]", k + 1));
+        let twin = p.addresses[..i].iter().position(|a| a == address).map(|k| shown(&format!("pressure.addresses.{k}")));
         let other = twin.or(imu.map(|(table, _)| format!("{table}.chip.address")));
         let problem = other.map(|o| format!("{address:#04x} on {} is already {o}", p.bus));
         to.holds(

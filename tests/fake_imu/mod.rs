@@ -14,11 +14,13 @@ mod ak09916;
 mod icm20948;
 mod lis2mdl;
 mod lsm6dso;
+mod pressure;
 
 pub use ak09916::FakeAk09916;
 pub use icm20948::FakeIcm20948;
 pub use lis2mdl::FakeLis2mdl;
 pub use lsm6dso::FakeLsm6dso;
+pub use pressure::FakePressure;
 
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};

@@ -149,3 +149,89 @@ fn watch<I: I2c + Send + 'static>(
     let last = first.recv_timeout(SETUP_MAX).map_err(hangs)?;
     Ok((ring, last.map_err(|e| HardwareError::Bus { path: path(), why: e.to_string() })?))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hardware::imu::fake::{FakeBus, FakePressure};
+    use embedded_hal::i2c::{ErrorType, Operation};
+
+    const CONFIG: GaugeConfig =
+        GaugeConfig { pressure: None, pressure_max_kpa: 41.3, temp_offset_c: 2.0, tip_warm_c: 39.0, tip_max_c: 41.0 };
+
+    /// The fake's time passes with every transfer.
+    struct Passing(FakeBus);
+
+    impl ErrorType for Passing {
+        type Error = <FakeBus as ErrorType>::Error;
+    }
+
+    impl I2c for Passing {
+        fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), Self::Error> {
+            self.0.machine().advance(0.006);
+            self.0.transaction(address, operations)
+        }
+    }
+
+    fn watched(kpa: [f64; 3]) -> (FakeBus, Result<GaugeWatch, HardwareError>) {
+        let (bus, section) = (FakeBus::new(), PressureSection::default());
+        for (address, kpa) in section.addresses.into_iter().zip(kpa) {
+            bus.machine().attach(FakePressure::new(address).at(kpa));
+        }
+        let sensors = [0, 1, 2].map(|channel| PressureSensor::new(Passing(bus.clone()), &section, channel));
+        let watch = watch(sensors, "/dev/i2c-1");
+        (bus, watch.map(|pressures| GaugeWatch { config: CONFIG, pressures: Some(pressures), tip_c: None }))
+    }
+
+    #[test]
+    fn a_measured_pressure_above_the_limit_is_an_alarm() {
+        let (_bus, watch) = watched([10.0, -30.0, 41.0]);
+        let (gauges, alarm) = watch.unwrap().turn(monotonic_ns(), None);
+        let measured = gauges.pressure_kpa.unwrap();
+        assert!([10.0, -30.0, 41.0].iter().zip(measured).all(|(a, b)| (a - b).abs() < 1e-3), "{measured:?}");
+        assert_eq!(alarm, None);
+        for kpa in [[0.0, 42.0, 0.0], [0.0, 0.0, -42.0]] {
+            let (_bus, watch) = watched(kpa);
+            let alarm = watch.unwrap().turn(monotonic_ns(), None).1;
+            assert!(matches!(alarm, Some(Alarm::Pressure { kpa }) if kpa.abs() > 41.9), "{alarm:?}");
+        }
+    }
+
+    #[test]
+    fn a_sensor_that_falls_silent_is_an_alarm_and_one_that_is_missing_is_an_error() {
+        let (bus, watch) = watched([0.0; 3]);
+        let mut watch = watch.unwrap();
+        bus.machine().stuck = true;
+        std::thread::sleep(Duration::from_millis(50));
+        let (gauges, alarm) = watch.turn(monotonic_ns() + STALE_NS, None);
+        assert!(gauges.pressure_kpa.unwrap().iter().all(|kpa| kpa.is_nan()));
+        assert!(alarm.is_some_and(|a| a.to_string().contains("does not answer")));
+        bus.machine().stuck = false;
+        std::thread::sleep(Duration::from_millis(200));
+        assert_eq!(watch.turn(monotonic_ns(), None).1, None, "it answers again");
+
+        let section = PressureSection::default();
+        let nobody = [0, 1, 2].map(|channel| PressureSensor::new(FakeBus::new(), &section, channel));
+        let error = super::watch(nobody, "/dev/i2c-1").map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains("0x18 does not answer"), "{error}");
+    }
+
+    #[test]
+    fn a_hot_tip_is_an_alarm_and_a_misread_byte_is_not() {
+        let mut watch = GaugeWatch { config: CONFIG, pressures: None, tip_c: None };
+        let mut t_ns = 0;
+        let mut at = |die_c: f64, seconds: u32| {
+            (0..500 * seconds).fold((Gauges::default(), None), |_, _| {
+                t_ns += 2_000_000;
+                watch.turn(t_ns, Some(die_c))
+            })
+        };
+        assert_eq!(at(40.0, 1), (Gauges { pressure_kpa: None, tip_c: Some(38.0), tip_warm: false }, None));
+        let (gauges, alarm) = at(42.0, 10);
+        assert!(gauges.tip_warm && alarm.is_none(), "40 °C is warm: {gauges:?}");
+        assert!(matches!(at(43.5, 10).1, Some(Alarm::Hot { temp_c }) if temp_c > 41.0));
+        assert_eq!(at(40.0, 10).1, None);
+        drop(at);
+        assert_eq!(watch.turn(t_ns + 2_000_000, Some(300.0)).1, None, "one reading of many");
+    }
+}

@@ -10,12 +10,14 @@
 
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "NaN is outside every limit")]
 
+mod following;
 mod history;
 mod limits;
 
 pub use limits::{GateLimits, SafeState, SafeStates, TripCause};
 
 use crate::primitives::units::Steps;
+use following::FollowingError;
 use history::History;
 
 /// Input of the gate at one tick.
@@ -82,16 +84,6 @@ enum Motion {
     Returning,
     /// The drivers are released.
     Released,
-}
-
-/// How well the tip follows its set-point.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct FollowingError {
-    setpoint: Option<[f64; 2]>,
-    /// Largest recent speed of the set-point, decaying, rad/s.
-    recent_rad_s: f64,
-    /// How long the error has been larger than the set-point speed explains, s.
-    exceeded_s: f64,
 }
 
 /// The safety gate.
@@ -334,24 +326,4 @@ impl Gate {
         self.speed_mm_s = [0.0; 3];
         self.following = FollowingError::default();
     }
-}
-
-impl FollowingError {
-    fn step(&mut self, limits: &GateLimits, input: &GateInput) {
-        let Some(Following { setpoint, estimate }) = input.following else {
-            *self = Self::default();
-            return;
-        };
-        let from = self.setpoint.replace(setpoint).unwrap_or(setpoint);
-        let speed = distance(&setpoint, &from) / input.dt_s;
-        self.recent_rad_s = speed.max(self.recent_rad_s * (-input.dt_s / limits.following_s).exp());
-        let allowed = limits.following_rad + limits.following_s * self.recent_rad_s;
-        // NaN does not follow
-        let follows = distance(&setpoint, &estimate) <= allowed;
-        self.exceeded_s = if follows { 0.0 } else { self.exceeded_s + input.dt_s };
-    }
-}
-
-fn distance(a: &[f64; 2], b: &[f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }

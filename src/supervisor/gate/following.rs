@@ -1,0 +1,34 @@
+//! The distance between set-point and estimate, and how long it has been too large.
+
+use super::{Following, GateInput, GateLimits};
+
+/// How well the tip follows its set-point.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct FollowingError {
+    setpoint: Option<[f64; 2]>,
+    /// Largest recent speed of the set-point, decaying, rad/s.
+    recent_rad_s: f64,
+    /// How long the error has been larger than the set-point speed explains, s.
+    pub(super) exceeded_s: f64,
+}
+
+impl FollowingError {
+    /// One tick.
+    pub(super) fn step(&mut self, limits: &GateLimits, input: &GateInput) {
+        let Some(Following { setpoint, estimate }) = input.following else {
+            *self = Self::default();
+            return;
+        };
+        let from = self.setpoint.replace(setpoint).unwrap_or(setpoint);
+        let speed = distance(&setpoint, &from) / input.dt_s;
+        self.recent_rad_s = speed.max(self.recent_rad_s * (-input.dt_s / limits.following_s).exp());
+        let allowed = limits.following_rad + limits.following_s * self.recent_rad_s;
+        // NaN does not follow
+        let follows = distance(&setpoint, &estimate) <= allowed;
+        self.exceeded_s = if follows { 0.0 } else { self.exceeded_s + input.dt_s };
+    }
+}
+
+fn distance(a: &[f64; 2], b: &[f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
