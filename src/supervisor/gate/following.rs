@@ -1,6 +1,15 @@
 //! The distance between set-point and estimate, and how long it has been too large.
 
-use super::{Following, GateInput, GateLimits};
+use super::limits::GateLimits;
+
+/// Set-point and estimated bend vector, rad.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Following {
+    /// Set-point.
+    pub setpoint: [f64; 2],
+    /// Estimated bend.
+    pub estimate: [f64; 2],
+}
 
 /// How well the tip follows its set-point.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -13,19 +22,19 @@ pub(super) struct FollowingError {
 }
 
 impl FollowingError {
-    /// One tick.
-    pub(super) fn step(&mut self, limits: &GateLimits, input: &GateInput) {
-        let Some(Following { setpoint, estimate }) = input.following else {
+    /// One tick of `dt_s`.
+    pub(super) fn step(&mut self, limits: &GateLimits, following: Option<Following>, dt_s: f64) {
+        let Some(Following { setpoint, estimate }) = following else {
             *self = Self::default();
             return;
         };
         let from = self.setpoint.replace(setpoint).unwrap_or(setpoint);
-        let speed = distance(&setpoint, &from) / input.dt_s;
-        self.recent_rad_s = speed.max(self.recent_rad_s * (-input.dt_s / limits.following_s).exp());
+        let speed = distance(&setpoint, &from) / dt_s;
+        self.recent_rad_s = speed.max(self.recent_rad_s * (-dt_s / limits.following_s).exp());
         let allowed = limits.following_rad + limits.following_s * self.recent_rad_s;
         // NaN does not follow
         let follows = distance(&setpoint, &estimate) <= allowed;
-        self.exceeded_s = if follows { 0.0 } else { self.exceeded_s + input.dt_s };
+        self.exceeded_s = if follows { 0.0 } else { self.exceeded_s + dt_s };
     }
 }
 

@@ -14,6 +14,7 @@ mod following;
 mod history;
 mod limits;
 
+pub use following::Following;
 pub use limits::{GateLimits, SafeState, SafeStates, TripCause};
 
 use crate::primitives::units::Steps;
@@ -47,15 +48,6 @@ pub struct GateInput {
     pub overpressure: bool,
     /// The tip is too hot.
     pub hot: bool,
-}
-
-/// Set-point and estimated bend vector, rad.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Following {
-    /// Set-point.
-    pub setpoint: [f64; 2],
-    /// Estimated bend.
-    pub estimate: [f64; 2],
 }
 
 /// Output of the gate at one tick.
@@ -184,7 +176,7 @@ impl Gate {
 
     /// One tick.
     pub fn pass(&mut self, input: &GateInput) -> GateOutput {
-        self.following.step(&self.limits, input);
+        self.following.step(&self.limits, input.following, input.dt_s);
         if self.motion == Motion::Passing && !input.armed {
             // the counts of pistons at rest may be declared anew
             self.history = History::resting(&input.counted, self.limits.step_mm, self.limits.tick_s);
