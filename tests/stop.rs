@@ -122,14 +122,11 @@ fn a_refused_arm_keeps_the_latch() {
 fn relax_does_not_end_lost_and_only_a_confirmed_or_asserted_zero_does() {
     let config = config();
     // a tip that was bent when its memory was lost
-    let mut before = in_motion(&config);
-    before.run(3.0).unwrap();
-    let remembered = before.runner.supervisor.keep();
-    let now_s = before.now_s;
     let start = |rest: bool| {
-        let machine = before.runner.machine.clone();
-        let restart = rest.then_some(remembered);
-        let mut bench = config.bench_on(machine, restart, now_s);
+        let mut before = in_motion(&config);
+        before.run(3.0).unwrap();
+        let remembered = before.runner.supervisor.keep();
+        let mut bench = config.bench_on(before.runner.machine, rest.then_some(remembered), before.now_s);
         bench.runner.supervisor.doubt();
         assert!(bench.until(10.0, |t| t.mode == Mode::Lost).unwrap());
         bench

@@ -33,7 +33,7 @@ pub enum MoveStatus {
     Braking(Option<PlanError>),
 }
 
-/// Jerk-limited, time-synchronised motion of the three pistons.
+/// Jerk-limited motion of the three pistons.
 #[derive(Debug, Clone)]
 pub struct Motion<S = Ruckig> {
     limits: MotionLimits,

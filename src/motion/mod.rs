@@ -4,8 +4,8 @@
 //!
 //! 1. The [`drive::Drive`] calls [`Motion::tick`] once per control tick with three target positions.
 //! 2. When a target has changed, [`solver::Ruckig`] plans from the present position, velocity and
-//!    acceleration to rest at the new target. The plan is jerk-limited and time-optimal for the
-//!    slowest channel; the other two are stretched so that all three arrive together.
+//!    acceleration to rest at the new target. The plan is jerk-limited, and time-optimal for each
+//!    channel on its own.
 //! 3. [`plan::Plan::verify`] checks every phase of the plan. If a plan fails, the previous one is
 //!    followed for a few more ticks; after that, the pistons brake.
 //! 4. The tick's share of the plan is cut out as a [`Segment`]: constant-jerk pieces for each channel

@@ -30,9 +30,6 @@ pub enum PlanFault {
     /// There is no time-optimal profile.
     #[error("no profile to the target was found")]
     NoProfile,
-    /// There is no profile of the common duration.
-    #[error("no profile arrives together with the other channels")]
-    NoSynchronisation,
     /// The profile exceeds a limit, leaves travel, is discontinuous or misses the target.
     #[error("the profile exceeds a limit or misses the target")]
     Invalid,

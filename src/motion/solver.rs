@@ -1,12 +1,13 @@
-//! The solver: a plan from the present state to rest at the target, with all channels synchronised.
+//! The solver: a plan from the present state to rest at the target, each channel as fast as the limits allow.
 //!
 //! The mathematics is that of Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory
 //! Generation with Arbitrary Target States", RSS 2021) as ported in `rsruckig`:
 //!
 //! * brake: up to two phases that bring a state just outside the limits back in;
-//! * step 1, per channel: the time-optimal seven-phase profile to (p_f, 0, 0), and so its least time;
-//! * synchronisation: T is the largest of the least times, moved past any blocked interval;
-//! * step 2, per channel: the profile that takes exactly T.
+//! * step 1: the time-optimal seven-phase profile to (p_f, 0, 0).
+//!
+//! The channels are not synchronised. A piston that crosses its backlash would hold the other two back, which then leave
+//! the bend that the set-point asks for.
 //!
 //! `rsruckig::calculate` does the same and allocates nothing when it succeeds, but formats a long error
 //! string when it fails, whatever the error handler. The control path must not allocate in either
@@ -22,7 +23,6 @@ use crate::motion::plan::{ChannelPlan, Plan, PlanError, PlanFault};
 use crate::motion::state::MotionState;
 use rsruckig::block::Block;
 use rsruckig::position_third_step1::PositionThirdOrderStep1;
-use rsruckig::position_third_step2::PositionThirdOrderStep2;
 use rsruckig::profile::Profile;
 
 /// Finds a plan from given states to rest at given positions.
@@ -46,29 +46,18 @@ struct Scratch {
     speed_max: f64,
     jerk_max: f64,
     step1: PositionThirdOrderStep1,
-    blocks: [Block; 3],
-    profiles: [Profile; 3],
+    block: Block,
+    profile: Profile,
 }
 
 impl Solver for Ruckig {
     fn solve(&mut self, limits: &MotionLimits, from: &[MotionState; 3], target_mm: &[f64; 3], out: &mut Plan) -> Result<(), PlanError> {
         let scratch = &mut *self.scratch;
         scratch.choose_unit(limits);
-        // A channel at rest on its target needs no profile.
-        let moves: [bool; 3] = std::array::from_fn(|i| !(from[i].is_rest() && from[i].position_mm == target_mm[i]));
-        let mut common = 0.0_f64;
-        for channel in (0..3).filter(|&c| moves[c]) {
-            common = common.max(scratch.fastest(&from[channel], target_mm[channel], channel)?);
-        }
-        common = scratch.unblocked(common, moves);
-        for (channel, to) in target_mm.iter().enumerate() {
-            out.channels[channel] = if !moves[channel] {
-                ChannelPlan::resting(*to)
-            } else if common - scratch.blocks[channel].t_min < 1e-12 {
-                transcribe(&scratch.blocks[channel].p_min, scratch.unit_s, *to)
-            } else {
-                scratch.synchronised(*to, common, channel)?
-            };
+        for (channel, (from, &to)) in from.iter().zip(target_mm).enumerate() {
+            // A channel at rest on its target needs no profile.
+            let rests = from.is_rest() && from.position_mm == to;
+            out.channels[channel] = if rests { ChannelPlan::resting(to) } else { scratch.fastest(from, to, channel)? };
         }
         Ok(())
     }
@@ -83,53 +72,19 @@ impl Scratch {
         self.jerk_max = l.jerk_max_mm_s3 * unit_s * unit_s * unit_s;
     }
 
-    /// Brake and step 1: the least time of one channel, τ.
-    fn fastest(&mut self, from: &MotionState, target_mm: f64, channel: usize) -> Result<f64, PlanError> {
+    /// Brake and step 1: the time-optimal plan of one channel.
+    fn fastest(&mut self, from: &MotionState, target_mm: f64, channel: usize) -> Result<ChannelPlan, PlanError> {
         let (v, j) = (self.speed_max, self.jerk_max);
         let (v0, a0) = (from.velocity_mm_s * self.unit_s, from.acceleration_mm_s2 * self.unit_s * self.unit_s);
-        let p = &mut self.profiles[channel];
+        let p = &mut self.profile;
         p.brake.get_position_brake_trajectory(v0, a0, v, -v, 1.0, -1.0, j);
         p.set_boundary(from.position_mm, v0, a0, target_mm, 0.0, 0.0);
         p.brake.finalize(&mut p.p[0], &mut p.v[0], &mut p.a[0]);
         self.step1.reset(p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j);
-        let block = &mut self.blocks[channel];
-        if self.step1.get_profile(p, block) && block.t_min.is_finite() {
-            Ok(block.t_min)
+        if self.step1.get_profile(p, &mut self.block) && self.block.t_min.is_finite() {
+            Ok(transcribe(&self.block.p_min, self.unit_s, target_mm))
         } else {
             Err(PlanError { channel, reason: PlanFault::NoProfile })
-        }
-    }
-
-    /// The first duration from `t` (τ) on that lies in no moving channel's blocked interval.
-    fn unblocked(&self, mut t: f64, moves: [bool; 3]) -> f64 {
-        // Each channel has at most two intervals, so six passes are enough.
-        for _ in 0..6 {
-            let before = t;
-            for (block, _) in self.blocks.iter().zip(moves).filter(|(_, moves)| *moves) {
-                for interval in [&block.a, &block.b].into_iter().flatten() {
-                    if t > interval.left && t < interval.right {
-                        t = interval.right;
-                    }
-                }
-            }
-            if t == before {
-                break;
-            }
-        }
-        t
-    }
-
-    /// Step 2: one channel's profile of duration `common`, τ, from the boundary that
-    /// [`Scratch::fastest`] has set.
-    fn synchronised(&mut self, target_mm: f64, common: f64, channel: usize) -> Result<ChannelPlan, PlanError> {
-        let (v, j) = (self.speed_max, self.jerk_max);
-        let p = &mut self.profiles[channel];
-        let left = common - p.brake.duration;
-        let mut step2 = PositionThirdOrderStep2::new(left, p.p[0], p.v[0], p.a[0], target_mm, 0.0, 0.0, v, -v, 1.0, -1.0, j);
-        if step2.get_profile(p) {
-            Ok(transcribe(p, self.unit_s, target_mm))
-        } else {
-            Err(PlanError { channel, reason: PlanFault::NoSynchronisation })
         }
     }
 }
@@ -176,27 +131,18 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
         #[test]
-        fn a_valid_plan_exists_from_any_state_and_channels_arrive_together(
+        fn a_valid_plan_exists_from_any_state_and_no_channel_waits_for_another(
             from in prop::array::uniform3(state()), to in prop::array::uniform3(-10.0..10.0f64),
         ) {
             let mut plan = Plan::default();
             Ruckig::default().solve(&limits(), &from, &to, &mut plan).unwrap();
             prop_assert_eq!(plan.verify(&from, &limits()), Ok(()));
-            for c in &plan.channels {
-                prop_assert!((c.duration_s() - plan.duration_s()).abs() < 1e-8);
+            for i in 0..3 {
+                let mut alone = Plan::default();
+                let (start, goal) = ([from[i]; 3], [to[i]; 3]);
+                Ruckig::default().solve(&limits(), &start, &goal, &mut alone).unwrap();
+                prop_assert_eq!(alone.channels[i], plan.channels[i]);
             }
-        }
-
-        #[test]
-        fn a_channel_can_take_any_longer_time(from in state(), to in -10.0..10.0f64, extra_s in 1e-3..2.0f64) {
-            let l = limits();
-            let mut scratch = Scratch::default();
-            scratch.choose_unit(&l);
-            let least = scratch.fastest(&from, to, 0).unwrap();
-            let common = scratch.unblocked(least + extra_s / scratch.unit_s, [true, false, false]);
-            let plan = scratch.synchronised(to, common, 0).unwrap();
-            prop_assert!(plan.is_valid(&from, &l));
-            prop_assert!((plan.duration_s() - common * scratch.unit_s).abs() < 1e-8);
         }
 
         #[test]
