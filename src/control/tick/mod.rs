@@ -47,8 +47,10 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
         return frame(config, state, input, &observation, PistonOutput::resting(state));
     };
     let bend = estimate.bend;
+    state.setpoint.target_rests_s += input.dt_s;
     if let Some(command) = input.command {
         state.setpoint.target = Shape { bend: command.bend, length: command.length };
+        state.setpoint.target_rests_s = 0.0;
     }
     let holding = feedback::hold(config, state, &input.steps);
     let setpoint_cut = if holding { Cut::None } else { feedback::advance_setpoint(config, state, input.dt_s) };

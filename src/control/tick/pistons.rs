@@ -1,6 +1,6 @@
 //! The command path of the tick: bend command → bellow lengths → transmission inverse → limits → piston targets.
 
-use super::state::{Hold, LoopState};
+use super::state::{Hold, LoopState, SetPoint};
 use super::types::LoopConfig;
 use crate::control::backlash_adaptation::Patience;
 use crate::control::limits::Cut;
@@ -8,8 +8,10 @@ use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::model::transmission::{Wanted, realised};
 use crate::primitives::units::{Mm, Steps};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
+/// Longest time between two targets of a stream, s; a target that has lasted for longer is at rest.
+const STREAM_PERIOD_S: f64 = 0.1;
 /// Time constant with which the offset after a hold decays, s.
 const EASE_S: f64 = 0.15;
 /// Time for a piston to cross a backlash of 2 × 0.85 mm from rest with 600 mm/s² up to 30 mm/s, s.
@@ -47,7 +49,7 @@ pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &S
 pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, dt_s: f64) -> PistonOutput {
     let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.lag_s);
     let setpoint = &state.setpoint;
-    let bend = Bend(setpoint.bend.at + setpoint.bend.velocity * lead_s + state.feedback.pi.feedback);
+    let bend = Bend(setpoint.bend.at + ahead_of(setpoint, lead_s) + state.feedback.pi.feedback);
     let length = Mm(setpoint.length.at.x);
     let wanted_mm = config.geometry.lengths(&Shape { bend, length });
     let bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.transmission.lines));
@@ -61,6 +63,14 @@ pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend
     let (allowed_mm, cut) = config.limits.pistons(&piston_mm, &estimated_mm);
     state.targets_mm = if follows { ease(&mut state.hold, allowed_mm, dt_s) } else { allowed_mm };
     PistonOutput { command: bend, bellow_mm, piston_target_mm: state.targets_mm, cut }
+}
+
+/// What the feedforward adds to the set-point, rad. Beyond a target at rest it would have to come back, and a reversal
+/// crosses the backlash: there it ends at the target.
+fn ahead_of(setpoint: &SetPoint, lead_s: f64) -> Vector2<f64> {
+    let ahead = setpoint.bend.velocity * lead_s;
+    let (way, to_go) = (ahead.norm(), (setpoint.target.bend.0 - setpoint.bend.at).norm());
+    if setpoint.target_rests_s > STREAM_PERIOD_S && way > to_go { ahead * (to_go / way) } else { ahead }
 }
 
 /// Targets with the offset that remains of a hold, so that they leave it without a jump.

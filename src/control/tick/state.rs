@@ -49,13 +49,16 @@ pub(super) struct MotorActivity {
 #[derive(Debug, Clone)]
 pub(super) struct SetPoint {
     pub(super) target: Shape,
+    /// Time since the last target, s.
+    pub(super) target_rests_s: f64,
     pub(super) bend: Follower<2>,
     pub(super) length: Follower<1>,
 }
 
 impl SetPoint {
     fn resting(at: Shape) -> Self {
-        Self { target: at, bend: Follower::resting(at.bend.0), length: Follower::resting(Vector1::new(at.length.0)) }
+        let length = Follower::resting(Vector1::new(at.length.0));
+        Self { target: at, target_rests_s: f64::INFINITY, bend: Follower::resting(at.bend.0), length }
     }
 
     pub(super) fn has_arrived(&self) -> bool {
