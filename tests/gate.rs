@@ -509,6 +509,14 @@ fn counts_that_are_declared_anew_while_unarmed_are_not_a_motion() {
     for _ in 0..40 {
         assert_eq!(gate.pass(&GateInput { counted: Steps([4000; 3]), ..request([0; 3]) }).tripped, None);
     }
+    gate.reset(&Steps([4000; 3]));
+    let t = GateInput { counted: Steps([4000; 3]), armed: false, ..request([4000; 3]) };
+    assert_eq!(gate.pass(&t).tripped, None, "a reset declares the counts sent as well");
+    gate.reset(&Steps([4000; 3]));
+    for _ in 0..40 {
+        let t = GateInput { counted: Steps([4060; 3]), ..request([4000; 3]) };
+        assert_eq!(gate.pass(&t).tripped, None, "pistons that lag the counts sent at a reset have not jumped");
+    }
 }
 
 /// A machine that lags its request brakes from where it is, and not from where it was asked to be.
