@@ -278,3 +278,24 @@ fn help_is_grouped_by_task_and_shells_complete() {
         assert!(code == 0 && script.contains("evaluate"), "{shell}");
     }
 }
+
+#[test]
+fn the_sweep_names_its_conditions_and_writes_its_rows() {
+    let folder = TempDir::new().unwrap();
+    let [result, drawing] = ["r.json", "r.svg"].map(|n| folder.path().join(n));
+    let (code, stdout, stderr) =
+        retroflex(&["evaluate", "--sweep", "--only", "noise", "--json", result.to_str().unwrap(), "--svg", drawing.to_str().unwrap()]);
+    let rows = json(&result)["sweep"].as_array().unwrap().clone();
+    assert_eq!(rows.len(), 2, "{stderr}");
+    for row in &rows {
+        assert_eq!(row["condition"], "noise_factor");
+        let figures = ["value", "open_deg", "closed_deg", "p95_deg", "hunting_deg"];
+        assert!(figures.iter().all(|k| row[k].as_f64().is_some_and(|v| v >= 0.0)), "{row}");
+    }
+    let good = rows.iter().all(|r| r["ok"].as_bool().unwrap());
+    assert_eq!((code, stdout.contains("FAILS")), (i32::from(!good), !good), "{stdout}");
+    assert!(std::fs::read_to_string(&drawing).unwrap().starts_with("<svg"));
+    refused(&["evaluate", "--sweep", "--only", "gremlins"], &["gremlins", "dead_time_s"]);
+    refused(&["evaluate", "--sweep", "--plant", "exec:true"], &["--sweep", "--plant"]);
+    refused(&["evaluate", "--ablate", "--svg", "a.svg"], &["--ablate", "--svg"]);
+}

@@ -33,6 +33,7 @@ struct Hello {
 struct Answer {
     t: f64,
     imu: Option<Imu>,
+    base: Option<Imu>,
     #[serde(rename = "ref")]
     reference: Option<Reference>,
 }
@@ -213,13 +214,13 @@ fn reply(line: &str, t: f64) -> Result<Reply, MachineError> {
         None => None,
         Some(r) => Some(orientation(&r.quat).ok_or_else(|| malformed(line, "ref.quat is not a unit quaternion [w,x,y,z]"))?),
     };
-    let imu = a.imu.map(|i| ImuSample {
+    let sample = |i: Imu| ImuSample {
         t: Seconds(t),
         gyro_rad_s: Vector3::from(i.gyr),
         acc_m_s2: Vector3::from(i.acc),
         mag_ut: i.mag.map(Vector3::from),
-    });
-    Ok(Reply { t: Seconds(t), imu, truth })
+    };
+    Ok(Reply { t: Seconds(t), imu: a.imu.map(sample), base_imu: a.base.map(sample), truth })
 }
 
 fn orientation(q: &[f64; 4]) -> Option<Rotation<Base, Tip>> {
@@ -259,6 +260,8 @@ mod tests {
         let r = reply(good, 0.005).unwrap();
         assert!(r.imu.unwrap().mag_ut.is_none() && r.truth.is_some());
         assert!(reply(r#"{"t":0.005,"imu":null}"#, 0.005).unwrap().imu.is_none());
+        let based = good.replace(r#","ref""#, r#","base":{"acc":[0,0,9.8],"gyr":[0,0.1,0],"mag":null},"ref""#);
+        assert_eq!(reply(&based, 0.005).unwrap().base_imu.unwrap().gyro_rad_s.y, 0.1);
         for (bad, text) in [
             (good.replace("0.005", "0.010"), "answers for t = 0.01"),
             (good.replace("[1,0,0,0]", "[2,0,0,0]"), "unit quaternion"),

@@ -54,7 +54,7 @@ impl<W: World> Machine for Lockstep<W> {
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
         let late_ns = (now.0 * 1e9 - self.reached_ns as f64).max(0.0);
         let periods = ((late_ns / self.period_ns as f64).round() as u64).min(CATCH_UP_MAX);
-        let (mut imu, mut truth) = (ImuReading::Nothing, None);
+        let (mut imu, mut base_imu, mut truth) = (ImuReading::Nothing, None, None);
         for k in 1..=periods {
             // a late loop requests nothing new before the last period
             if k == periods {
@@ -68,9 +68,10 @@ impl<W: World> Machine for Lockstep<W> {
             if let Some(sample) = reply.imu {
                 imu = ImuReading::from_world(Some(sample));
             }
+            base_imu = reply.base_imu.or(base_imu);
             truth = reply.truth;
         }
-        Ok(Sensed { imu, truth, ..Sensed::of_drive(now, &self.drive) })
+        Ok(Sensed { imu, base_imu, truth, ..Sensed::of_drive(now, &self.drive) })
     }
 
     fn energise(&mut self, on: bool) {

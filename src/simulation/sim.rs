@@ -54,6 +54,6 @@ impl World for Sim {
     fn step(&mut self, steps: &Steps) -> Result<Reply, MachineError> {
         let out = self.plant.step(steps, self.info.period_s);
         self.last = Some(out);
-        Ok(Reply { t: out.t, imu: out.imu, truth: Some(out.truth.r_base_tip) })
+        Ok(Reply { t: out.t, imu: out.imu, base_imu: out.base_imu, truth: Some(out.truth.r_base_tip) })
     }
 }

@@ -16,6 +16,8 @@ pub struct Reply {
     pub t: Seconds,
     /// A sample, if the sensor had one.
     pub imu: Option<ImuSample>,
+    /// A sample of the IMU on the base, if there is one and it had one.
+    pub base_imu: Option<ImuSample>,
     /// True tip orientation relative to the start, for scoring.
     pub truth: Option<Rotation<Base, Tip>>,
 }
