@@ -1,5 +1,5 @@
-//! The program on an emulated Raspberry Pi, layer 1: real `rppal`, real device files, a closed plant
-//! behind them. Needs root and FUSE; skips with a printed reason where it cannot mount.
+//! The program on an emulated Raspberry Pi, layer 1: the real `rppal` on device files with a plant behind them. The tests
+//! need root and FUSE; where they cannot mount, they print the reason and skip.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "emulated_pi/closed.rs"]
@@ -56,13 +56,13 @@ fn pulses_through_the_device_file_are_counted_one_by_one() {
         assert!(world.chip.pulses > 20_000, "{}", world.chip.pulses);
         let told = out.split("steps in").next().unwrap().split_whitespace().last().unwrap();
         assert_eq!(told.parse::<u64>().unwrap(), world.chip.pulses);
-        // a bench leaves the drivers without current
+        // the bench never energises the drivers
         assert_eq!((world.chip.lost, world.chip.counted, world.chip.torn), (world.chip.pulses, [0; 3], 0));
     });
 }
 
-/// A board of the repository on a host that is shared: what is asked here is counts and order, so a stall of the host
-/// is given the largest bound that a board can have.
+/// A board of the repository on a shared host. These tests verify counts and order, so the bound of lateness is the largest
+/// that a board can have.
 fn on_a_shared_host(rig: &Rig, name: &str, late: &str, lead: &str, more: &[(&str, &str)]) -> String {
     variant(rig, name, &[&[(late, "late_max_us = 100000.0"), (lead, "lead_ms = 60.0")], more].concat())
 }
@@ -100,7 +100,7 @@ fn a_jog_is_counted_exactly_and_leaves_no_current() {
         assert_eq!(code, 0);
         assert!(out.contains("(-136 steps)") && out.contains("now at 0.000 mm (0 steps)"), "{out}");
         let chip = &rig.world().chip;
-        // 136 out, 136 back, and nothing on the others
+        // 136 out, 136 back, and none on the others
         assert_eq!((chip.pulses, chip.counted, chip.lost, chip.torn), (272, [0; 3], 0, 0));
         assert!(!chip.energised());
     });
@@ -244,8 +244,8 @@ fn a_machine_that_is_no_raspberry_pi_is_told_so() {
     });
 }
 
-/// The whole of it: boot, align, bend to within 1.0° of the truth, three kinds of trouble with the sensor,
-/// 100,000 pulses counted alike on both sides, and a tip that is straight and without current at the end.
+/// A complete session: boot, align, bend to within 1.0° of the truth, three faults of the sensor, 100,000 pulses counted
+/// equally on both sides, and a tip that is straight and without current at the end.
 #[test]
 #[ignore = "two minutes in real time, on a machine with nothing else to do: .ci/emulated-pi runs it"]
 fn the_service_closes_its_loop_through_the_device_files() {
@@ -261,7 +261,7 @@ fn the_service_closes_its_loop_through_the_device_files() {
             assert!(error <= 1.0, "{error}");
         }
 
-        // a burst of NACKs and a frozen sensor in motion: shorter than the gate's patience, survived alone
+        // a burst of NACKs and a frozen sensor in motion, shorter than the gate's limit: no trip
         for (how, bend, dir) in [(Spoil::Nack, 50.0, 0.0), (Spoil::Frozen, 30.0, 90.0)] {
             service.bend(bend, dir);
             service.spoil(how, 0.3);
@@ -270,22 +270,22 @@ fn the_service_closes_its_loop_through_the_device_files() {
             assert!(service.status()["latched"].is_null());
         }
 
-        // a bus that hangs for longer: held, latched, not one pulse more; then on, when it is asked to
+        // a bus that hangs for longer: the gate holds and latches, no pulse follows; motion continues after a reset
         service.bend(60.0, -60.0);
         service.spoil(Spoil::Hang, 1.2);
         let status = service.until("faulted", 2.0, |s| s["mode"] == "faulted");
         assert_eq!(status["latched"], "stale");
         let pulses = rig.world().chip.pulses;
         std::thread::sleep(std::time::Duration::from_millis(500));
-        assert!(rig.world().chip.pulses == pulses && rig.world().chip.energised(), "it does not hold");
-        service.until("feeling again", 10.0, |s| s["sensor"]["held"] == false);
+        assert!(rig.world().chip.pulses == pulses && rig.world().chip.energised(), "the drivers do not hold");
+        service.until("samples again", 10.0, |s| s["sensor"]["held"] == false);
         service.ask(&Request::ResetFault {});
         service.ask(&Request::Arm {});
         service.bend(60.0, -60.0);
         let error = service.settled_error_deg(60.0, -60.0);
         assert!(error <= 1.0, "after the hang: {error}");
 
-        // the long way
+        // many moves
         let mut dir = 0.0;
         while rig.world().chip.pulses < 100_000 {
             dir += 150.0;
@@ -295,7 +295,7 @@ fn the_service_closes_its_loop_through_the_device_files() {
         }
         service.bend(35.0, 30.0);
         let error = service.settled_error_deg(35.0, 30.0);
-        assert!(error <= 1.0, "after the long way: {error}");
+        assert!(error <= 1.0, "after many moves: {error}");
         println!("{} pulses, counts compared {} times, {} stalls", rig.world().chip.pulses, service.compared, service.stalls);
         assert!(service.compared >= 30);
 

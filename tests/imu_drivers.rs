@@ -1,5 +1,5 @@
-//! The IMU drivers, twice over: byte for byte against scripts written from the data sheets, and in
-//! motion against the register-level fakes. A published driver reads the same fake as an oracle.
+//! The drivers of IMU and pressure sensors: byte for byte against scripts written from the data sheets, and in motion
+//! against register-level fakes. A published driver reads the same fake for comparison.
 
 #![allow(clippy::unwrap_used)]
 
@@ -32,7 +32,7 @@ fn get(address: u8, register: u8, values: &[u8]) -> Transaction {
     Transaction::write_read(address, vec![register], values.to_vec())
 }
 
-/// One byte through the internal bus: slave 4 set up, done bit seen, data fetched.
+/// One byte through the internal bus: set up slave 4, read the done bit, fetch the byte.
 fn aux(slave: u8, register: u8, out: u8, data_in: u8) -> Vec<Transaction> {
     vec![
         get(ICM, 0x17, &[0x00]),
@@ -49,7 +49,7 @@ fn aux(slave: u8, register: u8, out: u8, data_in: u8) -> Vec<Transaction> {
     ]
 }
 
-/// What the default configuration must put on the wire, from DS-000189.
+/// The transfers of the default configuration, from DS-000189.
 fn icm_init_script() -> Vec<Transaction> {
     let mut script = vec![
         put(ICM, 0x7F, 0x00),
@@ -131,14 +131,14 @@ fn icm_reads_nine_axes_in_one_burst() {
     let s = unused.scale().sample(&r[0], Seconds(3.0));
     assert!((s.acc_m_s2.z - STANDARD_GRAVITY_M_S2).abs() < 1e-9, "8192 counts at 4 g");
     assert!((s.gyro_rad_s.x.to_degrees() - 100.0 / 65.5).abs() < 1e-12);
-    assert!((s.mag_ut.unwrap() - Vector3::new(1.5, -3.0, 4.5)).norm() < 1e-12, "y and z turned round");
+    assert!((s.mag_ut.unwrap() - Vector3::new(1.5, -3.0, 4.5)).norm() < 1e-12, "y and z are inverted");
     assert!((unused.scale().temperature_c(&r[0]) - (21.0 + 1335.0 / 333.87)).abs() < 1e-9);
     assert!(matches!(unused.read(), Err(ImuError::NotReady { part: Part::Icm20948 })));
     unused.release().done();
 }
 
 #[test]
-fn icm_names_a_stranger_a_mute_and_a_broken_bus() {
+fn icm_distinguishes_another_part_a_missing_one_and_a_broken_bus() {
     let config = icm20948::IcmConfig::default();
     let init = |script: &[Transaction]| {
         let mut imu = Icm20948::new(Mock::new(script), &config).unwrap();
@@ -146,13 +146,13 @@ fn icm_names_a_stranger_a_mute_and_a_broken_bus() {
         imu.release().done();
         result.unwrap_err()
     };
-    let stranger = init(&[put(ICM, 0x7F, 0), get(ICM, 0, &[0x71])]);
-    assert_eq!(stranger, ImuError::WrongId { part: Part::Icm20948, address: ICM, have: 0x71, want: 0xEA });
-    assert!(stranger.to_string().contains("imu.chip.part"), "{stranger}");
+    let other_part = init(&[put(ICM, 0x7F, 0), get(ICM, 0, &[0x71])]);
+    assert_eq!(other_part, ImuError::WrongId { part: Part::Icm20948, address: ICM, have: 0x71, want: 0xEA });
+    assert!(other_part.to_string().contains("imu.chip.part"), "{other_part}");
     let nack = ErrorKind::NoAcknowledge(NoAcknowledgeSource::Address);
-    let mute = init(&[put(ICM, 0x7F, 0).with_error(nack)]);
-    assert_eq!(mute, ImuError::Nack { part: Part::Icm20948, address: ICM });
-    assert_eq!(mute.fault(), ReadFault::Nack);
+    let missing = init(&[put(ICM, 0x7F, 0).with_error(nack)]);
+    assert_eq!(missing, ImuError::Nack { part: Part::Icm20948, address: ICM });
+    assert_eq!(missing.fault(), ReadFault::Nack);
     let broken = init(&[put(ICM, 0x7F, 0).with_error(ErrorKind::ArbitrationLoss)]);
     assert_eq!(broken.fault(), ReadFault::Bus);
     let script = [put(ICM, 0x7F, 0), get(ICM, 0, &[0xEA]).with_error(ErrorKind::Overrun)];
@@ -160,7 +160,7 @@ fn icm_names_a_stranger_a_mute_and_a_broken_bus() {
 }
 
 #[test]
-fn icm_sees_a_transfer_that_dies_half_way() {
+fn icm_detects_a_transfer_that_ends_early() {
     let mut dead = burst(0x01, [10, 20, -30], 0x10);
     dead[11..].fill(0xFF);
     let r = scripted_icm(vec![get(ICM, 0x2D, &dead)], 0, 1);
@@ -192,7 +192,7 @@ fn icm_canary_checks_power_and_ranges_in_turn() {
 }
 
 #[test]
-fn lsm_and_lis_put_the_data_sheets_bytes_on_the_wire() {
+fn lsm_and_lis_send_the_bytes_of_their_data_sheets() {
     let mut inertial = vec![0x07, 0x00];
     for c in [256_i16, 10, -20, 30, 1, -2, 8196] {
         inertial.extend(c.to_le_bytes());
@@ -243,7 +243,7 @@ fn lsm_and_lis_put_the_data_sheets_bytes_on_the_wire() {
 
 // ------------------------------------------------------------------------------------ fakes
 
-/// Some motion with a different number on every axis.
+/// A motion with a different value on every axis.
 fn odd_motion() -> Motion {
     Motion {
         acc_m_s2: Vector3::new(1.25, -3.5, 8.9),
@@ -288,7 +288,7 @@ fn all_configs() -> Vec<(ChipConfig, f64, f64)> {
 }
 
 #[test]
-fn every_range_gives_the_true_motion_back() {
+fn every_range_measures_the_true_motion() {
     let motion = odd_motion();
     for (config, gyro_lsb, acc_lsb) in all_configs() {
         let bus = match config {
@@ -316,7 +316,7 @@ fn every_range_gives_the_true_motion_back() {
 }
 
 #[test]
-fn a_turned_magnetometer_is_turned_back() {
+fn a_rotated_magnetometer_is_corrected() {
     let axes = Axes([Axis::MinusZ, Axis::PlusX, Axis::MinusY]);
     let bus = lsm_bus(Noise::NONE, axes);
     let config = lsm6dso::LsmConfig { mag_axes: axes, rate_hz: 100.0, ..Default::default() };
@@ -345,7 +345,7 @@ fn a_second_sensor_shares_the_bus() {
 }
 
 #[test]
-fn the_magnetometer_misses_nothing_and_repeats_nothing_at_500_hz() {
+fn the_magnetometer_is_read_once_per_measurement_at_500_hz() {
     for part in 0..2 {
         let bus = if part == 0 { icm_bus(Noise::TYPICAL) } else { lsm_bus(Noise::TYPICAL, Axes::ALIGNED) };
         let config = if part == 0 { ChipConfig::default() } else { ChipConfig::Lsm6dsoLis2mdl(lsm6dso::LsmConfig::default()) };
@@ -389,7 +389,7 @@ fn bus_time_of_a_reading_is_as_documented() {
     assert!(t < 510e-6);
 }
 
-// ------------------------------------------------------------------------------ misbehaviour
+// ------------------------------------------------------------------------------------ faults
 
 fn running_icm() -> (FakeBus, Icm20948<FakeBus>) {
     let bus = icm_bus(Noise::TYPICAL);
@@ -404,7 +404,7 @@ fn next(bus: &FakeBus, imu: &mut dyn Imu) -> Result<RawImu, ImuError> {
 }
 
 #[test]
-fn a_sleeping_chip_says_nothing_new() {
+fn a_sleeping_chip_has_no_fresh_reading() {
     let bus = icm_bus(Noise::TYPICAL);
     bus.machine().advance(1.0);
     let mut b = [0; 14];
@@ -414,7 +414,7 @@ fn a_sleeping_chip_says_nothing_new() {
 }
 
 #[test]
-fn nacks_pass_and_readings_go_on() {
+fn readings_continue_after_missing_acknowledges() {
     let (bus, mut imu) = running_icm();
     bus.machine().nack(ICM, 3);
     let faults: Vec<bool> = (0..5).map(|_| next(&bus, &mut imu).is_err()).collect();
@@ -422,14 +422,14 @@ fn nacks_pass_and_readings_go_on() {
 }
 
 #[test]
-fn a_fault_in_another_bank_does_not_mislead_the_next_reading() {
+fn a_fault_in_another_bank_does_not_falsify_the_next_reading() {
     let script_end = vec![
         get(ICM, 0x2D, &burst(0, [0; 3], 0)),
         get(ICM, 0x03, &[0x20, 0, 0, 0x01, 0]),
         get(ICM, 0x2D, &burst(0, [0; 3], 0)),
         put(ICM, 0x7F, 0x20),
         get(ICM, 0x00, &[0x01, 0x13]).with_error(ErrorKind::ArbitrationLoss),
-        put(ICM, 0x7F, 0x00), // back to the data before anything else
+        put(ICM, 0x7F, 0x00), // the data bank is selected again first
         get(ICM, 0x2D, &burst(0, [0; 3], 0)),
         get(ICM, 0x03, &[0x20, 0, 0, 0x01, 0]),
     ];
@@ -448,7 +448,7 @@ fn a_stuck_bus_is_not_a_missing_chip() {
 }
 
 #[test]
-fn a_brown_out_is_found_at_once_and_mended_by_init() {
+fn a_brown_out_is_detected_at_once_and_repaired_by_init() {
     let (bus, mut imu) = running_icm();
     for _ in 0..7 {
         next(&bus, &mut imu).unwrap();
@@ -462,7 +462,7 @@ fn a_brown_out_is_found_at_once_and_mended_by_init() {
 }
 
 #[test]
-fn a_changed_range_is_found_by_the_canary() {
+fn a_changed_range_is_detected_by_the_check_of_settings() {
     let (bus, mut imu) = running_icm();
     bus.machine().write(ICM, &[0x7F, 0x20]).unwrap();
     bus.machine().write(ICM, &[0x01, 0x11]).unwrap(); // 250 dps: every rate doubles silently
@@ -490,7 +490,7 @@ fn lsm_brown_out_and_dead_magnetometer() {
 }
 
 #[test]
-fn init_meets_a_stranger_or_a_dead_magnetometer() {
+fn init_reports_another_part_or_a_dead_magnetometer() {
     let (bus, mut imu) = running_icm();
     bus.machine().spoil(ICM, |q| q.wrong_id = Some(0x12));
     assert_eq!(imu.init(&mut bus.delay()).unwrap_err().fault(), ReadFault::WrongId);
@@ -502,7 +502,7 @@ fn init_meets_a_stranger_or_a_dead_magnetometer() {
 }
 
 #[test]
-fn a_warm_magnetometer_from_another_program_is_taken_over() {
+fn a_magnetometer_that_another_program_configured_is_taken_over() {
     let (bus, mut imu) = running_icm();
     next(&bus, &mut imu).unwrap();
     let slow = icm20948::IcmConfig { mag_rate_hz: 10, rate_hz: 200.0, ..Default::default() };
@@ -517,7 +517,7 @@ fn a_warm_magnetometer_from_another_program_is_taken_over() {
 }
 
 #[test]
-fn bypass_shows_the_magnetometer_outside() {
+fn bypass_connects_the_magnetometer_to_the_bus() {
     let bus = icm_bus(Noise::NONE);
     let mut id = [0];
     assert!(bus.machine().write(0x0C, &[0x01]).is_err(), "hidden");
@@ -527,9 +527,9 @@ fn bypass_shows_the_magnetometer_outside() {
     assert_eq!(id, [0x09]);
 }
 
-// ------------------------------------------------- from a spoilt chip to the judge's verdict
+// ------------------------------------------------- from a faulty chip to the health monitor
 
-/// What the judge sees within a second after a fault is put on the chip or the bus.
+/// The causes that the health monitor raises within a second of a fault of the chip or the bus.
 fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<HealthCause> {
     let (bus, mut imu) = running_icm();
     let (config, mut monitor) = (Default::default(), SensorMonitor::default());
@@ -552,7 +552,7 @@ fn seen_after(spoil: impl Fn(&FakeBus)) -> Vec<HealthCause> {
 }
 
 #[test]
-fn every_spoilt_chip_is_named_by_the_judge() {
+fn every_fault_of_a_chip_is_named_by_the_health_monitor() {
     use HealthCause::*;
     assert_eq!(seen_after(|_| ()), []);
     assert_eq!(seen_after(|b| b.machine().nack(ICM, 5)), [Nack]);
@@ -575,9 +575,9 @@ fn every_spoilt_chip_is_named_by_the_judge() {
 
 // --------------------------------------------------------------------------- calibration chain
 
-/// A flawed sensor is tumbled and rested through the driver; its calibration makes it whole.
+/// A sensor with errors rests and is tumbled; the calibration from these recordings corrects it.
 #[test]
-fn a_flawed_sensor_is_calibrated_through_the_driver() {
+fn a_sensor_with_errors_is_calibrated_through_the_driver() {
     let hard_ut = Vector3::new(-120.0, 80.0, 160.0);
     let soft = Matrix3::new(1.08, 0.03, 0.0, 0.03, 0.94, -0.02, 0.0, -0.02, 1.0);
     let gyro_bias = Vector3::new(0.02, -0.03, 0.01);
@@ -631,7 +631,7 @@ fn a_flawed_sensor_is_calibrated_through_the_driver() {
 // --------------------------------------------------------------------------------- pressure
 
 #[test]
-fn pressure_sensors_put_the_data_sheets_bytes_on_the_wire() {
+fn pressure_sensors_send_the_bytes_of_their_data_sheets() {
     // 90 % of the counts are the upper end of the range, half of them its middle
     let at = |counts: u32, status: u8| {
         let [_, high, middle, low] = counts.to_be_bytes();

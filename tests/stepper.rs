@@ -1,7 +1,7 @@
-//! The step core under a clock of the test's own: late wake-ups, slow pins, preemption between the
-//! look at the clock and the write, and what is left of the chip's timing then. Last, the real thread.
+//! The step core under a simulated clock, with late wake-ups, slow pins and preemption between reading the clock and
+//! writing. The tests verify the chip's timing on the recorded edges. At the end, the real thread.
 
-#![allow(clippy::unwrap_used)] // a test's helper fails the test
+#![allow(clippy::unwrap_used)] // a failing helper fails its test
 
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
@@ -30,71 +30,70 @@ fn timing(config: &StepperConfig) -> PulseTiming {
     PulseTiming::try_from(config).unwrap()
 }
 
-/// How unreliable the machine is, ns.
+/// Largest delays of the machine, ns.
 #[derive(Debug, Clone, Copy)]
-struct Weather {
-    /// Most that a wake-up is late.
+struct Delays {
+    /// Lateness of a wake-up.
     wake_ns: u64,
-    /// Most that passes between the look at the clock and the write.
+    /// Time between reading the clock and writing.
     preempt_ns: u64,
-    /// Most that a write takes.
+    /// Duration of a write.
     write_ns: u64,
 }
 
-const CALM: Weather = Weather { wake_ns: 1, preempt_ns: 1, write_ns: 200 };
+const CALM: Delays = Delays { wake_ns: 1, preempt_ns: 1, write_ns: 200 };
 
-/// A machine that runs a core: clock, pins and their record.
+/// A core with its clock, its pins and a record of their edges.
 struct Machine {
     core: StepCore,
     queue: VecDeque<TimedSegment>,
     now_ns: u64,
-    weather: Weather,
+    delays: Delays,
     random: SmallRng,
     levels: Levels,
     record: Vec<Edge>,
 }
 
 impl Machine {
-    fn new(config: &StepperConfig, weather: Weather, seed: u64) -> Self {
-        Self::with_step(config, weather, seed, STEP_MM)
+    fn new(config: &StepperConfig, delays: Delays, seed: u64) -> Self {
+        Self::with_step(config, delays, seed, STEP_MM)
     }
 
-    fn with_step(config: &StepperConfig, weather: Weather, seed: u64, step_mm: f64) -> Self {
-        Self::with_timing(timing(config), weather, seed, step_mm)
+    fn with_step(config: &StepperConfig, delays: Delays, seed: u64, step_mm: f64) -> Self {
+        Self::with_timing(timing(config), delays, seed, step_mm)
     }
 
-    fn with_timing(timing: PulseTiming, weather: Weather, seed: u64, step_mm: f64) -> Self {
+    fn with_timing(timing: PulseTiming, delays: Delays, seed: u64, step_mm: f64) -> Self {
         Self {
             core: StepCore::new(timing, &limits(), step_mm),
             queue: VecDeque::new(),
             now_ns: START_NS,
-            weather,
+            delays,
             random: SmallRng::seed_from_u64(seed),
             levels: Levels::default(),
             record: Vec::new(),
         }
     }
 
-    /// Up to `most`, mostly far less: the shape of real latencies. One in a hundred is above two
-    /// thirds.
+    /// A delay up to `most`, distributed like real latencies: most are much shorter, one in a hundred exceeds two thirds.
     fn up_to(&mut self, most: u64) -> u64 {
         let share: f64 = self.random.random_range(0.0..1.0);
         (share.powi(40) * most as f64) as u64
     }
 
-    /// One round of the shell.
+    /// One cycle of the step thread.
     fn turn(&mut self) {
         match self.core.poll(self.now_ns, &mut || self.queue.pop_front()) {
             PulseAction::WaitUntil(t) => {
-                // short waits are looked away, not slept
+                // short waits are spun, not slept
                 let slept = t > self.now_ns + 20_000;
-                let late = if slept { self.up_to(self.weather.wake_ns) } else { 0 };
+                let late = if slept { self.up_to(self.delays.wake_ns) } else { 0 };
                 self.now_ns = self.now_ns.max(t) + late + 30;
             }
             PulseAction::Write(levels) => {
-                let begin = self.now_ns + self.up_to(self.weather.preempt_ns);
-                let end = begin + 1 + self.up_to(self.weather.write_ns);
-                // each edge at an instant of its own within the write
+                let begin = self.now_ns + self.up_to(self.delays.preempt_ns);
+                let end = begin + 1 + self.up_to(self.delays.write_ns);
+                // each edge occurs at its own instant within the write
                 let changed: Vec<Edge> = edges(0, &self.levels, &levels).collect();
                 for edge in changed {
                     let t_ns = self.random.random_range(begin..=end);
@@ -130,7 +129,7 @@ impl Machine {
         at
     }
 
-    /// Steps of a channel by the record alone: DIR level at each rising STEP.
+    /// Steps of a channel, counted from the record alone: the DIR level at each rising STEP.
     fn pulsed(&self, channel: usize) -> i32 {
         let mut up = false;
         let mut count = 0;
@@ -145,7 +144,7 @@ impl Machine {
     }
 }
 
-/// A random walk of targets that ends in rest.
+/// A random walk of targets that ends at rest.
 fn walk(seed: u64, jumps: u32) -> Vec<Segment> {
     let mut random = SmallRng::seed_from_u64(seed);
     let mut motion = Motion::new(&limits());
@@ -166,7 +165,7 @@ fn walk(seed: u64, jumps: u32) -> Vec<Segment> {
     segments
 }
 
-/// The chip's timing on a record, from the edges alone.
+/// Verifies the chip's timing on the edges of a record.
 fn check_record(record: &[Edge], t: &PulseTiming) -> Result<(), TestCaseError> {
     for channel in 0..3 {
         let (mut rise, mut fall, mut turn, mut awake): (Option<u64>, _, _, Option<u64>) = (None, None, None, None);
@@ -180,7 +179,7 @@ fn check_record(record: &[Edge], t: &PulseTiming) -> Result<(), TestCaseError> {
                     turn = Some(e.t_ns);
                 }
                 LineName::Step(c) if c == channel && e.high => {
-                    prop_assert!(awake.is_some_and(|a| e.t_ns >= a + t.wake_ns), "stepped a sleeping driver");
+                    prop_assert!(awake.is_some_and(|a| e.t_ns >= a + t.wake_ns), "a driver was stepped before it was awake");
                     prop_assert!(turn.is_none_or(|d: u64| e.t_ns >= d + t.dir_ns), "DIR set-up");
                     prop_assert!(fall.is_none_or(|f| e.t_ns >= f + t.low_ns), "STEP low");
                     prop_assert!(rise.is_none_or(|r| e.t_ns >= r + t.interval_ns), "interval");
@@ -197,8 +196,8 @@ fn check_record(record: &[Edge], t: &PulseTiming) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-fn weather() -> impl Strategy<Value = Weather> {
-    (1u64..900_000, 1u64..60_000, 1u64..60_000).prop_map(|(wake_ns, preempt_ns, write_ns)| Weather { wake_ns, preempt_ns, write_ns })
+fn delays() -> impl Strategy<Value = Delays> {
+    (1u64..900_000, 1u64..60_000, 1u64..60_000).prop_map(|(wake_ns, preempt_ns, write_ns)| Delays { wake_ns, preempt_ns, write_ns })
 }
 
 fn config() -> impl Strategy<Value = StepperConfig> {
@@ -214,12 +213,11 @@ fn config() -> impl Strategy<Value = StepperConfig> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
-    /// Whatever the weather: no edge violates the chip's timing, and what was pulsed is what is
-    /// counted. In fair weather no step is lost or doubled and there is no fault; in foul weather
-    /// delays may pile up to a fault, which then is one. With the finer steps several are due at once
-    /// after a late wake-up.
+    /// With any delays, no edge violates the chip's timing, and the count equals the pulses. With short delays no step is
+    /// lost or doubled and there is no fault. Long delays may add up to a fault, which is then reported. With fine steps
+    /// several are due at once after a late wake-up.
     #[test]
-    fn timing_holds_in_any_weather(c in config(), w in weather(), seed in any::<u64>(), fine in any::<bool>()) {
+    fn timing_holds_in_any_delays(c in config(), w in delays(), seed in any::<u64>(), fine in any::<bool>()) {
         let step_mm = if fine { STEP_MM / 8.0 } else { STEP_MM };
         let mut m = Machine::with_step(&c, w, seed, step_mm);
         let segments = walk(seed, 8);
@@ -239,12 +237,12 @@ proptest! {
         }
     }
 
-    /// A machine with stalls beyond the bound: at the first one that hits a step there is a fault, and
-    /// from then on not one pulse; what was pulsed is what is reported.
+    /// Stalls beyond the bound: the first one that delays a step causes a fault, no pulse follows, and the reported count
+    /// equals the pulses.
     #[test]
     fn a_stall_beyond_the_bound_latches_without_a_burst(seed in any::<u64>(), stall_ms in 2.5..60.0f64, at in 0.05..0.9f64) {
         let c = StepperConfig::default();
-        let mut m = Machine::new(&c, Weather { wake_ns: 20_000, preempt_ns: 2_000, write_ns: 2_000 }, seed);
+        let mut m = Machine::new(&c, Delays { wake_ns: 20_000, preempt_ns: 2_000, write_ns: 2_000 }, seed);
         let segments = walk(seed, 4);
         let end_ns = m.feed(0, START_NS, &segments);
         m.run_until(START_NS + ((end_ns - START_NS) as f64 * at) as u64);
@@ -263,17 +261,17 @@ proptest! {
             prop_assert!(rises == 0, "{rises} pulses after the stall");
             prop_assert!(m.levels.enable && m.levels.step == [false; 3], "holds");
         } else {
-            // nothing was due in the stall, or it hit where the chain could be taken up again
-            prop_assert!(!fast, "a stall at full speed went unnoticed");
+            // no step was due during the stall, or motion could continue after it
+            prop_assert!(!fast, "a stall at full speed was not detected");
         }
     }
 
-    /// When the queue runs dry the pistons are braked within the limits, not stopped dead: after the
-    /// last segment they go on by exactly the shortest stop, and no step is lost.
+    /// When the queue is empty the pistons brake within the limits: after the last segment they continue by exactly the
+    /// shortest stopping distance, and no step is lost.
     #[test]
     fn running_dry_brakes(seed in any::<u64>(), part in 0.05..0.95f64) {
         let c = StepperConfig::default();
-        let mut m = Machine::new(&c, Weather { wake_ns: 100_000, preempt_ns: 2_000, write_ns: 2_000 }, seed);
+        let mut m = Machine::new(&c, Delays { wake_ns: 100_000, preempt_ns: 2_000, write_ns: 2_000 }, seed);
         let segments = walk(seed, 4);
         let fed = &segments[..((segments.len() as f64 * part) as usize).max(1)];
         let end_ns = m.feed(0, START_NS, fed);
@@ -290,7 +288,7 @@ proptest! {
             prop_assert_eq!(report.counted.0[channel], (stop.end_mm / STEP_MM).round() as i32);
             prop_assert_eq!(m.pulsed(channel), report.counted.0[channel]);
         }
-        // what was planned before the break is not taken up any more
+        // motion that was planned before the break is dropped
         let taken = m.record.len();
         if moving {
             m.feed(0, m.now_ns + 4_000_000, &segments[fed.len()..]);
@@ -300,13 +298,13 @@ proptest! {
     }
 }
 
-/// A segment of 10 ms in which channel 1 starts at once at a speed and is braked steadily.
-fn thrown(speed_mm_s: f64, braked_mm_s2: f64) -> Segment {
+/// A segment of 10 ms in which channel 1 starts with a speed and decelerates steadily.
+fn decelerating(speed_mm_s: f64, braked_mm_s2: f64) -> Segment {
     let start = MotionState { position_mm: 0.0, velocity_mm_s: speed_mm_s, acceleration_mm_s2: -braked_mm_s2 };
-    let mut thrown = ChannelSegment::starting(start);
-    thrown.push(0.01, 0.0);
+    let mut moving = ChannelSegment::starting(start);
+    moving.push(0.01, 0.0);
     let still = ChannelSegment::holding(0.0, 0.01);
-    Segment { duration_s: 0.01, channels: [thrown.ending(start.after(0.0, 0.01)), still, still] }
+    Segment { duration_s: 0.01, channels: [moving.ending(start.after(0.0, 0.01)), still, still] }
 }
 
 #[test]
@@ -315,8 +313,8 @@ fn a_step_up_and_down_within_microseconds_keeps_dir_timing() {
     let step_mm = 2.0 * (1.0 / 400.0 - 1e-9);
     let c = StepperConfig { dir_setup_us: 5.0, step_interval_min_us: 4.0, ..StepperConfig::default() };
     for seed in 0..200 {
-        let mut m = Machine::with_step(&c, Weather { wake_ns: 300_000, preempt_ns: 3_000, write_ns: 1_000 }, seed, step_mm);
-        let segment = thrown(1.0, 200.0);
+        let mut m = Machine::with_step(&c, Delays { wake_ns: 300_000, preempt_ns: 3_000, write_ns: 1_000 }, seed, step_mm);
+        let segment = decelerating(1.0, 200.0);
         m.queue.push_back(TimedSegment { epoch: 0, start_ns: START_NS + 4_000_000, duration_ns: 10_000_000, segment });
         m.run_until(START_NS + 13_000_000);
         assert_eq!(m.record.iter().filter(|e| matches!(e.line, LineName::Step(0)) && e.high).count(), 2);
@@ -326,18 +324,18 @@ fn a_step_up_and_down_within_microseconds_keeps_dir_timing() {
 }
 
 #[test]
-fn a_driver_that_was_asleep_gets_its_time_to_wake() {
+fn a_released_driver_gets_its_time_to_wake() {
     let c = StepperConfig { wake_delay_ms: 6.0, ..StepperConfig::default() };
     let mut m = Machine::new(&c, CALM, 1);
-    let segment = thrown(20.0, 0.0);
+    let segment = decelerating(20.0, 0.0);
     m.queue.push_back(TimedSegment { epoch: 0, start_ns: START_NS + 1_000_000, duration_ns: 10_000_000, segment });
     m.run_until(START_NS + 500_000_000);
     check_record(&m.record, &timing(&c)).unwrap();
-    assert_eq!(m.mode(), StepperMode::Resting, "what waits for the driver is not late");
+    assert_eq!(m.mode(), StepperMode::Resting, "a step that waits for the driver is not late");
     assert!(m.pulsed(0) > 6 && m.pulsed(0) == m.counted().0[0]);
 }
 
-/// A machine in calm weather on its way to 12 mm with all channels.
+/// A machine with short delays that moves all channels towards 12 mm.
 fn on_the_way(timing: PulseTiming) -> (Machine, Motion) {
     let mut m = Machine::with_timing(timing, CALM, 1, STEP_MM);
     let mut motion = Motion::new(&limits());
@@ -479,6 +477,29 @@ fn finishing_brakes_releases_and_ends() {
     assert_eq!(report.counted.0[1], (report.rest_mm[1] / STEP_MM).round() as i32);
 }
 
+/// A fault or an emergency stop while the last motion brakes must not keep the thread, and with it the program, from ending.
+#[test]
+fn finishing_ends_whatever_happens_while_it_brakes() {
+    let hold = PulseTiming { emergency_stop: EmergencyStop::Hold, ..timing(&StepperConfig::default()) };
+    let late: fn(&mut Machine) = |m| m.now_ns += 5_000_000;
+    let pressed: fn(&mut Machine) = |m| {
+        let stop = Inputs { emergency_stop: true, ..Inputs::default() };
+        m.core.observe(stop);
+        m.core.observe(stop);
+    };
+    for happens in [late, pressed] {
+        let (mut m, _) = on_the_way(hold);
+        m.core.order(StepperOrder::Finish);
+        m.turn();
+        happens(&mut m);
+        let ended = (0..100_000).any(|_| {
+            m.turn();
+            m.core.is_finished()
+        });
+        assert!(ended && !m.levels.enable, "{:?}", m.mode());
+    }
+}
+
 #[test]
 fn a_rebase_sets_position_and_count_at_rest_only() {
     let mut m = Machine::new(&StepperConfig::default(), CALM, 1);
@@ -509,17 +530,20 @@ fn failing_pins_are_left_alone_until_cleared() {
     m.core.pins_failed();
     for _ in 0..100 {
         let t = m.now_ns;
-        assert!(matches!(m.core.poll(t, &mut || m.queue.pop_front()), PulseAction::WaitUntil(u) if u > t), "no hammering");
+        assert!(
+            matches!(m.core.poll(t, &mut || m.queue.pop_front()), PulseAction::WaitUntil(u) if u > t),
+            "failing pins are not accessed again"
+        );
         m.now_ns += 100_000;
     }
     assert_eq!(m.mode(), StepperMode::Faulted(StepperFault::Pins));
     m.core.order(StepperOrder::Clear);
-    assert!(matches!(m.core.poll(m.now_ns, &mut || m.queue.pop_front()), PulseAction::Write(_)), "written anew");
+    assert!(matches!(m.core.poll(m.now_ns, &mut || m.queue.pop_front()), PulseAction::Write(_)), "the levels are written again");
 }
 
 // ---------------------------------------------------------------- the real thread
 
-/// Configuration of the real thread that a busy test machine cannot fail.
+/// Configuration of the real thread with bounds that a busy test machine meets.
 fn patient() -> StepperConfig {
     StepperConfig { late_max_us: 100_000.0, lead_ms: 60.0, priority: 0, ..StepperConfig::default() }
 }
@@ -529,7 +553,7 @@ fn mock(emergency_stop: Option<InputPin>) -> MockPins {
     MockPins::new(map, 100_000)
 }
 
-/// Feeds ticks to a stepper until the motion rests at its target or something happens.
+/// Feeds a stepper until the motion rests at its target or the thread reports something else.
 fn drive(stepper: &mut Stepper<MockPins>, motion: &mut Motion, target: [f64; 3]) -> SyncStatus {
     for _ in 0..4000 {
         let now = retroflex::hardware::rt::monotonic_ns();
@@ -574,7 +598,7 @@ fn the_thread_pulses_what_the_loop_feeds() {
     );
 }
 
-/// Drivers that a program before this one left energised are not let go by taking the lines over.
+/// Drivers that an earlier program left energised stay energised when their lines are taken over.
 #[test]
 fn drivers_found_energised_stay_so_until_they_are_told() {
     let c = StepperConfig { idle_release_s: Some(3600.0), ..patient() };
@@ -586,12 +610,12 @@ fn drivers_found_energised_stay_so_until_they_are_told() {
     assert!(stepper.is_energised());
     let (_, pins) = stepper.finish().unwrap();
     let enable: Vec<bool> = pins.record().iter().filter(|e| e.line == LineName::Enable).map(|e| e.high).collect();
-    assert_eq!(enable, [false], "only the end releases");
+    assert_eq!(enable, [false], "only the end of the thread releases the drivers");
     assert!(pins.record().len() > 10);
 }
 
 #[test]
-fn the_thread_stops_for_the_red_button_and_reports_it() {
+fn the_thread_stops_for_the_emergency_stop_and_reports_it() {
     let pins = mock(Some(InputPin { pin: 26, active_low: false, pull: Pull::Down }));
     let button = pins.inputs();
     let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
@@ -606,7 +630,7 @@ fn the_thread_stops_for_the_red_button_and_reports_it() {
 }
 
 #[test]
-fn the_thread_survives_pins_that_fail_and_says_why() {
+fn the_thread_survives_failing_pins_and_reports_the_reason() {
     let pins = mock(None).failing_after(40);
     let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
     let mut motion = Motion::new(&limits());

@@ -1,5 +1,5 @@
-//! The service on device files with a plant behind them: what it is asked for happens to the truth, and
-//! what it counts is what the lines carried.
+//! The service on device files with a plant behind them. The true bend follows the commands, and the counts of the service
+//! equal the pulses on the lines.
 #![allow(unsafe_code)]
 
 use crate::rig::Rig;
@@ -17,9 +17,9 @@ pub struct Service<'r> {
     rig: &'r Rig,
     child: Child,
     client: Client,
-    /// Every comparison of counts that was made.
+    /// Number of comparisons of counts.
     pub compared: u32,
-    /// Times that this host stalled the step thread for longer than the board allows.
+    /// Number of times that the host stalled the step thread for longer than the board permits.
     pub stalls: u32,
     target: Option<(f64, f64)>,
 }
@@ -44,7 +44,7 @@ impl<'r> Service<'r> {
         Self { rig, child, client, compared: 0, stalls: 0, target: None }
     }
 
-    /// Asks; a refusal fails the test.
+    /// Sends a request; a refusal fails the test.
     pub fn ask(&mut self, request: &Request) -> Value {
         match self.client.request(request) {
             Ok(answer) => answer,
@@ -57,7 +57,7 @@ impl<'r> Service<'r> {
         self.ask(&Request::Status {})
     }
 
-    /// Waits until the status is as wanted.
+    /// Waits until the status meets a condition.
     pub fn until(&mut self, what: &str, seconds: f64, good: impl Fn(&Value) -> bool) -> Value {
         let mut began = Instant::now();
         loop {
@@ -77,9 +77,8 @@ impl<'r> Service<'r> {
         }
     }
 
-    /// A machine under test shares its processors with others, which may stall it for longer than a board
-    /// allows. The service latches that, as it must; it is counted here, the counts are compared all the
-    /// same, and the fault is taken back as a person would.
+    /// The host shares its processors, and others may stall the step thread for longer than a board permits. The service
+    /// latches this. The stall is counted here, the counts are compared, and the fault is reset.
     fn resume(&mut self, alarm: &str) {
         self.stalls += 1;
         println!("this host stalled the step thread: {alarm}");
@@ -92,13 +91,13 @@ impl<'r> Service<'r> {
         }
     }
 
-    /// Sends the tip somewhere.
+    /// Bends the tip.
     pub fn bend(&mut self, bend_deg: f64, dir_deg: f64) {
         self.target = Some((bend_deg, dir_deg));
         let request = Request::Bend { bend_deg, dir_deg, length_mm: None, speed_deg_s: None };
         match self.client.request(&request) {
             Ok(_) => {}
-            // a stall just now; taking it back sends the tip to its target
+            // a stall has just occurred; its reset repeats the target
             Err(failure) if failure.message.contains("not while faulted") => {
                 self.until("recovered", 10.0, |s| s["latched"].is_null());
             }
@@ -111,7 +110,7 @@ impl<'r> Service<'r> {
         self.until("holding", 15.0, |s| s["mode"] == "holding");
     }
 
-    /// Waits until the tip rests at its target, then how far the true bend is off it, degrees.
+    /// Waits until the tip rests at its target; returns the error of the true bend, degrees.
     pub fn settled_error_deg(&mut self, bend_deg: f64, dir_deg: f64) -> f64 {
         self.until("at rest", 15.0, |s| s["mode"] == "holding" && s["at_rest"] == true);
         std::thread::sleep(Duration::from_millis(300));
@@ -123,12 +122,12 @@ impl<'r> Service<'r> {
         beta.abs()
     }
 
-    /// The counts of the service are those of the lines, exactly. Only at rest do both speak of one time.
+    /// Compares the counts of the service and of the lines. They refer to the same time only at rest.
     pub fn compare(&mut self) {
         let began = Instant::now();
         loop {
             let before = self.rig.world().chip.counted;
-            // a status is of a turn that is over: what it tells is compared only if nothing moved since
+            // a status describes an earlier cycle, so it is compared only if nothing has moved since
             std::thread::sleep(Duration::from_millis(60));
             let told = self.status()["counted"].clone();
             let after = self.rig.world().chip.counted;
@@ -142,7 +141,7 @@ impl<'r> Service<'r> {
         }
     }
 
-    /// Breaks the sensor for a while.
+    /// Applies a fault to the sensor for some time.
     pub fn spoil(&self, how: Spoil, seconds: f64) {
         let set = |on: bool| {
             let mut world = self.rig.world();
@@ -175,18 +174,18 @@ impl<'r> Service<'r> {
 
 impl Drop for Service<'_> {
     fn drop(&mut self) {
-        // gone already after `terminate`
+        // it has ended already after `terminate`
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// What can happen to a sensor.
+/// Faults of the sensor.
 #[derive(Debug, Clone, Copy)]
 pub enum Spoil {
-    /// Nobody acknowledges.
+    /// No transfer is acknowledged.
     Nack,
-    /// The same numbers again and again.
+    /// The reading does not change.
     Frozen,
     /// A transfer never ends.
     Hang,

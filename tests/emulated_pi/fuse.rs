@@ -1,7 +1,7 @@
-//! A file system in user space, as small as device files need it: `open`, `ioctl`, `release`.
+//! A minimal file system in user space for device files: `open`, `ioctl`, `release`.
 //!
 //! The kernel forwards ioctls on ordinary FUSE files. Those whose number encodes a size carry their
-//! data with them; for the others (I2C_RDWR) the server gets the caller's pointer and thread and reaches
+//! data with them. For the others (I2C_RDWR) the server receives the caller's pointer and thread and accesses
 //! its memory with `process_vm_readv`. Layouts are those of `linux/fuse.h`, protocol 7.31.
 #![allow(unsafe_code)]
 
@@ -11,9 +11,9 @@ use std::io::{self, Read, Write};
 use std::os::fd::AsRawFd;
 use std::path::Path;
 
-/// An ioctl as it arrives.
+/// An ioctl.
 pub struct Ioctl<'a> {
-    /// Identity of the request, for a late answer.
+    /// Number of the request, for a later answer.
     pub unique: u64,
     /// The file.
     pub node: u64,
@@ -27,13 +27,13 @@ pub struct Ioctl<'a> {
     pub data: &'a [u8],
 }
 
-/// What an ioctl is answered with.
+/// The answer to an ioctl.
 pub enum Answer {
     /// Result, and data to hand back.
     Done(i32, Vec<u8>),
     /// An errno.
     Failed(i32),
-    /// Nothing yet: the call hangs.
+    /// No answer: the call hangs.
     Never,
 }
 
@@ -43,7 +43,7 @@ pub trait Files: Send {
     fn find(&mut self, name: &str) -> Option<u64>;
     /// An ioctl.
     fn ioctl(&mut self, call: &Ioctl<'_>) -> Answer;
-    /// Permission bits of a file that belongs to root; the kernel holds callers to them.
+    /// Permission bits of a file that belongs to root; the kernel enforces them.
     fn mode(&self, _node: u64) -> u32 {
         0o666
     }
@@ -137,7 +137,7 @@ pub fn reply(mut to: &File, unique: u64, error: i32, body: &[u8]) {
     out.extend((-error).to_le_bytes());
     out.extend(unique.to_le_bytes());
     out.extend(body);
-    // a caller that was killed meanwhile wants no answer
+    // the caller may have been killed
     let _ = to.write_all(&out);
 }
 
@@ -194,7 +194,7 @@ pub fn serve<F: Files>(file: &File, lock: &std::sync::Mutex<F>) {
                 }
             }
             INTERRUPT => {
-                // the call that hangs ends with its caller
+                // a call that hangs ends when its caller ends
                 reply(file, long(body, 0), libc::EINTR, &[]);
                 continue;
             }

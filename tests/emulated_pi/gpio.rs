@@ -1,8 +1,8 @@
-//! A GPIO chip behind its character device, line interface version 2 (`linux/gpio.h`): every change of
-//! level is seen, every step counted with the direction its DIR line has at that moment.
+//! A GPIO chip behind its character device, line interface version 2 (`linux/gpio.h`): it observes every
+//! change of level and counts every step with the level that its DIR line has at that time.
 //!
-//! A line request must hand the caller a file descriptor, which no file server can. So the caller is
-//! started with some of the server's own files open at known numbers, and is handed those.
+//! A line request must return a file descriptor to the caller, which a file server cannot do. The caller is therefore
+//! started with some files of the server open at known numbers, and receives one of these.
 
 use crate::fuse::{Answer, Ioctl, long, word};
 use retroflex::hardware::pins::PinsConfig;
@@ -27,7 +27,7 @@ pub struct Chip {
     label: &'static str,
     levels: BTreeMap<u32, bool>,
     handles: Vec<Option<Vec<u32>>>,
-    /// Lines that somebody else holds.
+    /// Lines that another program holds.
     pub held: BTreeMap<u32, &'static str>,
     /// Lines whose level does not follow.
     pub stuck: BTreeMap<u32, bool>,
@@ -37,9 +37,9 @@ pub struct Chip {
     pub counted: [i32; 3],
     /// Rising edges of all STEP lines.
     pub pulses: u64,
-    /// Those while the drivers were off: no motor turns.
+    /// Rising edges while the drivers were off, which turn no motor.
     pub lost: u64,
-    /// Times a DIR line moved while its STEP line was high.
+    /// Number of changes of a DIR line while its STEP line was high.
     pub torn: u64,
 }
 
@@ -65,7 +65,7 @@ impl Chip {
         self.levels.get(&line).copied().unwrap_or(false)
     }
 
-    /// The drivers have current: EN, pulled low by the breakout, is low.
+    /// The drivers are energised: EN is low, to which the breakout pulls it.
     pub fn energised(&self) -> bool {
         self.wiring.channels.iter().all(|c| c.enable.is_none_or(|line| self.level(line) != self.wiring.enable_active_low))
     }
@@ -110,6 +110,9 @@ impl Chip {
                 if let Some(by) = self.held.get(&line) {
                     out[32..32 + by.len()].copy_from_slice(by.as_bytes());
                 }
+                // an output keeps its direction, as its level, when it is freed
+                let flags = u64::from(self.levels.contains_key(&line)) << 3;
+                out[72..80].copy_from_slice(&flags.to_le_bytes());
                 Answer::Done(0, out)
             }
             GET_LINE => self.request(call.data),

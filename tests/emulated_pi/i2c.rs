@@ -1,4 +1,4 @@
-//! An I²C bus behind its device file (`linux/i2c-dev.h`): messages go to register twins of the chips.
+//! An I²C bus behind its device file (`linux/i2c-dev.h`): messages go to register-level fakes of the chips.
 
 use crate::fake_imu::Machine;
 use crate::fuse::{Answer, Ioctl, long, peek, poke, word};
@@ -13,7 +13,7 @@ const I2C_M_RD: u16 = 1;
 /// The bus.
 #[derive(Default)]
 pub struct Bus {
-    /// The chips on it, and what they do wrong.
+    /// The chips and their faults.
     pub chips: Machine,
     /// While set, a transfer never ends: a controller that ignores its time limit.
     pub hangs: bool,

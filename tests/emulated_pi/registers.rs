@@ -1,7 +1,7 @@
-//! The GPIO registers of a BCM2837 as a mapped file, watched and made to answer: what is stored to GPSET0
-//! and GPCLR0 shows in GPLEV0, and is counted.
+//! The GPIO registers of a BCM2837 as a mapped file. A thread polls it, applies stores to GPSET0 and GPCLR0 to GPLEV0, and
+//! counts them.
 //!
-//! Two stores to one register between two looks are seen as one, so this counts slow lines only.
+//! Two stores to a register between two polls count as one, so this is exact for slow lines only.
 #![allow(unsafe_code)]
 
 use retroflex::hardware::rt::{self, RtRequest};
@@ -16,10 +16,10 @@ const SIZE: usize = 4096;
 const GPSET0: usize = 0x1C / 4;
 const GPCLR0: usize = 0x28 / 4;
 const GPLEV0: usize = 0x34 / 4;
-/// Between two looks, ns.
+/// Time between two polls, ns.
 const LOOK_NS: u64 = 10_000;
 
-/// What was seen.
+/// The result.
 #[derive(Debug)]
 pub struct Seen {
     /// GPFSEL0 to GPFSEL2.
@@ -68,11 +68,11 @@ fn look(file: &File, end: &AtomicBool) -> Seen {
     let mut level = 0_u32;
     while !end.load(Ordering::Relaxed) {
         let (set, clear) = (words[GPSET0].swap(0, Ordering::AcqRel), words[GPCLR0].swap(0, Ordering::AcqRel));
-        // every rise of a line that was low, be it over already or not
+        // every rise of a line that was low, even if the line has fallen again
         for (line, n) in pulses.iter_mut().enumerate() {
             *n += (set & !level) >> line & 1;
         }
-        // stored to both since the last look: a pulse that is over, so the level is what it was
+        // a store to both since the last poll is a complete pulse, after which the level is unchanged
         let both = set & clear;
         level = (level | (set & !both)) & !(clear & !both);
         words[GPLEV0].store(level, Ordering::Release);

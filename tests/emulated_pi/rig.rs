@@ -1,5 +1,5 @@
-//! A Raspberry Pi made of device files in a mount namespace of one thread: what is started from this
-//! thread sees `/dev/i2c-1`, `/dev/gpiochip0`, `/dev/gpiomem` and a device tree; nothing else does.
+//! A Raspberry Pi made of device files in the mount namespace of one thread. Only programs that this thread starts see
+//! `/dev/i2c-1`, `/dev/gpiochip0`, `/dev/gpiomem` and the device tree.
 #![allow(unsafe_code)]
 
 use crate::fuse;
@@ -18,7 +18,7 @@ use tempfile::TempDir;
 /// Device nodes that a program may need besides.
 const NODES: [&str; 6] = ["null", "zero", "full", "random", "urandom", "cpu_dma_latency"];
 
-/// Number of the user and of the group that nothing belongs to.
+/// User and group without permissions.
 const NOBODY: u32 = 65534;
 
 /// A running emulation. The namespace goes with the thread.
@@ -49,7 +49,7 @@ impl Rig {
     /// Builds the namespace around the calling thread and serves a world in it.
     ///
     /// # Errors
-    /// What the system refused, with the step at which it did: not root, no FUSE, no namespaces.
+    /// The step that the system refused, with the reason: not root, no FUSE, no namespaces.
     pub fn start(world: World) -> Result<Self, String> {
         let at = |step: &'static str| move |e: io::Error| format!("{step}: {e}");
         // SAFETY: takes flags only; CLONE_NEWNS gives this thread its own view of mounts.
@@ -66,7 +66,7 @@ impl Rig {
         let world = Arc::new(Mutex::new(world));
         let (end, shared) = (connection.clone(), world.clone());
         std::thread::spawn(move || {
-            // above every thread it serves, or they would wait for themselves
+            // its priority is above that of every thread that it serves, which would otherwise wait for itself
             let _guard = retroflex::hardware::rt::enter(&retroflex::hardware::rt::RtRequest { priority: 90, cpu: None });
             fuse::serve(&end, &shared);
         });
@@ -94,7 +94,7 @@ impl Rig {
         self.world.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The bus takes up again; what hung ends with ETIMEDOUT, as from the controller's driver.
+    /// The bus works again; calls that hung end with ETIMEDOUT, as from the driver of the controller.
     pub fn unhang(&self) {
         let hanging = {
             let mut world = self.world();
@@ -133,8 +133,8 @@ impl Rig {
         command
     }
 
-    /// A command of the program run by a user who is in no group, with program and board in the namespace's own
-    /// `/dev`, for the folders of a checkout may be closed to others.
+    /// A command of the program, run by a user who is in no group. Program and board are copied to the `/dev` of the
+    /// namespace, because others may not be able to read the folders of a checkout.
     pub fn command_of_a_stranger(&self, command: &str, board: &str) -> io::Result<Command> {
         let (there, file) = (Path::new("/dev/retroflex"), Path::new("/dev/board.toml"));
         if !there.exists() {
@@ -155,7 +155,7 @@ pub fn program() -> PathBuf {
     std::env::var_os("RETROFLEX_BIN").map_or_else(|| env!("CARGO_BIN_EXE_retroflex").into(), PathBuf::from)
 }
 
-/// Runs `body` on a thread of its own with a rig around it, or prints why that cannot be here.
+/// Runs `body` in a thread with a rig, or prints why no rig can be built here.
 pub fn on_a_pi(world: impl FnOnce() -> World + Send + 'static, body: impl FnOnce(&Rig) + Send + 'static) {
     let thread = std::thread::spawn(move || match Rig::start(world()) {
         Ok(rig) => body(&rig),

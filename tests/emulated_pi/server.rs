@@ -1,7 +1,7 @@
 //! The machine behind the device files: a GPIO chip, an I²C bus and the built-in plant between them.
 //!
-//! Pulses move the plant, the plant moves the sensor's registers. Time is the real one: at every
-//! transfer and every look from outside the plant is brought up to the present, a millisecond at a time.
+//! Pulses move the plant, and the plant moves the sensor's registers. Time is real: every transfer and every access from
+//! outside first advances the plant to the present in steps of a millisecond.
 
 use crate::fake_imu::{Device, FakeIcm20948, Motion, Noise};
 use crate::fuse::{Answer, Files, Ioctl};

@@ -1,4 +1,4 @@
-//! Register machine of the AK09916 (DS-000189 rev. 1.3, p. 77-80), as met on the internal bus.
+//! Register machine of the AK09916 (DS-000189 rev. 1.3, p. 77-80), as it appears on the internal bus.
 
 use super::{Analog, Ticker};
 use retroflex::hardware::imu::Axes;

@@ -44,7 +44,7 @@ impl FakeIcm20948 {
         fake
     }
 
-    /// Power-on values of the inertial die; the magnetometer die does not notice a register reset.
+    /// Power-on values of the inertial die; a register reset does not affect the magnetometer die.
     fn defaults(&mut self) {
         self.regs = [[0; 128]; 4];
         self.bank = 0;
@@ -112,7 +112,7 @@ impl FakeIcm20948 {
         address & 0x7F == AK_ADDRESS && !self.analog.quirks.mag_dead
     }
 
-    /// Slave 4: one byte, once, with a report.
+    /// Slave 4: transfers one byte once and sets its status bits.
     fn one_shot(&mut self) {
         if self.get(3, reg::I2C_SLV4_CTRL) & 0x80 == 0 {
             return;
@@ -133,7 +133,7 @@ impl FakeIcm20948 {
         self.regs[0][usize::from(reg::I2C_MST_STATUS)] |= status;
     }
 
-    /// Slaves 0 to 3: blocks into EXT_SLV_SENS_DATA one after another, every cycle.
+    /// Slaves 0 to 3: fetch their blocks into EXT_SLV_SENS_DATA in every cycle.
     fn fetch(&mut self) {
         let mut at = 0;
         for slave in 0..4_u8 {
@@ -232,7 +232,7 @@ impl Device for FakeIcm20948 {
     fn advance(&mut self, dt_s: f64) {
         let mut left_s = dt_s;
         while left_s > 0.0 {
-            let step_s = left_s.min(0.4 / BASE_RATE_HZ); // fine enough to see every conversion
+            let step_s = left_s.min(0.4 / BASE_RATE_HZ); // fine enough for every conversion
             left_s -= step_s;
             self.reset_s -= step_s;
             self.mag.advance(step_s, &mut self.analog);

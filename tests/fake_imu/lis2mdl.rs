@@ -1,5 +1,5 @@
 //! Register machine of the LIS2MDL (DS12144): idle until set to continuous mode; its address counter
-//! runs round the six data bytes.
+//! repeats over the six data bytes.
 
 use super::{Analog, Device, Motion, Noise, Quirks, Ticker};
 use retroflex::hardware::imu::Axes;
@@ -25,7 +25,7 @@ impl FakeLis2mdl {
         Self::mounted(Axes::ALIGNED, seed)
     }
 
-    /// A chip mounted otherwise: `axes` turn its own into the accelerometer's.
+    /// A chip in another orientation: `axes` convert its axes to the accelerometer's.
     #[must_use]
     pub fn mounted(axes: Axes, seed: u64) -> Self {
         let (ticker, analog) = (Ticker::default(), Analog::new(seed));

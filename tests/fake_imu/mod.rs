@@ -1,13 +1,12 @@
-//! Twins of the sensors at register level, on a bus that can misbehave.
+//! Register-level fakes of the sensors, on a bus with faults on request.
 //!
-//! A fake is a plain register machine: bytes written, bytes read, time that passes. What sits in
-//! front of it does not matter: [`FakeBus`] puts it behind `embedded_hal::i2c::I2c` for drivers in
-//! the same process, and a server of a bus file can pass raw messages to [`Machine`]. Each fake is
-//! told the true motion in SI and sensor axes, converts at its configured rates, and quantises to
-//! its configured ranges; until it is woken and configured it behaves like the silent chip it is.
+//! A fake is a register machine that takes written bytes, returns read bytes and advances in time. [`FakeBus`] puts it
+//! behind `embedded_hal::i2c::I2c` for drivers in the same process; a server of a bus file passes raw messages to
+//! [`Machine`]. Each fake receives the true motion in SI units and sensor axes, converts at its configured rates, and
+//! quantises to its configured ranges. Before it is woken and configured it does not convert, like the real chip.
 //!
-//! Filters are not modelled (a conversion is the motion of that instant plus white noise), nor is
-//! the time a transfer takes; [`Machine::bus_time_s`] says what it would be.
+//! Filters are not modelled: a conversion is the motion of that instant plus white noise. Transfers take no time;
+//! [`Machine::bus_time_s`] returns what they would take.
 #![allow(dead_code, unused_imports, reason = "every test uses its own part of this")]
 
 mod ak09916;
@@ -30,7 +29,7 @@ use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// What the sensor truly undergoes, in the accelerometer's axes.
+/// The true motion of the sensor, in the accelerometer's axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
     /// Specific force, m/s²: +9.81 on the axis that points up when still.
@@ -68,26 +67,26 @@ impl Noise {
     pub const TYPICAL: Self = Self { gyro_rad_s: 0.0029, acc_m_s2: 0.025, mag_ut: 0.5 };
 }
 
-/// What one chip does wrong, on request.
+/// Faults of one chip.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Quirks {
     /// Answers with this identity.
     pub wrong_id: Option<u8>,
-    /// Answers, but converts no more.
+    /// Answers, but does not convert.
     pub frozen: bool,
-    /// The next conversion has these wild counts on every inertial axis; then it is over.
+    /// The next conversion has these counts on every inertial axis, the one after it is normal.
     pub spike: Option<i16>,
-    /// The gyroscope and accelerometer are driven into their end stops.
+    /// The gyroscope and accelerometer are saturated.
     pub saturate: bool,
     /// The magnetometer overflows.
     pub mag_overflow: bool,
-    /// The magnetometer die of a combined chip is dead. (A chip of its own: [`Machine::nack`].)
+    /// The magnetometer die of a combined chip is dead. For a separate chip, use [`Machine::nack`].
     pub mag_dead: bool,
 }
 
-/// A chip as the bus sees it.
+/// A chip on the bus.
 pub trait Device: Send {
-    /// True when it listens to this address now.
+    /// True if it answers to this address at present.
     fn answers(&self, address: u8) -> bool;
     /// A write transfer: a register address and data.
     fn write(&mut self, address: u8, bytes: &[u8]);
@@ -101,11 +100,11 @@ pub trait Device: Send {
     fn set_noise(&mut self, noise: Noise);
     /// The supply dips: all registers fall back to their power-on values.
     fn brown_out(&mut self);
-    /// What it does wrong.
+    /// Its faults.
     fn quirks(&mut self) -> &mut Quirks;
 }
 
-/// What a conversion of three axes needs besides the registers.
+/// Inputs of a conversion besides the registers.
 #[derive(Debug)]
 struct Analog {
     motion: Motion,
@@ -119,7 +118,7 @@ impl Analog {
         let rng = StdRng::seed_from_u64(seed);
         Self { motion: Motion::default(), noise: Noise::TYPICAL, quirks: Quirks::default(), rng }
     }
-    /// Truth plus noise in counts, clipped like a converter.
+    /// Truth plus noise in counts, limited to the range of the converter.
     fn counts(&mut self, truth: Vector3<f64>, sigma: f64, unit: f64) -> [i16; 3] {
         let mut axis = |x: f64| {
             let noise: f64 = StandardNormal.sample(&mut self.rng);
@@ -127,7 +126,7 @@ impl Analog {
         };
         [axis(truth.x), axis(truth.y), axis(truth.z)]
     }
-    /// Gyroscope and accelerometer counts, with whatever was asked to go wrong.
+    /// Gyroscope and accelerometer counts, with the faults applied.
     fn inertial(&mut self, gyro_unit: f64, acc_unit: f64) -> ([i16; 3], [i16; 3]) {
         let gyro = self.counts(self.motion.gyro_rad_s, self.noise.gyro_rad_s, gyro_unit);
         let acc = self.counts(self.motion.acc_m_s2, self.noise.acc_m_s2, acc_unit);
@@ -163,7 +162,7 @@ impl Ticker {
 /// A transfer that failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FakeBusError {
-    /// Nobody acknowledged.
+    /// No chip acknowledged.
     #[error("no acknowledge")]
     Nack,
     /// A line is held down.
@@ -172,7 +171,7 @@ pub enum FakeBusError {
 }
 
 impl FakeBusError {
-    /// The number a Raspberry Pi's kernel would give.
+    /// The error number of a Raspberry Pi's kernel.
     #[must_use]
     pub fn errno(self) -> i32 {
         match self {
@@ -191,7 +190,7 @@ impl embedded_hal::i2c::Error for FakeBusError {
     }
 }
 
-/// A bus with its chips, without any shell around it.
+/// A bus with its chips.
 #[derive(Default)]
 pub struct Machine {
     devices: Vec<Box<dyn Device>>,
@@ -208,11 +207,11 @@ impl Machine {
     pub fn attach(&mut self, device: impl Device + 'static) {
         self.devices.push(Box::new(device));
     }
-    /// The chip at an address, to change its motion or spoil it.
+    /// The chip at an address, to change its motion or its faults.
     pub fn device(&mut self, address: u8) -> Option<&mut (dyn Device + 'static)> {
         self.devices.iter_mut().find(|d| d.answers(address)).map(|d| &mut **d)
     }
-    /// What the chip at an address does wrong. An address nobody has is ignored.
+    /// Changes the faults of the chip at an address. An address without a chip is ignored.
     pub fn spoil(&mut self, address: u8, change: impl FnOnce(&mut Quirks)) {
         if let Some(device) = self.device(address) {
             change(device.quirks());
@@ -270,7 +269,7 @@ impl Machine {
     /// A write message.
     ///
     /// # Errors
-    /// [`FakeBusError`] when nobody answers or the bus is spoilt.
+    /// [`FakeBusError`] if no chip answers or the bus is faulty.
     pub fn write(&mut self, address: u8, bytes: &[u8]) -> Result<(), FakeBusError> {
         self.admit(address, bytes.len())?.write(address, bytes);
         Ok(())
@@ -278,7 +277,7 @@ impl Machine {
     /// A read message.
     ///
     /// # Errors
-    /// [`FakeBusError`] when nobody answers or the bus is spoilt.
+    /// [`FakeBusError`] if no chip answers or the bus is faulty.
     pub fn read(&mut self, address: u8, out: &mut [u8]) -> Result<(), FakeBusError> {
         self.admit(address, out.len())?.read(address, out);
         if let Some((_, have)) = self.short.take_if(|(a, have)| *a == address && *have < out.len()) {

@@ -5,10 +5,13 @@
 //! that moves every line that differs, and nothing is allocated. The crate `gpio-cdev` does not serve
 //! here: it uses version 1 of the interface, which sets only whole requests and cannot enable pull
 //! resistors, and it allocates for every read. `super::uapi` makes the five calls directly.
+//!
+//! When a program ends, the kernel frees its lines. Whether they then keep their levels depends on the driver of the chip
+//! (`persist_gpio_outputs` on a Raspberry Pi). EN lines that are still driven are taken over with the level that they have.
 
 use crate::hardware::pins::config::Pull;
 use crate::hardware::pins::map::LineMap;
-use crate::hardware::pins::uapi::{Kernel, LINES_MAX, Request, RequestKind, Uapi};
+use crate::hardware::pins::uapi::{Kernel, LINES_MAX, LineState, Request, RequestKind, Uapi};
 use crate::hardware::pins::{PinError, Pins};
 use crate::motion::lines::{Inputs, Levels};
 use std::io;
@@ -21,6 +24,7 @@ pub struct CdevPins<K: Kernel = Uapi> {
     outputs: K::Lines,
     inputs: Option<K::Lines>,
     bits: u64,
+    found_energised: bool,
 }
 
 impl CdevPins<Uapi> {
@@ -47,7 +51,9 @@ impl<K: Kernel> CdevPins<K> {
         if map.outputs().len().max(map.inputs().len()) > LINES_MAX {
             return Err(PinError::Pin { what: "request", why: format!("more than {LINES_MAX} lines") });
         }
-        let bits = map.output_bits(&Levels::default());
+        // a line that cannot be read is refused by the request for outputs, with a reason
+        let found_energised = found_energised(&kernel, &chip, &map).unwrap_or(false);
+        let bits = map.output_bits(&Levels { enable: found_energised, ..Levels::default() });
         let outputs = Request { offsets: map.outputs().to_vec(), kind: RequestKind::Outputs(bits) };
         let outputs = request(&kernel, &chip, path, &outputs)?;
         let (offsets, pulls): (Vec<u32>, Vec<Pull>) = map.inputs().iter().copied().unzip();
@@ -55,7 +61,7 @@ impl<K: Kernel> CdevPins<K> {
             0 => None,
             _ => Some(request(&kernel, &chip, path, &Request { offsets, kind: RequestKind::Inputs(pulls) })?),
         };
-        Ok(Self { kernel, map, outputs, inputs, bits })
+        Ok(Self { kernel, map, outputs, inputs, bits, found_energised })
     }
 }
 
@@ -68,6 +74,10 @@ impl<K: Kernel> Pins for CdevPins<K> {
             self.bits = bits;
         }
         Ok(())
+    }
+
+    fn found_energised(&self) -> bool {
+        self.found_energised
     }
 
     fn check_enable(&mut self) -> Result<(), PinError> {
@@ -87,6 +97,23 @@ impl<K: Kernel> Pins for CdevPins<K> {
     }
 }
 
+/// Whether an earlier program left the EN lines driven at the level that energises the drivers.
+fn found_energised<K: Kernel>(kernel: &K, chip: &K::Chip, map: &LineMap) -> io::Result<bool> {
+    let lines: Vec<(usize, u32)> = map.outputs().iter().copied().enumerate().filter(|(i, _)| map.enable() >> i & 1 == 1).collect();
+    for &(_, offset) in &lines {
+        if !kernel.state(chip, offset)?.output {
+            return Ok(false);
+        }
+    }
+    if lines.is_empty() {
+        return Ok(false);
+    }
+    let request = Request { offsets: lines.iter().map(|(_, offset)| *offset).collect(), kind: RequestKind::AsIs };
+    let found = kernel.get(&kernel.request(chip, &request)?, (1 << lines.len()) - 1)?;
+    let high = lines.iter().enumerate().fold(0, |bits, (k, (i, _))| bits | (found >> k & 1) << i);
+    Ok(map.is_energised(map.enable(), high))
+}
+
 /// Converts the error of opening a chip.
 fn open_error(error: io::Error, path: &str) -> PinError {
     match (error.kind(), error.raw_os_error()) {
@@ -101,8 +128,8 @@ fn open_error(error: io::Error, path: &str) -> PinError {
 fn request<K: Kernel>(kernel: &K, chip: &K::Chip, path: &str, request: &Request) -> Result<K::Lines, PinError> {
     kernel.request(chip, request).map_err(|error| match (error.kind(), error.raw_os_error()) {
         (_, Some(libc::EBUSY)) => {
-            let held = request.offsets.iter().find_map(|&pin| match kernel.consumer(chip, pin) {
-                Ok(Some(by)) => Some((pin, Some(by))),
+            let held = request.offsets.iter().find_map(|&pin| match kernel.state(chip, pin) {
+                Ok(LineState { consumer: Some(by), .. }) => Some((pin, Some(by))),
                 _ => None,
             });
             let (pin, by) = held.unwrap_or((request.offsets[0], None));
@@ -148,8 +175,8 @@ mod tests {
             self.log.lock().unwrap().push(format!("{request:?}"));
             self.refuse.map_or(Ok(()), |e| Err(io::Error::from_raw_os_error(e)))
         }
-        fn consumer(&self, (): &(), offset: u32) -> io::Result<Option<String>> {
-            Ok(self.consumer.filter(|h| h.0 == offset).map(|h| h.1.to_string()))
+        fn state(&self, (): &(), offset: u32) -> io::Result<LineState> {
+            Ok(LineState { consumer: self.consumer.filter(|h| h.0 == offset).map(|h| h.1.to_string()), output: false })
         }
         fn set(&self, (): &(), mask: u64, bits: u64) -> io::Result<()> {
             self.log.lock().unwrap().push(format!("set {mask:07b} {bits:07b}"));

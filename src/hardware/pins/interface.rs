@@ -12,8 +12,8 @@ pub trait Pins: Send {
     /// [`PinError::Io`] or [`PinError::Pin`]; it is then unknown which lines have changed.
     fn write(&mut self, levels: &Levels) -> Result<(), PinError>;
 
-    /// Whether an earlier program left the drivers energised and they still are. Backends that cannot
-    /// read this take the lines over released.
+    /// Whether an earlier program left the drivers energised and they still are; they were then taken over so. Backends
+    /// that cannot read this take the lines over released.
     fn found_energised(&self) -> bool {
         false
     }

@@ -6,6 +6,9 @@
 //! | [`cdev`] | GPIO character device of any Linux board | one ioctl for all lines |
 //! | [`mock`] | none; records every edge with its time | one push |
 //!
+//! The first two are equal: both take the drivers over as they find them, read EN back, and pass one suite of tests.
+//! docs/hardware.md says when to choose which.
+//!
 //! [`hal::HalPins`] makes a backend of any set of `embedded-hal` pins; the `rppal` backend uses it.
 //! [`map`] applies polarity: above it levels are logical, below it they are voltages.
 
@@ -18,6 +21,8 @@ pub mod map;
 pub mod mock;
 #[cfg(feature = "hw")]
 pub mod rppal;
+#[cfg(test)]
+mod suite;
 mod uapi;
 
 pub use config::{Backend, ChannelPins, InputPin, PinsConfig, Pull};
@@ -26,8 +31,7 @@ pub use interface::Pins;
 pub use mock::MockPins;
 
 /// Opens the configured backend and requests all lines: STEP at its resting level, microstep levels set
-/// for `microsteps` (1, 2, 4, 8 or 16), and the drivers released. Only `rppal` can find the drivers
-/// energised; it leaves them so.
+/// for `microsteps` (1, 2, 4, 8 or 16), and the drivers released, unless they were found energised.
 ///
 /// # Errors
 /// [`OpenError`].

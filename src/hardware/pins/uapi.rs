@@ -122,6 +122,17 @@ pub enum RequestKind {
     Outputs(u64),
     /// Inputs with the pull resistor of each line.
     Inputs(Vec<Pull>),
+    /// Whatever they are: only to read them.
+    AsIs,
+}
+
+/// State of a line.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct LineState {
+    /// Name of the consumer that holds it; `None` if it is free or the consumer has no name.
+    pub consumer: Option<String>,
+    /// It is an output.
+    pub output: bool,
 }
 
 /// The kernel interface; a trait, so that tests can do without a chip.
@@ -143,11 +154,11 @@ pub trait Kernel: Send {
     /// The error of the system call.
     fn request(&self, chip: &Self::Chip, request: &Request) -> io::Result<Self::Lines>;
 
-    /// Name of the consumer that holds a line; `None` if it is free or the consumer has no name.
+    /// The state of a line.
     ///
     /// # Errors
     /// The error of the system call.
-    fn consumer(&self, chip: &Self::Chip, offset: u32) -> io::Result<Option<String>>;
+    fn state(&self, chip: &Self::Chip, offset: u32) -> io::Result<LineState>;
 
     /// Sets the lines of `mask` to `bits`.
     ///
@@ -189,7 +200,7 @@ impl Kernel for Uapi {
         Ok(unsafe { OwnedFd::from_raw_fd(raw.fd) })
     }
 
-    fn consumer(&self, chip: &File, offset: u32) -> io::Result<Option<String>> {
+    fn state(&self, chip: &File, offset: u32) -> io::Result<LineState> {
         let mut info = LineInfo {
             name: [0; NAME_LEN],
             consumer: [0; NAME_LEN],
@@ -202,7 +213,8 @@ impl Kernel for Uapi {
         // SAFETY: GET_LINEINFO encodes LineInfo, which is integers and bytes.
         unsafe { ioctl(chip.as_raw_fd(), GET_LINEINFO, &mut info)? };
         let name: Vec<u8> = info.consumer.into_iter().take_while(|b| *b != 0).collect();
-        Ok((!name.is_empty()).then(|| String::from_utf8_lossy(&name).into_owned()))
+        let consumer = (!name.is_empty()).then(|| String::from_utf8_lossy(&name).into_owned());
+        Ok(LineState { consumer, output: info.flags & FLAG_OUTPUT != 0 })
     }
 
     fn set(&self, lines: &OwnedFd, mask: u64, bits: u64) -> io::Result<()> {
@@ -241,6 +253,7 @@ fn raw_request(request: &Request) -> LineRequest {
             }
             config.flags = FLAG_INPUT;
         }
+        RequestKind::AsIs => {}
     }
     let mut raw = LineRequest {
         offsets: [0; LINES_MAX],

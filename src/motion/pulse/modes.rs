@@ -122,7 +122,7 @@ impl StepCore {
             self.epoch += 1;
             self.after_stop = after;
             self.mode = StepperMode::Stopping;
-        } else if after != AfterStop::Rest {
+        } else if after != AfterStop::Rest && self.after_stop != AfterStop::Finish {
             // A stop in progress can only become more final.
             self.after_stop = after;
         }
@@ -144,6 +144,8 @@ impl StepCore {
             self.mode = StepperMode::Faulted(fault);
             self.epoch += 1;
         }
+        // a thread that is to end releases the drivers whatever happens, or it would never end
+        self.enable &= self.after_stop != AfterStop::Finish;
         self.current = None;
         self.stream.reset(self.counted);
         self.at = self.counted.map(|n| MotionState::rest(f64::from(n) * self.step_mm));
