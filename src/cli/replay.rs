@@ -6,7 +6,7 @@ use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::source;
 use crate::config::supervisor::assemble;
-use crate::control::pi::Dynamics;
+use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::model::transmission::Line;
 use crate::service::record::tape_path;
 use crate::service::start::Start;
@@ -71,6 +71,7 @@ fn supervisor(header: Header) -> Result<Supervisor> {
         MachineInfo { name: header.machine, period_s: header.period_s, step_mm: header.step_mm, rest_length_mm: header.rest_length_mm };
     let mut config = assemble(&board, &calibration, &gains, &info);
     config.tick.lines = header.lines.map(|[k_epsilon, k_lambda_mm]| Line { k_epsilon, k_lambda_mm });
-    config.tick.dynamics = Dynamics { lag_s: header.dynamics[0], delay_s: header.dynamics[1] };
+    let [lag_s, delay_s, uncertainty_s] = header.dynamics;
+    config.tick.dynamics = DynamicsPrior { expected: Dynamics { lag_s, delay_s }, uncertainty_s };
     Ok(Start { config, restart: header.restart, unreadable: header.unreadable }.supervisor())
 }

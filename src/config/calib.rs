@@ -1,7 +1,7 @@
 //! Calibration files: what this tip is.
 
 use crate::control::learning::batch::Prior;
-use crate::control::pi::Dynamics;
+use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::estimation::imu_calibration::ImuCalibration;
 use crate::model::transmission::Line;
 use crate::parameters;
@@ -46,16 +46,19 @@ parameters! {
     pub struct DynamicsSection: Copy {
         /// First-order lag τ. A larger value makes the feedforward lead further and raises the proportional gain.
         lag_s: f64 = 0.03, "s", 0.001..=2.0, "0.03 suits a bare tip on 1.2 m of line";
-        /// Dead time T. A larger value slows the loop down.
-        delay_s: f64 = 0.01, "s", 0.0..=0.3, "0.01 suits a local bus";
+        /// Dead time T, of the line and of the sensor. A larger value slows the loop down.
+        delay_s: f64 = 0.01, "s", 0.0..=0.6, "0.01 suits a local bus";
+        /// Standard deviation of both. The loop starts slow enough for three of them and becomes quicker as the tip moves.
+        /// A larger value starts slower and survives a slower line.
+        uncertainty_s: f64 = 0.3, "s", 0.005..=1.0, "0.3 is an unknown line, 0.03 a calibrated one";
     }
 }
 
 impl DynamicsSection {
     /// For the control law.
     #[must_use]
-    pub fn law(&self) -> Dynamics {
-        Dynamics { lag_s: self.lag_s, delay_s: self.delay_s }
+    pub fn law(&self) -> DynamicsPrior {
+        DynamicsPrior { expected: Dynamics { lag_s: self.lag_s, delay_s: self.delay_s }, uncertainty_s: self.uncertainty_s }
     }
 }
 

@@ -2,6 +2,7 @@
 
 pub mod backlash_adaptation;
 pub mod follow;
+pub mod hunting;
 pub mod learning;
 pub mod limits;
 pub mod obstruction;

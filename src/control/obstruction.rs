@@ -42,6 +42,11 @@ impl ObstructionDetector {
             return;
         }
         let (feedback0, estimate0) = *self.start.get_or_insert((*feedback, *estimate));
+        if feedback.norm_squared() < feedback0.norm_squared() {
+            // the feedback withdraws: that pushes nothing
+            self.start = Some((*feedback, *estimate));
+            return;
+        }
         let push = feedback - feedback0;
         let size = push.norm();
         if (estimate - estimate0).dot(&push) < -size * BACK_RAD {

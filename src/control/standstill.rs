@@ -27,8 +27,8 @@ pub struct StandstillLatch {
 }
 
 impl StandstillLatch {
-    /// One tick. `moving` is true while the set-point itself moves.
-    pub fn step(&mut self, config: &StandstillConfig, error: nalgebra::Vector2<f64>, moving: bool, dt_s: f64) {
+    /// One tick with the error and the widening of both bands, rad. `moving` is true while the set-point itself moves.
+    pub fn step(&mut self, config: &StandstillConfig, wider_rad: f64, error: nalgebra::Vector2<f64>, moving: bool, dt_s: f64) {
         let k = 1.0 - (-dt_s / config.smooth_s).exp();
         self.smoothed += (error - self.smoothed) * k;
         if moving {
@@ -36,8 +36,8 @@ impl StandstillLatch {
             return;
         }
         let size = self.smoothed.norm();
-        self.inside_s = if size < config.close_rad { self.inside_s + dt_s } else { 0.0 };
-        self.closed = if self.closed { size < config.open_rad } else { self.inside_s >= config.close_after_s };
+        self.inside_s = if size < config.close_rad.max(wider_rad) { self.inside_s + dt_s } else { 0.0 };
+        self.closed = if self.closed { size < config.open_rad + 1.5 * wider_rad } else { self.inside_s >= config.close_after_s };
     }
 }
 
@@ -52,19 +52,19 @@ mod tests {
     fn closes_inside_the_inner_band_and_opens_outside_the_outer() {
         let mut s = StandstillLatch::default();
         for _ in 0..30 {
-            s.step(&CONFIG, Vector2::new(0.001, 0.0), false, 0.001);
+            s.step(&CONFIG, 0.0, Vector2::new(0.001, 0.0), false, 0.001);
             assert!(!s.closed);
         }
         for _ in 0..100 {
-            s.step(&CONFIG, Vector2::new(0.001, 0.0), false, 0.001);
+            s.step(&CONFIG, 0.0, Vector2::new(0.001, 0.0), false, 0.001);
         }
         assert!(s.closed);
         for _ in 0..200 {
-            s.step(&CONFIG, Vector2::new(0.004, 0.0), false, 0.001);
+            s.step(&CONFIG, 0.0, Vector2::new(0.004, 0.0), false, 0.001);
         }
         assert!(s.closed, "between the bands the latch keeps its state");
         for _ in 0..200 {
-            s.step(&CONFIG, Vector2::new(0.006, 0.0), false, 0.001);
+            s.step(&CONFIG, 0.0, Vector2::new(0.006, 0.0), false, 0.001);
         }
         assert!(!s.closed);
     }
@@ -72,7 +72,7 @@ mod tests {
     #[test]
     fn a_moving_target_opens_it() {
         let mut s = StandstillLatch { closed: true, ..StandstillLatch::default() };
-        s.step(&CONFIG, Vector2::zeros(), true, 0.001);
+        s.step(&CONFIG, 0.0, Vector2::zeros(), true, 0.001);
         assert!(!s.closed);
     }
 }

@@ -4,7 +4,7 @@
 //! lag and dead time.
 
 use crate::control::learning::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
-use crate::control::pi::Dynamics;
+use crate::control::pi::DynamicsPrior;
 use crate::control::tick::LoopConfig;
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::rig::{Rig, RigError};
@@ -47,7 +47,7 @@ pub struct Identified {
     /// Gains with covariance, per channel.
     pub channels: [Estimate; 3],
     /// Lag and dead time.
-    pub dynamics: Dynamics,
+    pub dynamics: DynamicsPrior,
     /// Gains initially and after every pass.
     pub history: Vec<[Line; 3]>,
     /// The criterion of 2 % was reached.

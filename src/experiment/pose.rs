@@ -7,7 +7,8 @@
 
 use crate::control::learning::batch::Measurement;
 use crate::control::learning::dynamics::DynamicsBank;
-use crate::control::pi::Dynamics;
+use crate::control::learning::sides::Sides;
+use crate::control::pi::DynamicsPrior;
 use crate::control::tick::{Command, Frame, TickPhase};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::arc::{Geometry, Shape};
@@ -19,8 +20,6 @@ use nalgebra::{Vector2, Vector3};
 const RESTED_S: f64 = 0.7;
 /// Longest time to reach a pose, s.
 const WAY_MAX_S: f64 = 15.0;
-/// Travel after a reversal that crosses the widest plausible backlash, mm: twice a half-width of 1.2 mm.
-const SIDE_TRAVEL_MM: f64 = 2.4;
 
 /// Progress of a round after a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,7 +51,7 @@ pub struct Round {
     poses: Vec<Pose>,
     at: usize,
     pose: PoseProgress,
-    pushes: Pushes,
+    sides: Sides,
     bank: DynamicsBank,
     /// Measurements so far; a pose that was not reached in time has none.
     pub data: Vec<Measurement>,
@@ -68,7 +67,7 @@ impl Round {
             poses,
             at: 0,
             pose: PoseProgress::default(),
-            pushes: Pushes::default(),
+            sides: Sides::default(),
             bank: DynamicsBank::default(),
         }
     }
@@ -89,19 +88,19 @@ impl Round {
         let bend = self.poses.get(self.at).or(self.poses.last()).map_or(Bend(Vector2::zeros()), Pose::bend);
         Command { bend, length: Mm(self.geometry.rest_length_mm) }
     }
-    /// Lag and dead time of this round, or `before` if it does not determine them.
+    /// Lag and dead time of this round, with what `before` contributes.
     #[must_use]
-    pub fn dynamics(&self, before: &Dynamics) -> Dynamics {
-        self.bank.best(before).unwrap_or(*before)
+    pub fn dynamics(&self, before: &DynamicsPrior) -> DynamicsPrior {
+        self.bank.assess(before, &before.range()).prior()
     }
     /// Follows the pistons before the first command.
     pub fn follow(&mut self, piston_mm: &Vector3<f64>) {
-        self.pushes.follow(piston_mm);
+        self.sides.follow(piston_mm);
     }
     /// One frame of `dt_s` after the command; `piston_mm` are the counted positions.
     pub fn step(&mut self, frame: &Frame, piston_mm: &Vector3<f64>, dt_s: f64) -> Step {
         let half_s = 0.5 * dt_s; // tolerance for rounding in the sums of periods
-        self.pushes.follow(piston_mm);
+        self.sides.follow(piston_mm);
         self.pose.since_s += dt_s;
         self.pose.rested_s = if frame.phase == TickPhase::Holding { self.pose.rested_s + dt_s } else { 0.0 };
         if let Some(estimate) = frame.estimate {
@@ -125,48 +124,7 @@ impl Round {
     fn measure(&mut self) {
         let bend = Bend(self.pose.sum / f64::from(self.pose.samples.max(1)));
         let bellow_mm = self.geometry.lengths(&Shape { bend, length: Mm(self.geometry.rest_length_mm) });
-        let Pushes { last_mm, side, .. } = self.pushes;
-        self.data.push(Measurement { piston_mm: last_mm, bellow_mm, side, weight: self.pushes.weight() });
-    }
-}
-
-/// Direction of each piston, and its travel since the last reversal.
-#[derive(Debug, Clone, Copy, Default)]
-struct Pushes {
-    last_mm: Vector3<f64>,
-    side: Vector3<f64>,
-    travel_mm: Vector3<f64>,
-}
-
-impl Pushes {
-    fn follow(&mut self, piston_mm: &Vector3<f64>) {
-        for i in 0..3 {
-            let step = piston_mm[i] - self.last_mm[i];
-            if step * self.side[i] < 0.0 || (self.side[i] == 0.0 && step != 0.0) {
-                (self.side[i], self.travel_mm[i]) = (step.signum(), 0.0);
-            }
-            self.travel_mm[i] += step.abs();
-        }
-        self.last_mm = *piston_mm;
-    }
-    fn weight(&self) -> Vector3<f64> {
-        self.travel_mm.map(|t| if t >= SIDE_TRAVEL_MM { 1.0 } else { 0.0 })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_side_counts_once_the_piston_has_crossed_the_widest_backlash() {
-        let mut pushes = Pushes::default();
-        let mut weights = Vec::new();
-        for x in [1.0, 3.0, 2.0, 0.5] {
-            pushes.follow(&Vector3::new(x, 0.0, -x));
-            weights.push((pushes.side[0], pushes.weight()[0]));
-        }
-        assert_eq!(weights, [(1.0, 0.0), (1.0, 1.0), (-1.0, 0.0), (-1.0, 1.0)]);
-        assert_eq!((pushes.side[1], pushes.weight()[1]), (0.0, 0.0), "a piston at rest has no side");
+        let Self { sides, .. } = self;
+        self.data.push(Measurement { piston_mm: sides.piston_mm(), bellow_mm, side: sides.side, weight: sides.weight() });
     }
 }

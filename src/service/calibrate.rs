@@ -5,7 +5,7 @@
 //! pass with the present calibration as prior.
 
 use crate::control::learning::batch::{Prior, relative_step, solve};
-use crate::control::pi::Dynamics;
+use crate::control::pi::DynamicsPrior;
 use crate::control::tick::Command;
 use crate::experiment::identify::{CONVERGED, IdentifyError, PASSES_MAX, plausible};
 use crate::experiment::pose::{Round, Step};
@@ -35,7 +35,7 @@ pub struct Found {
     /// Gains of channels 1 to 3.
     pub lines: [Line; 3],
     /// Lag and dead time, s.
-    pub dynamics: Dynamics,
+    pub dynamics: DynamicsPrior,
 }
 
 /// A calibration in progress.

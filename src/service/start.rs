@@ -3,7 +3,7 @@
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::service::ServiceSection;
-use crate::control::pi::Dynamics;
+use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::control::tick::RestartState;
 use crate::service::memory::Memory;
 use crate::service::tape::Header;
@@ -48,7 +48,7 @@ impl Start {
         let mut supervisor = config.supervisor.clone();
         if let Some(gains) = memory.accepted.as_ref().filter(|g| g.tip == config.tip) {
             supervisor.tick.lines = gains.lines();
-            supervisor.tick.dynamics = Dynamics { lag_s: gains.lag_s, delay_s: gains.delay_s };
+            supervisor.tick.dynamics = DynamicsPrior::calibrated(Dynamics { lag_s: gains.lag_s, delay_s: gains.delay_s });
         }
         let mut restart = memory.restart;
         if let Some(restart) = &mut restart
@@ -85,7 +85,7 @@ impl Start {
             step_mm: self.config.gate.step_mm,
             rest_length_mm: tick.geometry.rest_length_mm,
             lines: tick.lines.map(|l| [l.k_epsilon, l.k_lambda_mm]),
-            dynamics: [tick.dynamics.lag_s, tick.dynamics.delay_s],
+            dynamics: [tick.dynamics.expected.lag_s, tick.dynamics.expected.delay_s, tick.dynamics.uncertainty_s],
             restart: self.restart,
             unreadable: self.unreadable,
         }

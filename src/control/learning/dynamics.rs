@@ -3,32 +3,43 @@
 //! Each candidate (τ, T) predicts the estimated bend from the bend that the pistons cause. Prediction `x` and measurement
 //! `y` pass the same high-pass filter, which removes creep and drift, and are compared up to a factor, which removes gain
 //! errors; only the shape of the motion remains. The unexplained share `1 − (Σx·y)² / (Σx² Σy²)` accumulates with slow
-//! forgetting during motion. The best candidate is accepted once there was enough motion, if it explains the motion well
-//! (none does for an obstructed tip) and clearly better than the candidate in use. This is multiple-model estimation
-//! after Magill (1965), with unexplained energy in place of likelihoods.
+//! forgetting during motion. This is multiple-model estimation after Magill (1965), with unexplained energy in place of
+//! likelihoods: a path of the tip of [`PATH_PER_ROW_RAD`] counts as one independent observation whose variance is the
+//! unexplained share of the best candidate.
+//!
+//! The result is not only the best candidate but also the range of candidates that remain plausible, because the gains of
+//! the loop follow from the slowest of them ([`crate::control::pi::PiGains`]). The range is wide at first and narrows as
+//! the tip moves.
 
-use crate::control::pi::Dynamics;
+use crate::control::pi::{Dynamics, DynamicsPrior, DynamicsRange};
 use nalgebra::Vector2;
 
 /// Lags of the candidates, s.
 pub const LAGS_S: [f64; 8] = [0.01, 0.03, 0.06, 0.12, 0.2, 0.35, 0.6, 1.0];
 /// Dead times of the candidates, s.
-pub const DELAYS_S: [f64; 9] = [0.0, 0.01, 0.025, 0.05, 0.08, 0.12, 0.16, 0.21, 0.26];
+pub const DELAYS_S: [f64; 13] = [0.0, 0.01, 0.025, 0.05, 0.08, 0.12, 0.16, 0.21, 0.26, 0.32, 0.4, 0.5, 0.6];
 /// Sampling rate of the bank, 1/s.
 const RATE_HZ: f64 = 100.0;
 const PERIOD_S: f64 = 1.0 / RATE_HZ;
 /// Samples of history, enough for the longest dead time.
-const HISTORY: usize = 32;
+const HISTORY: usize = 64;
 /// Time constant of the high-pass, s.
 const HIGH_PASS_S: f64 = 0.5;
 /// Forgetting time of the energies while moving, s.
 const MEMORY_S: f64 = 30.0;
-/// Path of the estimated bend required for a result, rad.
-const COVERAGE_RAD: f64 = 2.0;
-/// Unexplained share above which no candidate is accepted.
-const UNEXPLAINED_MAX: f64 = 0.08;
-/// Largest unexplained share of an accepted candidate, relative to that of the candidate in use.
-const BETTER: f64 = 0.8;
+/// Path of the tip that counts as one independent observation, rad.
+const PATH_PER_ROW_RAD: f64 = 0.05;
+/// Largest number of independent observations, so that an error of the model is not taken for certainty.
+const ROWS_MAX: f64 = 60.0;
+/// Unexplained share that the form of the models alone leaves.
+const SHARE_FLOOR: f64 = 0.005;
+/// Unexplained share of the best candidate above which the motion says nothing about lag and dead time, because an
+/// obstacle or a fault shapes it.
+const UNEXPLAINED_MAX: f64 = 0.1;
+/// Candidates within this distance of the best in −2 ln L are plausible (three standard deviations).
+const PLAUSIBLE: f64 = 9.0;
+/// The candidate in use is replaced when another is better by this much in −2 ln L.
+const BETTER: f64 = 1.0;
 
 /// Prediction and energies of one candidate.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -71,12 +82,12 @@ impl Default for DynamicsBank {
 }
 
 impl DynamicsBank {
-    /// One tick with the bend from the pistons and the estimated bend, rad.
-    pub fn step(&mut self, commanded: Vector2<f64>, estimate: Vector2<f64>, dt_s: f64) {
+    /// One tick with the bend from the pistons and the estimated bend, rad; true if the tip moved since the last sample.
+    pub fn step(&mut self, commanded: Vector2<f64>, estimate: Vector2<f64>, dt_s: f64) -> bool {
         self.due_s += dt_s;
         self.commanded += commanded * dt_s;
         if self.due_s < PERIOD_S - 1e-9 {
-            return;
+            return false;
         }
         // a loop slower than the sampling rate counts its real period
         let dt_s = self.due_s;
@@ -105,6 +116,7 @@ impl DynamicsBank {
                 c.xy = c.xy * forget + fast.dot(&fast_estimate) * dt_s;
             }
         }
+        moving
     }
 
     /// The command that many intervals ago, interpolated.
@@ -114,19 +126,49 @@ impl DynamicsBank {
         at(whole).lerp(&at(whole + 1), (intervals - whole as f64).min(1.0))
     }
 
-    /// The best candidate, if it is accepted in place of `now`.
+    /// Lag and dead time with what remains plausible, from the motion so far and the range `before` any motion. The
+    /// candidate in use stays in use unless another is clearly better.
     #[must_use]
-    pub fn best(&self, now: &Dynamics) -> Option<Dynamics> {
-        if self.motion_rad < COVERAGE_RAD {
-            return None;
+    pub fn assess(&self, before: &DynamicsPrior, now: &DynamicsRange) -> DynamicsRange {
+        let share = self.unexplained_least();
+        if share > UNEXPLAINED_MAX {
+            return *now;
         }
-        let all = || (0..LAGS_S.len()).flat_map(|l| (0..DELAYS_S.len()).map(move |d| (l, d)));
-        let (l, d) = all().min_by(|a, b| self.unexplained(*a).total_cmp(&self.unexplained(*b)))?;
-        let gap = |x: &(usize, usize)| (LAGS_S[x.0] - now.lag_s).abs() / (0.02 + now.lag_s) + (DELAYS_S[x.1] - now.delay_s).abs() / 0.02;
-        let near = all().min_by(|a, b| gap(a).total_cmp(&gap(b)))?;
-        let left = self.unexplained((l, d));
-        let better = left < UNEXPLAINED_MAX && left < BETTER * self.unexplained(near);
-        better.then_some(Dynamics { lag_s: LAGS_S[l], delay_s: DELAYS_S[d] })
+        let rows = (self.motion_rad / PATH_PER_ROW_RAD).min(ROWS_MAX);
+        let score = |(l, d)| {
+            let prior = before.distance(&candidate((l, d)));
+            rows * self.unexplained((l, d)) / (share + SHARE_FLOOR) + prior * prior
+        };
+        let (best, least) = all().map(|c| (c, score(c))).fold(((0, 0), f64::INFINITY), |a, b| if b.1 < a.1 { b } else { a });
+        let mut range = DynamicsRange { best: now.best, lag_min_s: f64::INFINITY, response_min_s: f64::INFINITY, response_max_s: 0.0 };
+        for c in all().filter(|c| score(*c) < least + PLAUSIBLE) {
+            let Dynamics { lag_s, delay_s } = candidate(c);
+            range.lag_min_s = range.lag_min_s.min(lag_s);
+            range.response_min_s = range.response_min_s.min(lag_s + delay_s);
+            range.response_max_s = range.response_max_s.max(lag_s + delay_s);
+        }
+        if score(nearest(&now.best)) > least + BETTER {
+            range.best = self.interpolated(best);
+        }
+        range
+    }
+
+    fn unexplained_least(&self) -> f64 {
+        all().map(|c| self.unexplained(c)).fold(1.0, f64::min)
+    }
+
+    /// The dead time at the vertex of the parabola through the shares of a candidate and its neighbours.
+    fn interpolated(&self, (l, d): (usize, usize)) -> Dynamics {
+        let Dynamics { lag_s, delay_s } = candidate((l, d));
+        if d == 0 || d + 1 == DELAYS_S.len() {
+            return Dynamics { lag_s, delay_s };
+        }
+        let (x0, x2) = (DELAYS_S[d - 1] - delay_s, DELAYS_S[d + 1] - delay_s);
+        let (y0, y1, y2) = (self.unexplained((l, d - 1)), self.unexplained((l, d)), self.unexplained((l, d + 1)));
+        let (s0, s2) = ((y0 - y1) / x0, (y2 - y1) / x2);
+        let curvature = (s2 - s0) / (x2 - x0);
+        let shift = if curvature > 0.0 { -(s0 - curvature * x0) / (2.0 * curvature) } else { 0.0 };
+        Dynamics { lag_s, delay_s: delay_s + shift.clamp(x0 / 2.0, x2 / 2.0) }
     }
 
     fn unexplained(&self, (l, d): (usize, usize)) -> f64 {
@@ -134,6 +176,24 @@ impl DynamicsBank {
         let scale = c.xx * self.yy;
         if scale > 0.0 && c.xy > 0.0 { 1.0 - c.xy * c.xy / scale } else { 1.0 }
     }
+}
+
+/// Indices of all candidates.
+fn all() -> impl Iterator<Item = (usize, usize)> {
+    (0..LAGS_S.len()).flat_map(|l| (0..DELAYS_S.len()).map(move |d| (l, d)))
+}
+
+fn candidate((l, d): (usize, usize)) -> Dynamics {
+    Dynamics { lag_s: LAGS_S[l], delay_s: DELAYS_S[d] }
+}
+
+/// The candidate nearest to the given dynamics.
+fn nearest(to: &Dynamics) -> (usize, usize) {
+    let index = |grid: &[f64], x: f64| {
+        let gap = |i: &usize| (grid[*i] - x).abs();
+        (0..grid.len()).min_by(|a, b| gap(a).total_cmp(&gap(b))).unwrap_or(0)
+    };
+    (index(&LAGS_S, to.lag_s), index(&DELAYS_S, to.delay_s))
 }
 
 #[cfg(test)]

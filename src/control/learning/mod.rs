@@ -3,3 +3,4 @@
 pub mod batch;
 pub mod dynamics;
 pub mod online;
+pub mod sides;

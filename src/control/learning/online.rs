@@ -1,71 +1,90 @@
-//! Online refinement of k_ε by recursive least squares.
+//! Online refinement of the transmission gains by recursive least squares.
 //!
-//! In a held pose the play output of channel i is `w_i` and its bellow is at `q_i`. Eq. 16 without the backlash, which
-//! the play operator has removed, reads `w_i − q_i = k_ε,i q_i`: one scalar recursion per channel with exponential
-//! forgetting. The gain of a real tip depends on the direction of its bend, so twelve sectors of direction forget
-//! separately; work in one direction cannot move the gain away from what the others require. The safeguards, in order:
+//! A held pose gives each channel whose piston has crossed its backlash one row of Eq. 22, with one more unknown:
+//! `q̃ − q = q k_ε + s k_λ + c`, where `s` is the side of the backlash and `c` an offset that drift, lost steps or a play that
+//! started off centre leave. Without `c` such an offset would be taken for a gain. Per channel the recursion keeps the
+//! information matrix Λ of (k_ε, k_λ, c). The safeguards, in order:
 //!
-//! 1. **Coverage.** A pose counts only if the tip has moved by `pose_step_deg` since the last accepted pose, and a
-//!    channel only if its bellow is strained by `strain_min_mm`. Holding a pose adds nothing, so the estimate neither
-//!    drifts nor does its covariance grow.
-//! 2. **Prior.** The information of the prior is never forgotten; only that of the poses decays.
-//! 3. **Bounds.** The gain stays within `±range` of the calibrated prior.
-//! 4. **Rate limit.** The gain in use follows the estimate by a bounded step per pose; the caller compensates the
-//!    difference in its integrator.
-//! 5. **Outliers.** A row that deviates by more than `outlier` times the spread is not learned from.
+//! 1. **Coverage.** A pose counts only if the tip has moved by `pose_step_deg` since the last one. Holding a pose adds nothing.
+//! 2. **Directional forgetting.** Only what a new row measures again is forgotten (Cao & Schwartz 2000): old rows keep
+//!    determining what the present poses do not excite, and the estimate neither drifts nor bursts.
+//! 3. **Noise.** The variance of a row follows the residuals, so gains of a tip that the model describes badly move less. A row
+//!    further than `outlier` standard deviations off is not learned from.
+//! 4. **Bounds.** k_ε stays within `±range (1 + k_ε)` of the calibration and k_λ within ±[`LAMBDA_RANGE_MM`], and neither moves
+//!    further than `step_max` per pose; the caller compensates the difference in its integrator.
 
 use crate::model::transmission::Line;
 use crate::parameters;
-use nalgebra::{Vector2, Vector3};
-use std::f64::consts::TAU;
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 parameters! {
-    /// Online refinement of the extension gains: learning rate and guards.
+    /// Online refinement of the transmission gains: learning rate and guards.
     pub struct RefineConfig: Copy {
-        /// Learns k_ε during operation.
+        /// Learns k_ε and k_λ during operation.
         enabled: bool = true;
-        /// Fraction of a sector's information that is kept per accepted pose in that sector of bend directions; the default
-        /// is a memory of about ten poses a sector, 120 in all. A larger value remembers longer and follows a changing tip
-        /// later.
-        forgetting: f64 = 0.9, "", 0.5..=1.0, "0.9 remembers about ten poses in each of twelve directions";
-        /// Weight of the calibrated prior, in poses of full strain. A larger value holds the gains closer to the
-        /// calibration.
-        prior_poses: f64 = 1.0, "", 0.01..=1000.0, "1 weighs the calibration as one pose";
+        /// Fraction of the information about what a row measures that is kept per row. A larger value remembers longer and
+        /// follows a changing tip later.
+        forgetting: f64 = 0.97, "", 0.5..=1.0, "0.97 remembers about thirty poses";
+        /// Standard deviation of k_ε about the calibration. A larger value trusts the calibration less.
+        k_epsilon_sigma: f64 = 0.5, "", 0.001..=5.0, "0.5 is twice the spread between units";
+        /// Standard deviation of k_λ about the calibration. A larger value trusts the calibration less.
+        k_lambda_sigma_mm: f64 = 0.25, "mm", 0.001..=2.0, "0.25 is three times the spread between units";
+        /// Standard deviation of the offset c. A larger value attributes more of a deviation to drift than to the gains.
+        offset_sigma_mm: f64 = 0.3, "mm", 0.001..=5.0, "0.3 is a play that started off centre";
         /// Change of bend between two poses that count. A larger value learns from fewer, more different poses.
         pose_step_deg: f64 = 5.0, "deg", 0.5..=90.0, "5 is well above the noise";
-        /// Smallest strain of a bellow for its row to count. A larger value ignores gentle bends, in which an offset would
-        /// be taken for a gain.
-        strain_min_mm: f64 = 1.0, "mm", 0.1..=10.0, "1 is a bend of about 20°";
-        /// Range around the prior, as a fraction of 1 + k_ε. A larger value follows a worn tip further, and a fault as well.
+        /// Range of k_ε around the calibration, as a fraction of 1 + k_ε. A larger value follows a worn tip further, and a fault
+        /// as well.
         range: f64 = 0.5, "", 0.01..=2.0, "0.5 allows half of 1 + k_ε either way";
-        /// Largest change of a gain per pose, as a fraction of 1 + k_ε. A larger value learns faster and jumps further on a
-        /// bad pose.
-        step_max: f64 = 0.04, "", 0.001..=1.0, "0.04 is not noticed in the motion";
+        /// Largest change per pose: of k_ε as a fraction of 1 + k_ε, of k_λ in mm. A larger value learns faster and jumps further
+        /// on a bad pose.
+        step_max: f64 = 0.1, "", 0.001..=1.0, "0.1 crosses the spread between units in three poses";
         /// A row further from the estimate than this many standard deviations is not learned from. A larger value accepts
         /// less plausible poses.
         outlier: f64 = 4.0, "", 1.0..=100.0, "4 rejects what noise does not explain";
     }
 }
 
-/// Sectors of bend direction: the directions of the paper's experiment.
-const SECTORS: usize = 12;
-
-/// Information of one channel in one sector.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct Information {
-    /// Σ λ^n q², mm².
-    information: f64,
-    /// Σ λ^n q (w − q), mm².
-    moment: f64,
-}
+/// Largest distance of k_λ from the calibration, mm.
+pub const LAMBDA_RANGE_MM: f64 = 0.8;
+/// Initial standard deviation of a row, mm of piston, and the smallest.
+const ROW_SIGMA_MM: f64 = 0.3;
+const ROW_SIGMA_MIN_MM: f64 = 0.05;
+/// Weight of a new residual in the variance of a row.
+const SPREAD_GAIN: f64 = 0.1;
 
 /// Recursion of one channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Channel {
-    prior: f64,
-    sectors: [Information; SECTORS],
-    /// Running mean square of the row error, mm².
+    prior: Line,
+    /// Information about (k_ε, k_λ in mm, c in mm).
+    information: Matrix3<f64>,
+    estimate: Vector3<f64>,
+    /// Running mean square of the residual, mm².
     spread: f64,
+}
+
+/// One row: bellow length change, side of the backlash, piston minus bellow, all in mm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Row {
+    q_mm: f64,
+    side: f64,
+    excess_mm: f64,
+}
+
+/// A held pose.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HeldPose {
+    /// Estimated bend vector, rad.
+    pub bend: Vector2<f64>,
+    /// Counted piston positions q̃, mm.
+    pub piston_mm: Vector3<f64>,
+    /// Bellow length changes q at the estimated bend, mm.
+    pub bellow_mm: Vector3<f64>,
+    /// Side of the backlash, −1 or 1, per channel.
+    pub side: Vector3<f64>,
+    /// Weight of each channel's row; 0 omits it.
+    pub weight: Vector3<f64>,
 }
 
 /// State of the learner.
@@ -75,96 +94,87 @@ pub struct RefineState {
     last_pose: Option<Vector2<f64>>,
     /// Number of accepted poses.
     pub poses: u32,
-    /// Estimate of each channel before the limit of its rate of change.
-    pub raw: [f64; 3],
 }
-
-/// Strain of a pose whose weight equals that of one prior pose, mm.
-const FULL_STRAIN_MM: f64 = 4.0;
 
 impl RefineState {
     /// A learner that starts at the calibrated gains.
     #[must_use]
-    pub fn new(prior: &[Line; 3]) -> Self {
-        Self {
-            channels: prior.map(|p| Channel { prior: p.k_epsilon, sectors: [Information::default(); SECTORS], spread: 1.0 }),
-            last_pose: None,
-            poses: 0,
-            raw: prior.map(|l| l.k_epsilon),
-        }
+    pub fn new(config: &RefineConfig, prior: &[Line; 3]) -> Self {
+        let sigma = Vector3::new(config.k_epsilon_sigma, config.k_lambda_sigma_mm, config.offset_sigma_mm);
+        let information = Matrix3::from_diagonal(&sigma.map(|s| 1.0 / (s * s)));
+        let channel = |line: &Line| Channel {
+            prior: *line,
+            information,
+            estimate: Vector3::new(line.k_epsilon, line.k_lambda_mm, 0.0),
+            spread: ROW_SIGMA_MM * ROW_SIGMA_MM,
+        };
+        Self { channels: [channel(&prior[0]), channel(&prior[1]), channel(&prior[2])], last_pose: None, poses: 0 }
     }
 
-    /// Learns from a held pose: estimated bend in rad, play outputs and bellow length changes in mm. Returns the new gains,
-    /// or `None` if the pose was not accepted.
-    pub fn learn(
-        &mut self,
-        config: &RefineConfig,
-        lines: &[Line; 3],
-        bend: &Vector2<f64>,
-        play_output_mm: &Vector3<f64>,
-        bellow_mm: &Vector3<f64>,
-    ) -> Option<[Line; 3]> {
-        let new = self.last_pose.is_none_or(|p| (bend - p).norm() >= config.pose_step_deg.to_radians());
+    /// Learns from a held pose. Returns the new gains, or `None` if the pose was not accepted.
+    pub fn learn(&mut self, config: &RefineConfig, lines: &[Line; 3], pose: &HeldPose) -> Option<[Line; 3]> {
+        let new = self.last_pose.is_none_or(|p| (pose.bend - p).norm() >= config.pose_step_deg.to_radians());
         if !config.enabled || !new {
             return None;
         }
-        self.last_pose = Some(*bend);
-        let (sector, mut next) = (sector_of(bend), *lines);
+        self.last_pose = Some(pose.bend);
+        let mut next = *lines;
         for i in 0..3 {
-            if bellow_mm[i].abs() >= config.strain_min_mm && self.channels[i].add(config, sector, play_output_mm[i], bellow_mm[i]) {
-                self.raw[i] = self.channels[i].gain(config);
-                let step = config.step_max * (1.0 + lines[i].k_epsilon);
-                next[i].k_epsilon += (self.raw[i] - lines[i].k_epsilon).clamp(-step, step);
+            let (q_mm, side) = (pose.bellow_mm[i], pose.side[i]);
+            if pose.weight[i] > 0.0 {
+                self.channels[i].add(config, &Row { q_mm, side, excess_mm: pose.piston_mm[i] - q_mm });
             }
+            next[i] = self.channels[i].towards(config, &lines[i]);
         }
         self.poses += 1;
         Some(next)
     }
 
-    /// Standard deviation of each estimate.
+    /// Standard deviations of k_ε and of k_λ in mm, per channel.
     #[must_use]
-    pub fn sigma(&self, config: &RefineConfig) -> [f64; 3] {
-        self.channels.map(|c| (c.spread / c.total(config).information).sqrt())
+    pub fn sigma(&self) -> [[f64; 2]; 3] {
+        self.channels.map(|c| {
+            let covariance = c.information.try_inverse().unwrap_or_else(Matrix3::zeros);
+            [covariance[(0, 0)].max(0.0).sqrt(), covariance[(1, 1)].max(0.0).sqrt()]
+        })
     }
-}
-
-/// Sector of a bend.
-fn sector_of(bend: &Vector2<f64>) -> usize {
-    let turn = bend.y.atan2(bend.x).rem_euclid(TAU) / TAU;
-    // the directions of the experiment lie at the centres of the sectors; f64 to usize saturates
-    (turn * SECTORS as f64).round() as usize % SECTORS
 }
 
 impl Channel {
-    fn add(&mut self, config: &RefineConfig, sector: usize, w_mm: f64, q_mm: f64) -> bool {
-        let error = (w_mm - q_mm) - self.gain(config) * q_mm;
+    fn add(&mut self, config: &RefineConfig, row: &Row) {
+        let h = Vector3::new(row.q_mm, row.side, 1.0);
+        let error = row.excess_mm - h.dot(&self.estimate);
+        let Some(covariance) = self.information.try_inverse() else { return };
         // the bound includes the uncertainty of the prediction
-        let variance = self.spread * (1.0 + q_mm * q_mm / self.total(config).information);
-        let learn = error * error <= config.outlier * config.outlier * variance;
-        // the spread follows outliers too, so that a lasting change is accepted eventually
-        self.spread += 0.1 * (error * error - self.spread).min(10.0 * self.spread);
-        self.spread = self.spread.max(1e-4);
+        let expected = h.dot(&(covariance * h));
+        let learn = error * error <= config.outlier * config.outlier * (self.spread + expected);
         if learn {
-            let here = &mut self.sectors[sector];
-            here.information = config.forgetting * here.information + q_mm * q_mm;
-            here.moment = config.forgetting * here.moment + q_mm * (w_mm - q_mm);
+            let measured = self.information * h;
+            let about = h.dot(&measured);
+            if about > 0.0 {
+                self.information -= measured * measured.transpose() * ((1.0 - config.forgetting) / about);
+            }
+            self.information += h * h.transpose() / self.spread;
+            if let Some(covariance) = self.information.try_inverse() {
+                self.estimate += covariance * h * (error / self.spread);
+            }
         }
-        learn
+        // what the estimate leaves; outliers count too, so that a lasting change is accepted eventually
+        let left = (error * error - expected).max(0.0).min(10.0 * self.spread);
+        self.spread = (self.spread + SPREAD_GAIN * (left - self.spread)).max(ROW_SIGMA_MIN_MM * ROW_SIGMA_MIN_MM);
     }
 
-    /// Sum over all sectors and the prior.
-    fn total(&self, config: &RefineConfig) -> Information {
-        let worth = config.prior_poses * FULL_STRAIN_MM * FULL_STRAIN_MM;
-        let prior = Information { information: worth, moment: worth * self.prior };
-        self.sectors
-            .iter()
-            .fold(prior, |sum, s| Information { information: sum.information + s.information, moment: sum.moment + s.moment })
-    }
-
-    fn gain(&self, config: &RefineConfig) -> f64 {
-        let range = config.range * (1.0 + self.prior);
-        let Information { information, moment } = self.total(config);
-        (moment / information).clamp((self.prior - range).max(0.0), self.prior + range)
+    /// The gains after a step from `line` towards the estimate, within the bounds.
+    fn towards(&self, config: &RefineConfig, line: &Line) -> Line {
+        let range = config.range * (1.0 + self.prior.k_epsilon);
+        let k_epsilon = self.estimate.x.clamp((self.prior.k_epsilon - range).max(0.0), self.prior.k_epsilon + range);
+        let around = self.prior.k_lambda_mm;
+        let k_lambda_mm = self.estimate.y.clamp((around - LAMBDA_RANGE_MM).max(0.0), around + LAMBDA_RANGE_MM);
+        let step = config.step_max * (1.0 + line.k_epsilon);
+        Line {
+            k_epsilon: line.k_epsilon + (k_epsilon - line.k_epsilon).clamp(-step, step),
+            k_lambda_mm: line.k_lambda_mm + (k_lambda_mm - line.k_lambda_mm).clamp(-config.step_max, config.step_max),
+        }
     }
 }
 
@@ -172,34 +182,47 @@ impl Channel {
 mod tests {
     use super::*;
 
-    const TRUTH: [f64; 3] = [2.22, 2.53, 2.21];
+    const TRUTH: [Line; 3] = [
+        Line { k_epsilon: 2.22, k_lambda_mm: 0.9 },
+        Line { k_epsilon: 2.53, k_lambda_mm: 0.7 },
+        Line { k_epsilon: 2.21, k_lambda_mm: 1.1 },
+    ];
 
-    fn poses(n: usize) -> impl Iterator<Item = (Vector2<f64>, Vector3<f64>, Vector3<f64>)> {
-        (0..n).map(|i| {
-            let (beta, delta) = (0.26 * (1 + i % 5) as f64, (i / 5) as f64 * std::f64::consts::FRAC_PI_6);
+    /// Poses out and back in twelve directions; the pistons have an offset that is no gain.
+    fn poses(n: usize) -> impl Iterator<Item = HeldPose> {
+        let mut before = Vector3::<f64>::zeros();
+        (0..n).map(move |i| {
+            let at = if i % 10 < 5 { 1 + i % 5 } else { 5 - i % 5 };
+            let (beta, delta) = (0.26 * at as f64, (i / 10) as f64 * std::f64::consts::FRAC_PI_6);
             let bend = Vector2::new(beta * delta.cos(), beta * delta.sin());
-            let q = Vector3::from_fn(|c, _| -4.04 * beta * (delta + c as f64 * 2.094).cos());
-            (bend, Vector3::from_fn(|c, _| q[c] * (1.0 + TRUTH[c])), q)
+            let bellow_mm = Vector3::from_fn(|c, _| -4.04 * beta * (delta + c as f64 * 2.094).cos());
+            let side = (bellow_mm - before).map(f64::signum);
+            before = bellow_mm;
+            let piston_mm = Vector3::from_fn(|c, _| bellow_mm[c] * (1.0 + TRUTH[c].k_epsilon) + side[c] * TRUTH[c].k_lambda_mm + 0.2);
+            HeldPose { bend, piston_mm, bellow_mm, side, weight: Vector3::repeat(1.0) }
         })
     }
 
-    fn lines(scale: f64) -> [Line; 3] {
-        TRUTH.map(|k| Line { k_epsilon: k * scale, k_lambda_mm: 0.9 })
+    fn start(scale: f64) -> [Line; 3] {
+        TRUTH.map(|l| Line { k_epsilon: l.k_epsilon * scale, k_lambda_mm: 0.9 })
     }
 
     #[test]
-    fn a_gain_30_percent_off_converges_to_5_percent() {
+    fn gains_30_percent_off_converge_in_40_poses_in_spite_of_an_offset() {
         for scale in [0.7, 1.3] {
             let config = RefineConfig::default();
-            let mut now = lines(scale);
-            let mut state = RefineState::new(&now);
-            for (bend, w, q) in poses(60) {
-                if let Some(next) = state.learn(&config, &now, &bend, &w, &q) {
-                    now = next;
-                }
+            let mut now = start(scale);
+            let mut state = RefineState::new(&config, &now);
+            for pose in poses(40) {
+                now = state.learn(&config, &now, &pose).unwrap_or(now);
             }
-            for i in 0..3 {
-                assert!((now[i].k_epsilon / TRUTH[i] - 1.0).abs() < 0.05, "{scale} {now:?}");
+            for (found, truth) in now.iter().zip(TRUTH) {
+                assert!((found.k_epsilon / truth.k_epsilon - 1.0).abs() < 0.03, "{scale} {now:?}");
+                assert!((found.k_lambda_mm - truth.k_lambda_mm).abs() < 0.05, "{scale} {now:?}");
+            }
+            for (i, [k_epsilon, k_lambda_mm]) in state.sigma().into_iter().enumerate() {
+                assert!((now[i].k_epsilon - TRUTH[i].k_epsilon).abs() < 3.0 * k_epsilon, "{scale} {now:?} {k_epsilon}");
+                assert!((now[i].k_lambda_mm - TRUTH[i].k_lambda_mm).abs() < 3.0 * k_lambda_mm, "{scale} {now:?} {k_lambda_mm}");
             }
         }
     }
@@ -207,13 +230,13 @@ mod tests {
     #[test]
     fn a_held_pose_counts_once() {
         let config = RefineConfig::default();
-        let now = lines(1.0);
-        let mut state = RefineState::new(&now);
-        let Some((bend, w, q)) = poses(3).last() else { panic!("three poses") };
-        assert!(state.learn(&config, &now, &bend, &w, &q).is_some());
+        let now = start(1.0);
+        let mut state = RefineState::new(&config, &now);
+        let Some(pose) = poses(3).last() else { panic!("three poses") };
+        assert!(state.learn(&config, &now, &pose).is_some());
         let before = state;
         for _ in 0..10_000 {
-            assert!(state.learn(&config, &now, &bend, &(w * 1.2), &q).is_none());
+            assert!(state.learn(&config, &now, &HeldPose { piston_mm: pose.piston_mm * 1.2, ..pose }).is_none());
         }
         assert_eq!(state, before);
     }
@@ -221,32 +244,33 @@ mod tests {
     #[test]
     fn gains_stay_within_their_range_and_finite() {
         let config = RefineConfig::default();
-        let mut now = lines(1.0);
-        let mut state = RefineState::new(&now);
+        let mut now = start(1.0);
+        let mut state = RefineState::new(&config, &now);
         for round in 0..200 {
-            for (bend, w, q) in poses(60) {
-                if let Some(next) = state.learn(&config, &now, &bend, &(w * 4.0), &q) {
-                    now = next;
-                }
+            for pose in poses(60) {
+                let pose = HeldPose { piston_mm: pose.piston_mm * 4.0, ..pose };
+                now = state.learn(&config, &now, &pose).unwrap_or(now);
             }
-            for (i, line) in now.iter().enumerate() {
-                assert!(line.k_epsilon <= TRUTH[i] + 0.5 * (1.0 + TRUTH[i]) + 1e-9, "round {round}");
+            for (line, truth) in now.iter().zip(TRUTH) {
+                assert!(line.k_epsilon <= truth.k_epsilon + 0.5 * (1.0 + truth.k_epsilon) + 1e-9, "round {round}");
+                assert!((0.0..=0.9 + LAMBDA_RANGE_MM + 1e-9).contains(&line.k_lambda_mm), "round {round}");
             }
-            assert!(state.sigma(&config).iter().all(|s| s.is_finite()));
+            assert!(state.sigma().iter().flatten().all(|s| s.is_finite() && *s > 0.0));
         }
     }
 
     #[test]
     fn an_outlier_is_not_learned_from() {
         let config = RefineConfig::default();
-        let mut now = lines(1.0);
-        let mut state = RefineState::new(&now);
-        for (bend, w, q) in poses(60) {
-            now = state.learn(&config, &now, &bend, &w, &q).unwrap_or(now);
+        let mut now = start(1.0);
+        let mut state = RefineState::new(&config, &now);
+        for pose in poses(60) {
+            now = state.learn(&config, &now, &pose).unwrap_or(now);
         }
-        let before = now[0].k_epsilon;
-        let Some((_, w, q)) = poses(4).last() else { panic!("four poses") };
-        now = state.learn(&config, &now, &Vector2::new(-1.0, 0.0), &(w * 2.0), &q).unwrap_or(now);
-        assert!((now[0].k_epsilon - before).abs() < 1e-3);
+        let before = now[0];
+        let Some(pose) = poses(4).last() else { panic!("four poses") };
+        let outlier = HeldPose { bend: Vector2::new(-1.0, 0.0), piston_mm: pose.piston_mm * 2.0, ..pose };
+        now = state.learn(&config, &now, &outlier).unwrap_or(now);
+        assert!((now[0].k_epsilon - before.k_epsilon).abs() < 1e-3);
     }
 }

@@ -1,15 +1,18 @@
 //! The outer loop of the tick: set-point, PI feedback and online learning.
 
-use super::state::{Hold, LoopState, shape_of};
+use super::Observation;
+use super::state::{Feedback, Hold, LoopState, shape_of};
 use super::types::LoopConfig;
 use crate::control::follow::Follower;
+use crate::control::learning::online::HeldPose;
+use crate::control::learning::sides::Sides;
 use crate::control::limits::Cut;
-use crate::control::pi::PiGains;
+use crate::control::pi::{PiGains, PiState};
 use crate::control::standstill::StandstillLatch;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::primitives::units::{Mm, Steps};
-use nalgebra::{Vector1, Vector2};
+use nalgebra::Vector1;
 
 /// Time after the standstill latch has closed at which a pose is used for learning, s.
 const LEARN_AFTER_S: f64 = 0.15;
@@ -44,16 +47,16 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, dt_s:
     let mut pace = config.bend_pace;
     if let Some(f) = &config.feedback {
         // the feedforward leads a slow line by τ r̈; a gentler start keeps that within the pace of the pistons
-        pace.acceleration = pace.acceleration.min(pace.speed / (f.lead * state.dynamics.lag_s).max(1e-3));
+        pace.acceleration = pace.acceleration.min(pace.speed / (f.lead * state.dynamics.best.lag_s).max(1e-3));
     }
     setpoint.bend.step(&setpoint.target.bend.0, &pace, dt_s);
     setpoint.length.step(&Vector1::new(setpoint.target.length.0), &config.length_pace, dt_s);
     cut
 }
 
-/// PI feedback on the error between predicted and estimated bend. After the base has moved the error is meaningless and
-/// the integrator keeps its value.
-pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, error: Vector2<f64>, estimate: Bend, moving: bool, dt_s: f64) {
+/// PI feedback on what the model does not explain. After the base has moved that is meaningless, and the integral part
+/// keeps its value.
+pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &Observation, moving: bool, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
     let outer = &mut state.feedback;
     if state.base.moved {
@@ -61,38 +64,67 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, error: Vecto
         outer.pi.feedback = outer.pi.integral;
         return;
     }
-    let to_go = state.setpoint.target.bend.0 - estimate.0;
-    outer.standstill.step(&f.standstill, to_go, moving, dt_s);
+    outer.leave_or_arrive(moving);
+    let to_go = state.setpoint.target.bend.0 - observed.settled;
+    if !moving {
+        let estimate = observed.predicted - observed.unexplained;
+        outer.hunting.step(state.setpoint.target.bend.0 - estimate, observed.predicted);
+    }
+    outer.standstill.step(&f.standstill, outer.hunting.band_rad, to_go, moving, dt_s);
     outer.standstill_s = if outer.standstill.closed { outer.standstill_s + dt_s } else { 0.0 };
-    outer.obstruction.step(&f.obstruction, moving, &outer.pi.feedback, &estimate.0, &to_go);
-    if !outer.standstill.closed && !outer.obstruction.blocked && !state.hold.is_holding() {
-        let gains = PiGains::skogestad(&state.dynamics, f.tau_c_s, f.kp_max);
-        outer.integral_full = outer.pi.step(error, &gains, f.integral_max_rad, dt_s);
+    outer.obstruction.step(&f.obstruction, moving, &outer.pi.feedback, &observed.settled, &to_go);
+    if !outer.standstill.closed && !state.hold.is_holding() {
+        let gains = PiGains::new(&state.dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution);
+        outer.integral_s = gains.integral_s;
+        let before = outer.pi;
+        outer.integral_full = outer.pi.step(observed.unexplained, &gains, f.integral_max_rad, dt_s);
+        if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
+            outer.pi = before;
+        }
+    }
+}
+
+impl Feedback {
+    /// At a departure: keeps the integral part. What it has gained against an obstruction says nothing about the next
+    /// target, so there it starts from the last value that was free of it.
+    fn leave_or_arrive(&mut self, moving: bool) {
+        if moving && !self.departing {
+            if self.obstruction.blocked {
+                self.pi = PiState { integral: self.free_integral, feedback: self.free_integral };
+            } else {
+                self.free_integral = self.pi.integral;
+            }
+            self.hunting.new_target();
+        }
+        self.departing = moving;
     }
 }
 
 /// Learns the dynamics during motion, and k_ε from every new held pose.
-pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, from_pistons: Bend, estimate: Bend, dt_s: f64) {
-    let learns_dynamics = config.feedback.is_some_and(|f| f.learn_dynamics);
-    if learns_dynamics {
-        state.learning.bank.step(from_pistons.0, estimate.0, dt_s);
+pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Observation, estimate: Bend, dt_s: f64) {
+    if config.feedback.is_some_and(|f| f.learn_dynamics) {
+        let learning = &mut state.learning;
+        if learning.bank.step(observed.from_pistons.0, estimate.0, dt_s) {
+            state.dynamics = learning.bank.assess(&learning.before, &state.dynamics);
+        }
     }
     let rested_s = state.feedback.standstill_s;
     let just_settled = rested_s >= LEARN_AFTER_S && rested_s - dt_s < LEARN_AFTER_S;
     if !just_settled {
         return;
     }
-    if let (true, Some(better)) = (learns_dynamics, state.learning.bank.best(&state.dynamics)) {
-        state.dynamics = better;
-    }
-    let q = config.geometry.lengths(&Shape { bend: estimate, length: Mm(state.setpoint.length.at.x) });
+    let bend = observed.settled;
+    let bellow_mm = config.geometry.lengths(&Shape { bend: Bend(bend), length: Mm(state.setpoint.length.at.x) });
     let lines = &mut state.transmission;
-    let learned = state.learning.refine.learn(&config.refine, &lines.lines, &estimate.0, &lines.play_output_mm, &q);
+    let Sides { side, .. } = lines.pushes;
+    let pose = HeldPose { bend, piston_mm: lines.pushes.piston_mm(), bellow_mm, side, weight: lines.pushes.weight() };
+    let learned = state.learning.refine.learn(&config.refine, &lines.lines, &pose);
     if let Some(next) = learned {
         // bumpless: the pistons stay, so the same play outputs now mean another bend
         let before = lines.intended_shape(&config.geometry).bend;
         let after = shape_of(&config.geometry, &next, &lines.intended_mm).bend;
         state.feedback.pi.hand_over(after.0 - before.0);
+        state.feedback.model.shift(after.0 - before.0);
         lines.lines = next;
     }
 }

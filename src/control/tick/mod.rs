@@ -34,8 +34,19 @@ use pistons::PistonOutput;
 struct Observation {
     estimate: Option<TipEstimate>,
     from_pistons: Bend,
+    /// Bend that the reference model predicts for now.
     predicted: Vector2<f64>,
-    error: Vector2<f64>,
+    /// Predicted minus estimated bend.
+    unexplained: Vector2<f64>,
+    /// Bend at which the tip comes to rest if the pistons stop now: the estimate plus the motion that is still under way.
+    settled: Vector2<f64>,
+}
+
+impl Observation {
+    fn without_estimate(from_pistons: Bend) -> Self {
+        let zero = Vector2::zeros();
+        Self { estimate: None, from_pistons, predicted: zero, unexplained: zero, settled: zero }
+    }
 }
 
 /// One tick of the loop.
@@ -43,8 +54,7 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     sense::estimate(config, state, input);
     let from_pistons = pistons::follow_steps(config, state, &input.steps);
     let Some(estimate) = state.fusion.estimate() else {
-        let observation = Observation { estimate: None, from_pistons, predicted: Vector2::zeros(), error: Vector2::zeros() };
-        return frame(config, state, input, &observation, PistonOutput::resting(state));
+        return frame(config, state, input, &Observation::without_estimate(from_pistons), PistonOutput::resting(state));
     };
     let bend = estimate.bend;
     state.setpoint.target_rests_s += input.dt_s;
@@ -55,25 +65,29 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     let holding = feedback::hold(config, state, &input.steps);
     let setpoint_cut = if holding { Cut::None } else { feedback::advance_setpoint(config, state, input.dt_s) };
     let moving = !state.setpoint.has_arrived();
-    let without_feedback = from_pistons.0 - state.feedback.pi.feedback;
-    let predicted = state.feedback.model.step(without_feedback, &state.dynamics, input.dt_s);
+    let predicted = state.feedback.model.step(from_pistons.0, &state.dynamics.best, input.dt_s);
     sense::watch_base(config, state, input, predicted, bend);
-    let error = predicted - bend.0;
-    feedback::feed_back(config, state, error, bend, moving || holding, input.dt_s);
+    let observation = Observation {
+        estimate: Some(estimate),
+        from_pistons,
+        predicted,
+        unexplained: predicted - bend.0,
+        settled: bend.0 + from_pistons.0 - predicted,
+    };
+    feedback::feed_back(config, state, &observation, moving || holding, input.dt_s);
     if config.feedback.is_some() && !holding && !state.base.moved {
-        feedback::learn(config, state, from_pistons, bend, input.dt_s);
+        feedback::learn(config, state, &observation, bend, input.dt_s);
     }
     let mut output = pistons::command(config, state, bend, moving, input.dt_s);
     feedback::monitor_saturation(config, state, bend, moving || holding, output.cut, input.dt_s);
     if output.cut == Cut::None {
         output.cut = setpoint_cut;
     }
-    let observation = Observation { estimate: Some(estimate), from_pistons, predicted, error };
     frame(config, state, input, &observation, output)
 }
 
 fn frame(config: &LoopConfig, state: &LoopState, input: &Input, observation: &Observation, output: PistonOutput) -> Frame {
-    let &Observation { estimate, from_pistons, predicted, error } = observation;
+    let &Observation { estimate, from_pistons, predicted, unexplained, .. } = observation;
     let phase = match estimate {
         None => TickPhase::Aligning,
         Some(_) if state.setpoint.has_arrived() => TickPhase::Holding,
@@ -87,17 +101,19 @@ fn frame(config: &LoopConfig, state: &LoopState, input: &Input, observation: &Ob
         estimate,
         bend_from_pistons: from_pistons,
         predicted,
-        error,
+        unexplained,
         feedback: state.feedback.pi.feedback,
         command: output.command,
         bellow_mm: output.bellow_mm,
         piston_target_mm: output.piston_target_mm,
         steps: config.drive.steps(&output.piston_target_mm),
         k_epsilon: state.transmission.lines.map(|l| l.k_epsilon),
-        dynamics: state.dynamics,
+        dynamics: state.dynamics.best,
         cut: output.cut,
         at_rest: state.feedback.standstill.closed,
         blocked: state.feedback.obstruction.blocked,
+        hunting: state.feedback.hunting.hunting,
+        integral_s: state.feedback.integral_s,
         saturation: state.feedback.saturation.now(),
         senses: senses(state, estimate),
         base_moved: state.base.moved,

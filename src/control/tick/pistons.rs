@@ -38,6 +38,7 @@ impl PistonOutput {
 pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps) -> Bend {
     let piston_mm = config.drive.piston_mm(steps);
     let t = &mut state.transmission;
+    t.pushes.follow(&piston_mm);
     for i in 0..3 {
         t.play_output_mm[i] = t.lines[i].play(t.play_output_mm[i], piston_mm[i]);
         t.intended_mm[i] = realised(&t.lines[i], &t.sides[i], t.intended_mm[i], piston_mm[i]);
@@ -47,7 +48,7 @@ pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &S
 
 /// Commands the pistons for the set-point plus feedback.
 pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, dt_s: f64) -> PistonOutput {
-    let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.lag_s);
+    let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.best.lag_s);
     let setpoint = &state.setpoint;
     let bend = Bend(setpoint.bend.at + ahead_of(setpoint, lead_s) + state.feedback.pi.feedback);
     let length = Mm(setpoint.length.at.x);
@@ -108,7 +109,7 @@ fn invert_transmission(
         backlash.forget();
         return piston_mm;
     }
-    let answer_s = state.dynamics.delay_s + 3.0 * state.dynamics.lag_s + CROSSING_S;
+    let answer_s = state.dynamics.best.delay_s + 3.0 * state.dynamics.best.lag_s + CROSSING_S;
     let worth_rad = config.feedback.map_or(0.0, |f| f.standstill.open_rad);
     let error = state.setpoint.target.bend.0 - estimate.0;
     let increments = backlash.step(reversed, &error, &Patience { answer_s, worth_rad }, dt_s);

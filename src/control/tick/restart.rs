@@ -2,7 +2,7 @@
 
 use super::state::LoopState;
 use super::types::LoopConfig;
-use crate::control::pi::Dynamics;
+use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::model::bend::Bend;
 use crate::model::transmission::Line;
 use crate::primitives::units::Steps;
@@ -26,8 +26,16 @@ pub struct RestartState {
     pub lag_s: f64,
     /// Learned dead time, s.
     pub delay_s: f64,
+    /// Standard deviation of both, s.
+    #[serde(default = "unknown_s")]
+    pub dynamics_uncertainty_s: f64,
     /// Rest pose, once it is known.
     pub rest: Option<RestartRest>,
+}
+
+/// Uncertainty of lag and dead time in a memory that does not state it, s.
+fn unknown_s() -> f64 {
+    0.3
 }
 
 /// Rest pose of the alignment, in the base frame.
@@ -51,14 +59,16 @@ impl LoopState {
             mag_ut: r.mag_rest_ut.map(Into::into),
             gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
         });
+        let dynamics = self.dynamics.prior();
         RestartState {
             steps: *steps,
             bend_rad: self.fusion.estimate().map_or([0.0; 2], |f| f.bend.0.into()),
             play_output_mm: self.transmission.play_output_mm.into(),
             k_epsilon: self.transmission.lines.map(|l| l.k_epsilon),
             k_lambda_mm: self.transmission.lines.map(|l| l.k_lambda_mm),
-            lag_s: self.dynamics.lag_s,
-            delay_s: self.dynamics.delay_s,
+            lag_s: dynamics.expected.lag_s,
+            delay_s: dynamics.expected.delay_s,
+            dynamics_uncertainty_s: dynamics.uncertainty_s,
             rest,
         }
     }
@@ -67,7 +77,9 @@ impl LoopState {
     pub fn take_up(&mut self, config: &LoopConfig, remembered: &RestartState) {
         let line = |i: usize| Line { k_epsilon: remembered.k_epsilon[i], k_lambda_mm: remembered.k_lambda_mm[i] };
         self.transmission.lines = [line(0), line(1), line(2)];
-        self.dynamics = Dynamics { lag_s: remembered.lag_s, delay_s: remembered.delay_s };
+        let expected = Dynamics { lag_s: remembered.lag_s, delay_s: remembered.delay_s };
+        self.learning.before = DynamicsPrior { expected, uncertainty_s: remembered.dynamics_uncertainty_s };
+        self.dynamics = self.learning.before.range();
         self.transmission.play_output_mm = remembered.play_output_mm.into();
         self.stand(config, &remembered.steps, Bend(remembered.bend_rad.into()));
     }

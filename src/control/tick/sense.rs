@@ -51,11 +51,11 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
     let observed = WatchInput {
         rate_rad_s,
         estimate: estimate.0,
-        model: predicted + pi.feedback,
+        model: predicted,
         setpoint: state.setpoint.bend.at,
         remaining: state.setpoint.target.bend.0 - estimate.0,
         still_s: state.motors.still_s,
-        response_s: state.dynamics.lag_s + state.dynamics.delay_s,
+        response_s: state.dynamics.response_max_s,
         twist_per_bend_max: state.fusion.twist_per_bend_max(),
         dt_s: input.dt_s,
     };

@@ -3,10 +3,12 @@
 use super::types::LoopConfig;
 use crate::control::backlash_adaptation::BacklashAdaptation;
 use crate::control::follow::Follower;
+use crate::control::hunting::HuntingDetector;
 use crate::control::learning::dynamics::DynamicsBank;
 use crate::control::learning::online::RefineState;
+use crate::control::learning::sides::Sides;
 use crate::control::obstruction::ObstructionDetector;
-use crate::control::pi::{Dynamics, PiState, ReferenceModel};
+use crate::control::pi::{DynamicsPrior, DynamicsRange, PiState, ReferenceModel};
 use crate::control::saturation::SaturationMonitor;
 use crate::control::standstill::StandstillLatch;
 use crate::estimation::fusion::base_watch::Watch;
@@ -25,8 +27,8 @@ pub struct LoopState {
     pub(super) motors: MotorActivity,
     pub(super) setpoint: SetPoint,
     pub(super) transmission: Transmission,
-    /// Lag and dead time in use.
-    pub(super) dynamics: Dynamics,
+    /// Lag and dead time in use, and the plausible range.
+    pub(super) dynamics: DynamicsRange,
     pub(super) feedback: Feedback,
     pub(super) learning: Learning,
     pub(super) base: BaseState,
@@ -76,6 +78,8 @@ pub(super) struct Transmission {
     pub(super) play_output_mm: Vector3<f64>,
     /// Play outputs as the inverse intended them, mm.
     pub(super) intended_mm: Vector3<f64>,
+    /// Sides of the backlash at the counted steps.
+    pub(super) pushes: Sides,
 }
 
 impl Transmission {
@@ -100,12 +104,19 @@ pub(super) fn shape_of(geometry: &Geometry, lines: &[Line; 3], w_mm: &Vector3<f6
 pub(super) struct Feedback {
     pub(super) model: ReferenceModel,
     pub(super) pi: PiState,
+    /// Integral time in use, s.
+    pub(super) integral_s: f64,
     /// The integrator is at its bound.
     pub(super) integral_full: bool,
     pub(super) standstill: StandstillLatch,
     /// Time since the latch closed, s.
     pub(super) standstill_s: f64,
     pub(super) obstruction: ObstructionDetector,
+    pub(super) hunting: HuntingDetector,
+    /// Integral part when the set-point last left a pose that nothing obstructed, rad.
+    pub(super) free_integral: Vector2<f64>,
+    /// The set-point moves.
+    pub(super) departing: bool,
     pub(super) saturation: SaturationMonitor,
     pub(super) backlash: BacklashAdaptation,
 }
@@ -115,6 +126,8 @@ pub(super) struct Feedback {
 pub(super) struct Learning {
     pub(super) refine: RefineState,
     pub(super) bank: DynamicsBank,
+    /// Lag and dead time before any motion that the bank has seen.
+    pub(super) before: DynamicsPrior,
 }
 
 /// Supervision of the base.
@@ -167,10 +180,15 @@ impl LoopState {
                 sides: [SideState::default(); 3],
                 play_output_mm: Vector3::zeros(),
                 intended_mm: Vector3::zeros(),
+                pushes: Sides::default(),
             },
-            dynamics: config.dynamics,
+            dynamics: config.dynamics.range(),
             feedback: Feedback::default(),
-            learning: Learning { refine: RefineState::new(&config.lines), bank: DynamicsBank::default() },
+            learning: Learning {
+                refine: RefineState::new(&config.refine, &config.lines),
+                bank: DynamicsBank::default(),
+                before: config.dynamics,
+            },
             base: BaseState::default(),
             hold: Hold::RELEASED,
             targets_mm: Vector3::zeros(),
@@ -193,6 +211,7 @@ impl LoopState {
     pub fn stand(&mut self, config: &LoopConfig, steps: &Steps, at: Bend) {
         let piston_mm = config.drive.piston_mm(steps);
         let lines = &mut self.transmission;
+        lines.pushes = Sides::resting(piston_mm);
         for i in 0..3 {
             let line = &lines.lines[i];
             let w_mm = line.play(lines.play_output_mm[i], piston_mm[i]);
@@ -208,9 +227,10 @@ impl LoopState {
         let mut backlash = self.feedback.backlash;
         backlash.forget();
         self.feedback = Feedback {
-            model: ReferenceModel::resting(at.0),
+            model: ReferenceModel::resting(given.bend.0),
             pi: PiState { integral: feedback, feedback },
             backlash,
+            hunting: HuntingDetector::new(self.feedback.hunting.caution),
             ..Feedback::default()
         };
         self.hold = Hold::RELEASED;

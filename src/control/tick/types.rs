@@ -4,7 +4,7 @@ use crate::control::follow::Pace;
 use crate::control::learning::online::RefineConfig;
 use crate::control::limits::{ActuatorLimits, Cut};
 use crate::control::obstruction::ObstructionConfig;
-use crate::control::pi::Dynamics;
+use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::control::saturation::Saturation;
 use crate::control::standstill::StandstillConfig;
 use crate::estimation::fusion::health::{CauseSet, HealthAction, ImuReading};
@@ -29,8 +29,8 @@ pub struct LoopConfig {
     pub drive: Drive,
     /// Calibrated transmission gains: the initial feedforward and the prior of the refinement.
     pub lines: [Line; 3],
-    /// Initial lag and dead time.
-    pub dynamics: Dynamics,
+    /// Lag and dead time before any motion.
+    pub dynamics: DynamicsPrior,
     /// How the backlash compensation reverses.
     pub side: Side,
     /// Pace of the bend set-point, rad/s and rad/s².
@@ -159,10 +159,10 @@ pub struct Frame {
     pub estimate: Option<TipEstimate>,
     /// Bend that the counted steps cause according to the transmission model, rad.
     pub bend_from_pistons: Bend,
-    /// Bend predicted by the reference model (lag and dead time) without feedback, rad.
+    /// Bend that the reference model (lag and dead time) predicts from the counted steps, rad.
     pub predicted: Vector2<f64>,
-    /// Predicted minus estimated bend: the error of the PI controller, rad.
-    pub error: Vector2<f64>,
+    /// Predicted minus estimated bend: the input of the PI controller, rad.
+    pub unexplained: Vector2<f64>,
     /// Feedback part of the bend command, rad.
     pub feedback: Vector2<f64>,
     /// Bend command: set-point, lead and feedback, rad.
@@ -183,6 +183,10 @@ pub struct Frame {
     pub at_rest: bool,
     /// The tip does not follow the feedback.
     pub blocked: bool,
+    /// The loop has driven the tip to and fro at the present target, and has become slower.
+    pub hunting: bool,
+    /// Integral time λ of the controller, s.
+    pub integral_s: f64,
     /// The controller has reached a limit and the tip is still off target.
     pub saturation: Saturation,
     /// State of the sensors.

@@ -139,8 +139,8 @@ impl Hub {
                 let gains = LearnedGains {
                     k_epsilon: found.lines.map(|l| l.k_epsilon),
                     k_lambda_mm: found.lines.map(|l| l.k_lambda_mm),
-                    lag_s: found.dynamics.lag_s,
-                    delay_s: found.dynamics.delay_s,
+                    lag_s: found.dynamics.expected.lag_s,
+                    delay_s: found.dynamics.expected.delay_s,
                     tip: self.config.tip.clone(),
                     unix_s: unix_s(),
                     source: "calibrate transmission".to_owned(),
