@@ -154,6 +154,12 @@ impl ReferenceModel {
         Self { line: [at; LINE], head: 0, lagged: at }
     }
 
+    /// The last prediction, rad.
+    #[must_use]
+    pub fn predicted(&self) -> Vector2<f64> {
+        self.lagged
+    }
+
     /// Adds `shift`, rad, to all bends, because the transmission gains have changed.
     pub fn shift(&mut self, shift: Vector2<f64>) {
         self.line.iter_mut().for_each(|bend| *bend += shift);
@@ -183,15 +189,18 @@ pub struct PiState {
 }
 
 impl PiState {
-    /// One tick with the unexplained bend d, rad. `integral_max` bounds |I|, rad; returns true if the bound is reached.
-    pub fn step(&mut self, unexplained: Vector2<f64>, gains: &PiGains, integral_max: f64, dt_s: f64) -> bool {
-        self.integral += (unexplained - self.integral) * (1.0 - (-dt_s / gains.integral_s).exp());
+    /// One tick with the unexplained bend d, rad. While the prediction moves, an error of its timing makes part of d: what
+    /// `timing`, rad, explains of a change is left out. `integral_max` bounds |I|, rad; returns true if the bound is reached.
+    pub fn step(&mut self, unexplained: Vector2<f64>, timing: f64, gains: &PiGains, integral_max: f64, dt_s: f64) -> bool {
+        let change = unexplained - self.integral;
+        let change = change * (1.0 - timing / change.norm().max(timing).max(f64::MIN_POSITIVE));
+        self.integral += change * (1.0 - (-dt_s / gains.integral_s).exp());
         let size = self.integral.norm();
         let full = size > integral_max;
         if full {
             self.integral *= integral_max / size;
         }
-        self.feedback = self.integral + (unexplained - self.integral) * (gains.lag_s / gains.integral_s);
+        self.feedback = self.integral + change * (gains.lag_s / gains.integral_s);
         full
     }
 
@@ -224,7 +233,7 @@ mod tests {
         let mut largest: f64 = 0.0;
         for k in 0..ticks {
             let command = target + pi.feedback;
-            pi.step(model.step(command, &range.best, dt_s) - estimate, &gains, 2.0, dt_s);
+            pi.step(model.step(command, &range.best, dt_s) - estimate, 0.0, &gains, 2.0, dt_s);
             estimate = plant.step(command, &truth, dt_s) * gain + Vector2::new(0.05, 0.02);
             if k + (1.0 / dt_s) as usize > ticks {
                 largest = largest.max((estimate - target).norm());
@@ -260,7 +269,7 @@ mod tests {
     #[test]
     fn a_gain_change_does_not_change_the_feedback() {
         let mut pi = PiState { integral: Vector2::new(0.1, 0.0), feedback: Vector2::new(0.1, 0.0) };
-        pi.step(Vector2::new(0.1, 0.0), &PiGains { integral_s: 0.02, lag_s: 0.1 }, 1.0, 0.001);
+        pi.step(Vector2::new(0.1, 0.0), 0.0, &PiGains { integral_s: 0.02, lag_s: 0.1 }, 1.0, 0.001);
         assert_eq!(pi.feedback, Vector2::new(0.1, 0.0));
     }
 
@@ -268,7 +277,7 @@ mod tests {
     fn the_integral_is_bounded_and_reports_the_bound() {
         let mut pi = PiState::default();
         let gains = PiGains { integral_s: 0.1, lag_s: 0.0 };
-        assert!((0..1000).any(|_| pi.step(Vector2::new(0.3, 0.0), &gains, 0.2, 0.01)));
+        assert!((0..1000).any(|_| pi.step(Vector2::new(0.3, 0.0), 0.0, &gains, 0.2, 0.01)));
         assert!(pi.integral.norm() <= 0.2 + 1e-12);
     }
 }

@@ -8,6 +8,7 @@ use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::bend::Bend;
 use crate::primitives::frames::{Base, Rotation, Tip};
+use crate::model::transmission::Line;
 use crate::primitives::units::Mm;
 use serde::Serialize;
 
@@ -84,6 +85,8 @@ pub struct ArmResult {
     pub stopped: usize,
     /// k_ε in use at the end.
     pub k_eps_end: [f64; 3],
+    /// k_λ in use at the end, mm.
+    pub k_lambda_end_mm: [f64; 3],
     /// The held states.
     pub held: Vec<Held>,
 }
@@ -105,7 +108,7 @@ pub fn run(name: &str, rig: &mut Rig<'_>, poses: &[Pose], progress: &mut dyn FnM
             progress();
         }
     }
-    Ok(summary(name, held, rig.state.lines().map(|l| l.k_epsilon)))
+    Ok(summary(name, held, rig.state.lines()))
 }
 
 /// Sums over the scored part of a state.
@@ -223,7 +226,8 @@ fn summary(name: &str, held: Vec<Held>, k_eps_end: [f64; 3]) -> ArmResult {
         blocked: held.iter().filter(|h| h.blocked).count(),
         base_moved: held.iter().filter(|h| h.base_moved).count(),
         stopped: held.iter().filter(|h| h.stopped).count(),
-        k_eps_end,
+        k_eps_end: lines.map(|l| l.k_epsilon),
+        k_lambda_end_mm: lines.map(|l| l.k_lambda_mm),
         held,
     }
 }

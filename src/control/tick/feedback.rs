@@ -76,8 +76,9 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     if !outer.standstill.closed && !state.hold.is_holding() {
         let gains = PiGains::new(&state.dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution);
         outer.integral_s = gains.integral_s;
+        let timing = (crate::tune("ta", 0.01) + crate::tune("tb", 0.1) * state.dynamics.best.response_s()) * observed.predicted_rate;
         let before = outer.pi;
-        outer.integral_full = outer.pi.step(observed.unexplained, &gains, f.integral_max_rad, dt_s);
+        outer.integral_full = outer.pi.step(observed.unexplained, timing, &gains, f.integral_max_rad, dt_s);
         if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
             outer.pi = before;
         }

@@ -36,6 +36,8 @@ struct Observation {
     from_pistons: Bend,
     /// Bend that the reference model predicts for now.
     predicted: Vector2<f64>,
+    /// Rate of the predicted bend, rad/s.
+    predicted_rate: f64,
     /// Predicted minus estimated bend.
     unexplained: Vector2<f64>,
     /// Bend at which the tip comes to rest if the pistons stop now: the estimate plus the motion that is still under way.
@@ -45,7 +47,7 @@ struct Observation {
 impl Observation {
     fn without_estimate(from_pistons: Bend) -> Self {
         let zero = Vector2::zeros();
-        Self { estimate: None, from_pistons, predicted: zero, unexplained: zero, settled: zero }
+        Self { estimate: None, from_pistons, predicted: zero, predicted_rate: 0.0, unexplained: zero, settled: zero }
     }
 }
 
@@ -65,12 +67,14 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
     let holding = feedback::hold(config, state, &input.steps);
     let setpoint_cut = if holding { Cut::None } else { feedback::advance_setpoint(config, state, input.dt_s) };
     let moving = !state.setpoint.has_arrived();
+    let predicted_before = state.feedback.model.predicted();
     let predicted = state.feedback.model.step(from_pistons.0, &state.dynamics.best, input.dt_s);
     sense::watch_base(config, state, input, predicted, bend);
     let observation = Observation {
         estimate: Some(estimate),
         from_pistons,
         predicted,
+        predicted_rate: (predicted - predicted_before).norm() / input.dt_s.max(f64::MIN_POSITIVE),
         unexplained: predicted - bend.0,
         settled: bend.0 + from_pistons.0 - predicted,
     };
