@@ -42,10 +42,3 @@ pub mod report;
 pub mod service;
 pub mod simulation;
 pub mod supervisor;
-
-#[doc(hidden)]
-pub fn tune(name: &str, default: f64) -> f64 {
-    static T: std::sync::OnceLock<std::collections::HashMap<String, f64>> = std::sync::OnceLock::new();
-    let map = T.get_or_init(|| std::env::var("TUNE").unwrap_or_default().split(',').filter_map(|kv| kv.split_once('=')).filter_map(|(k, v)| Some((k.to_owned(), v.parse().ok()?))).collect());
-    map.get(name).copied().unwrap_or(default)
-}

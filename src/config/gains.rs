@@ -111,11 +111,14 @@ parameters! {
     pub struct ObstructionSection: Copy {
         /// Feedback that is added at a constant set-point before a tip that does not follow counts as obstructed. A larger
         /// value pushes harder against an obstacle.
-        push_deg: f64 = 15.0, "deg", 0.5..=90.0, "15 is more than creep and calibration errors need";
+        push_deg: f64 = 10.0, "deg", 0.5..=90.0, "10 is more than a reversal of the backlash needs";
         /// Smallest fraction of that feedback that a free tip follows. A larger value takes a soft line for an obstacle.
-        follow_min: f64 = 0.08, "", 0.0..=0.9, "0.08 leaves room for a soft line";
+        follow_min: f64 = 0.2, "", 0.0..=0.9, "with one line pinched a tip still follows a third";
         /// Error below which no obstruction is reported. A larger value hides obstacles that cost little.
         error_deg: f64 = 1.0, "deg", 0.05..=45.0, "1 is the error that matters";
+        /// Pressure with which an obstructed tip is pressed, beyond that which its bend needs. A larger value presses harder
+        /// on what the tip touches.
+        press_kpa: f64 = 12.0, "kPa", 0.0..=40.0, "12 is what a free tip needs for about 35°";
     }
 }
 
@@ -151,6 +154,7 @@ impl Gains {
                 push_rad: w.push_deg.to_radians(),
                 follow_min: w.follow_min,
                 error_rad: w.error_deg.to_radians(),
+                press_kpa: w.press_kpa,
             },
         }
     }

@@ -16,6 +16,8 @@ pub struct ObstructionConfig {
     pub follow_min: f64,
     /// Error below which no obstruction is reported, rad.
     pub error_rad: f64,
+    /// Pressure with which an obstructed tip is pressed, beyond that which its bend needs, kPa.
+    pub press_kpa: f64,
 }
 
 /// The detector.
@@ -67,7 +69,7 @@ const BACK_RAD: f64 = 0.0035;
 mod tests {
     use super::*;
 
-    const CONFIG: ObstructionConfig = ObstructionConfig { push_rad: 0.14, follow_min: 0.25, error_rad: 0.017 };
+    const CONFIG: ObstructionConfig = ObstructionConfig { push_rad: 0.14, follow_min: 0.25, error_rad: 0.017, press_kpa: 12.0 };
 
     fn push(compliance: f64) -> bool {
         let mut s = ObstructionDetector::default();

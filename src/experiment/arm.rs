@@ -209,7 +209,7 @@ pub fn percentile(values: impl IntoIterator<Item = f64>, share: f64) -> f64 {
     sorted.get(((share * sorted.len() as f64) as usize).min(last)).copied().unwrap_or(0.0)
 }
 
-fn summary(name: &str, held: Vec<Held>, k_eps_end: [f64; 3]) -> ArmResult {
+fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3]) -> ArmResult {
     let rms = |f: fn(&Held) -> f64| root_mean(held.iter().map(f));
     let settle = |share: f64| percentile(held.iter().map(|h| h.settle_s.unwrap_or(HOLD_S)), share);
     ArmResult {

@@ -14,6 +14,12 @@ use crate::model::bend::Bend;
 use crate::primitives::units::{Mm, Steps};
 use nalgebra::Vector1;
 
+/// Share of the pace by which the lead may raise the speed of the command: pistons that follow the pace have that much to
+/// spare.
+const LEAD_SHARE: f64 = 0.35;
+/// Error of the timing of the prediction that no evidence removes, s, and its share of the response time.
+const TIMING_S: f64 = 0.01;
+const TIMING_SHARE: f64 = 0.05;
 /// Time after the standstill latch has closed at which a pose is used for learning, s.
 const LEARN_AFTER_S: f64 = 0.15;
 
@@ -47,24 +53,24 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, dt_s:
     let mut pace = config.bend_pace;
     if let Some(f) = &config.feedback {
         // the feedforward leads a slow line by τ r̈; a gentler start keeps that within the pace of the pistons
-        pace.acceleration = pace.acceleration.min(pace.speed / (f.lead * state.dynamics.best.lag_s).max(1e-3));
+        pace.acceleration = pace.acceleration.min(LEAD_SHARE * pace.speed / (f.lead * state.dynamics.best.lag_s).max(1e-3));
     }
     setpoint.bend.step(&setpoint.target.bend.0, &pace, dt_s);
     setpoint.length.step(&Vector1::new(setpoint.target.length.0), &config.length_pace, dt_s);
     cut
 }
 
-/// PI feedback on what the model does not explain. After the base has moved that is meaningless, and the integral part
-/// keeps its value.
+/// PI feedback on what the model does not explain. After the base has moved that is meaningless: the integral part keeps
+/// its value in that pose, and later poses have the feedforward alone.
 pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &Observation, moving: bool, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
     let outer = &mut state.feedback;
+    outer.leave_or_arrive(moving, state.base.moved);
     if state.base.moved {
         outer.standstill = StandstillLatch::default();
         outer.pi.feedback = outer.pi.integral;
         return;
     }
-    outer.leave_or_arrive(moving);
     let to_go = state.setpoint.target.bend.0 - observed.settled;
     if !moving {
         let estimate = observed.predicted - observed.unexplained;
@@ -76,7 +82,7 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     if !outer.standstill.closed && !state.hold.is_holding() {
         let gains = PiGains::new(&state.dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution);
         outer.integral_s = gains.integral_s;
-        let timing = (crate::tune("ta", 0.01) + crate::tune("tb", 0.1) * state.dynamics.best.response_s()) * observed.predicted_rate;
+        let timing = (TIMING_S + TIMING_SHARE * state.dynamics.best.response_s()) * observed.predicted_rate;
         let before = outer.pi;
         outer.integral_full = outer.pi.step(observed.unexplained, timing, &gains, f.integral_max_rad, dt_s);
         if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
@@ -88,9 +94,12 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
 impl Feedback {
     /// At a departure: keeps the integral part. What it has gained against an obstruction says nothing about the next
     /// target, so there it starts from the last value that was free of it.
-    fn leave_or_arrive(&mut self, moving: bool) {
+    fn leave_or_arrive(&mut self, moving: bool, base_moved: bool) {
         if moving && !self.departing {
-            if self.obstruction.blocked {
+            if base_moved {
+                // it belongs to the pose in which the base turned
+                self.pi = PiState::default();
+            } else if self.obstruction.blocked {
                 self.pi = PiState { integral: self.free_integral, feedback: self.free_integral };
             } else {
                 self.free_integral = self.pi.integral;

@@ -12,6 +12,8 @@ use nalgebra::{Vector2, Vector3};
 
 /// Longest time between two targets of a stream, s; a target that has lasted for longer is at rest.
 const STREAM_PERIOD_S: f64 = 0.1;
+/// Lag from which a line is slow: twice the time for which a reversal stops the tip, s.
+const SLOW_S: f64 = 2.0 * CROSSING_S;
 /// Time constant with which the offset after a hold decays, s.
 const EASE_S: f64 = 0.15;
 /// Time for a piston to cross a backlash of 2 × 0.85 mm from rest with 600 mm/s² up to 30 mm/s, s.
@@ -51,6 +53,7 @@ pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend
     let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.best.lag_s);
     let setpoint = &state.setpoint;
     let bend = Bend(setpoint.bend.at + ahead_of(setpoint, lead_s) + state.feedback.pi.feedback);
+    let bend = if state.feedback.obstruction.blocked { press(config, state, bend, estimate) } else { bend };
     let length = Mm(setpoint.length.at.x);
     let wanted_mm = config.geometry.lengths(&Shape { bend, length });
     let bellow_mm = wanted_mm.add_scalar(config.limits.relief(&wanted_mm, &state.transmission.lines));
@@ -66,12 +69,22 @@ pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend
     PistonOutput { command: bend, bellow_mm, piston_target_mm: state.targets_mm, cut }
 }
 
+/// The command against an obstruction: no further from the estimate than the configured pressure, beyond that which the
+/// estimated bend needs, allows.
+fn press(config: &LoopConfig, state: &LoopState, command: Bend, estimate: Bend) -> Bend {
+    let Some(f) = &config.feedback else { return command };
+    let stiffest = state.transmission.lines.iter().map(|l| 1.0 + l.k_epsilon).fold(1.0, f64::max);
+    let kpa_per_rad = config.limits.pressure_kpa_per_mm * stiffest * config.geometry.r_mm;
+    Bend(estimate.0 + (command.0 - estimate.0).cap_magnitude(f.obstruction.press_kpa / kpa_per_rad))
+}
+
 /// What the feedforward adds to the set-point, rad. Beyond a target at rest it would have to come back, and a reversal
-/// crosses the backlash: there it ends at the target.
+/// crosses the backlash: there it ends at the target, unless the line is so slow that the tip gains more by the lead than
+/// it loses by the reversal.
 fn ahead_of(setpoint: &SetPoint, lead_s: f64) -> Vector2<f64> {
     let ahead = setpoint.bend.velocity * lead_s;
     let (way, to_go) = (ahead.norm(), (setpoint.target.bend.0 - setpoint.bend.at).norm());
-    if setpoint.target_rests_s > STREAM_PERIOD_S && way > to_go { ahead * (to_go / way) } else { ahead }
+    if setpoint.target_rests_s > STREAM_PERIOD_S && way > to_go && lead_s < SLOW_S { ahead * (to_go / way) } else { ahead }
 }
 
 /// Targets with the offset that remains of a hold, so that they leave it without a jump.

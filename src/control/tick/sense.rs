@@ -44,7 +44,7 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
         state.base = BaseState { quiet: state.base.quiet, ..BaseState::default() };
         return;
     }
-    let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.base.moved && !state.fusion.tracks_base()) else {
+    let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.fusion.tracks_base()) else {
         return;
     };
     let pi = &mut state.feedback.pi;
@@ -59,8 +59,14 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
         twist_per_bend_max: state.fusion.twist_per_bend_max(),
         dt_s: input.dt_s,
     };
-    state.base.moved = state.base.watch.step(&config.fuse.watch, &observed);
+    let flagged = state.base.watch.step(&config.fuse.watch, &observed);
     if state.base.moved {
+        let unexplained = estimate.0 - state.base.quiet.estimate - (played - state.base.quiet.played);
+        state.base.moved = !state.base.watch.returned(&unexplained);
+        return;
+    }
+    state.base.moved = flagged;
+    if flagged {
         // the integral from before the base turned
         (pi.integral, pi.feedback) = (state.base.quiet.integral, state.base.quiet.integral);
     } else if state.base.watch.quiet() {

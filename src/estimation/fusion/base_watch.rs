@@ -88,6 +88,10 @@ pub struct Watch {
     /// Unexplained bend, rad.
     bend: Vector2<f64>,
     onset: Onset,
+    /// Unexplained bend that came back by itself, rad: the tip sways, and the base does not.
+    sway: f64,
+    /// Largest unexplained bend since the flag, rad.
+    excursion: f64,
 }
 
 /// How the present unexplained bend began.
@@ -110,6 +114,11 @@ const PATH_SLOW_S: f64 = 0.6;
 const CONFIRM_S: f64 = 0.03;
 /// Path of the set-point below which it counts as constant, rad (1°).
 const CONSTANT_RAD: f64 = 0.017;
+/// Unexplained bend that counts as having come back, rad (1.5°).
+const RETURNED_RAD: f64 = 0.026;
+/// Tolerated sway, relative to the largest that came back, and its upper limit, rad (15°).
+const SWAY_MARGIN: f64 = 1.3;
+const SWAY_MAX_RAD: f64 = 0.26;
 /// Unexplained motion that counts as none, rad (1°).
 const QUIET_RAD: f64 = 0.017;
 
@@ -151,8 +160,21 @@ impl Watch {
         let share = input.twist_per_bend_max.map_or(config.twist_share, |shown| config.twist_share.min(shown));
         let twist_max = config.twist_deg.to_radians() + share * self.path_slow;
         self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + input.dt_s } else { 0.0 };
-        let bent = self.bend.norm() > config.bend_deg.to_radians() && self.onset == Onset::Unprovoked;
+        let bent = self.bend.norm() > config.bend_deg.to_radians() + self.sway && self.onset == Onset::Unprovoked;
         config.enabled && (bent || self.twisted_s > CONFIRM_S)
+    }
+
+    /// Follows the unexplained bend since the last quiet pose while the flag is up; true once it has come back without a
+    /// twist. Then it was no turn of the base, or one that was undone, and sways of that size are tolerated from now on.
+    pub fn returned(&mut self, unexplained: &Vector2<f64>) -> bool {
+        let size = unexplained.norm();
+        self.excursion = self.excursion.max(size);
+        let back = size < RETURNED_RAD && self.twist.abs() < QUIET_RAD;
+        if back {
+            self.sway = self.sway.max(SWAY_MARGIN * self.excursion).min(SWAY_MAX_RAD);
+            (self.excursion, self.bend, self.onset, self.settled) = (0.0, Vector2::zeros(), Onset::None, false);
+        }
+        back
     }
 
     /// True if the loop has settled without unexplained motion: the present state is a valid one to return to.

@@ -57,5 +57,8 @@ parameters! {
         still_rate_sigma_rad_s: f64 = 0.005, "rad/s", 1e-5..=1.0, "0.005 is the creep of a fresh bend";
         /// Uses the magnetometer.
         use_mag: bool = true;
+        /// Uncertainty of the bend from which the field counts. Below it gravity sees the bend, and the field could only
+        /// disturb it. A larger value uses the field less often.
+        field_from_deg: f64 = 1.0, "deg", 0.0..=90.0, "1 is reached where gravity does not see the bend";
     }
 }

@@ -112,6 +112,19 @@ impl BendFilter {
         (self.gravity_nis, self.field_nis, self.twist_nis) = (1.0, 1.0, 0.0);
     }
 
+    /// True where gravity does not see the bend well enough.
+    fn needs_field(&self) -> bool {
+        self.bend_sigma_rad() >= self.config.field_from_deg.to_radians()
+    }
+
+    /// Largest standard deviation of the bend, rad.
+    fn bend_sigma_rad(&self) -> f64 {
+        let c = self.covariance();
+        // largest eigenvalue of a symmetric 2 × 2 matrix
+        let (mean, half) = ((c[(0, 0)] + c[(1, 1)]) / 2.0, (c[(0, 0)] - c[(1, 1)]) / 2.0);
+        (mean + half.hypot(c[(0, 1)])).max(0.0).sqrt()
+    }
+
     /// Adds an unobserved rotation of `turn_rad` (1 σ) to the covariance.
     fn widen(&mut self, turn_rad: f64) {
         for i in 0..GYRO {
@@ -207,7 +220,7 @@ impl TipEstimator for BendFilter {
         if mask.acc {
             self.acc.add(&(sample.acc_m_s2 - turn.predicted(&self.alignment.acc_rest_m_s2, &self.kalman.block(ACC))));
         }
-        if let (true, Some(m), Some(rest)) = (self.config.use_mag && mask.mag, &sample.mag_ut, &self.alignment.mag_rest_ut) {
+        if let (true, Some(m), Some(rest)) = (self.config.use_mag && mask.mag && self.needs_field(), &sample.mag_ut, &self.alignment.mag_rest_ut) {
             self.mag.add(&(m - turn.predicted(rest, &self.kalman.block(MAG))));
         }
         if mask.still {
@@ -239,10 +252,7 @@ impl TipEstimator for BendFilter {
     }
 
     fn sigma_rad(&self) -> Option<f64> {
-        let c = self.covariance();
-        // largest eigenvalue of a symmetric 2 × 2 matrix
-        let (mean, half) = ((c[(0, 0)] + c[(1, 1)]) / 2.0, (c[(0, 0)] - c[(1, 1)]) / 2.0);
-        Some((mean + half.hypot(c[(0, 1)])).max(0.0).sqrt())
+        Some(self.bend_sigma_rad())
     }
 
     fn correction(&self) -> Vector2<f64> {
