@@ -174,6 +174,8 @@ fn full_memory() -> memory::Memory {
         k_lambda_mm: [0.9; 3],
         lag_s: 0.03,
         delay_s: 0.01,
+        dynamics_uncertainty_s: 0.02,
+        caution: 1.0,
         rest: None,
     };
     let mut whole = memory::Memory { restart: Some(restart), tip: "A".to_owned(), armed: true, ..memory::Memory::default() };

@@ -7,8 +7,8 @@ use crate::control::tick::Command;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::bend::Bend;
-use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::model::transmission::Line;
+use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::units::Mm;
 use serde::Serialize;
 
@@ -235,6 +235,8 @@ fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3]) -> ArmResult {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const LINES: [Line; 3] = [Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3];
     use crate::primitives::units::Rad;
     use nalgebra::{UnitQuaternion, Vector3};
 
@@ -258,7 +260,7 @@ mod tests {
     #[test]
     fn a_state_that_does_not_settle_is_the_slowest_and_is_counted() {
         let state = |settle_s| Held { settle_s, ..Held::default() };
-        let of = |times: &[Option<f64>]| summary("closed", times.iter().map(|&t| state(t)).collect(), [0.0; 3]);
+        let of = |times: &[Option<f64>]| summary("closed", times.iter().map(|&t| state(t)).collect(), &LINES);
         let r = of(&[Some(0.2), Some(0.4), Some(0.3), None]);
         assert_eq!((r.settle_s_median, r.settle_s_p95, r.unsettled), (0.4, HOLD_S, 1));
         let r = of(&[Some(0.2), None, None]);

@@ -44,8 +44,11 @@ pub fn blocked(f: &Frame) -> bool {
 /// Why the tip cannot get nearer to its target.
 #[must_use]
 pub fn shortfall(f: &Frame) -> Option<&'static str> {
-    let obstructed = "the tip does not follow the pistons: an obstruction holds it; remove it, or choose another target";
-    f.saturation.words().or_else(|| f.blocked.then_some(obstructed))
+    let obstructed = "the tip does not follow the pistons: an obstruction holds it, or the target is out of its reach; remove the \
+                      obstruction, or choose another target";
+    let hunting = "the tip swung about its target because of the loop, which is slower now and stands at the nearest position \
+                   that it reaches; look for a line that sticks, or calibrate again";
+    f.saturation.words().or_else(|| f.blocked.then_some(obstructed)).or_else(|| f.hunting.then_some(hunting))
 }
 
 /// What is known about a base that turned.
@@ -94,6 +97,8 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
         "tip_c": output.sensed.gauges.tip_c.map(round),
         "tip_warm": output.sensed.gauges.tip_warm,
         "k_epsilon": f.k_epsilon.map(round),
+        "hunting": f.hunting,
+        "integral_s": round(f.integral_s),
         "lag_s": round(f.dynamics.lag_s),
         "delay_s": round(f.dynamics.delay_s),
     })

@@ -231,6 +231,8 @@ mod tests {
             k_lambda_mm: [0.9; 3],
             lag_s: 0.03,
             delay_s: 0.01,
+            dynamics_uncertainty_s: 0.02,
+            caution: 1.0,
             rest: None,
         };
         Memory { tip: "A".to_owned(), restart: Some(restart), ..Memory::default() }

@@ -60,7 +60,8 @@ pub struct Record {
 pub fn digest(output: &CycleOutput) -> u64 {
     let f = &output.frame;
     let estimate = f.estimate.map_or([f64::NAN; 2], |x| x.bend.0.into());
-    let numbers = [f.setpoint.bend.0.x, f.setpoint.bend.0.y, f.setpoint.length.0, f.unexplained.x, f.unexplained.y, f.feedback.x, f.feedback.y];
+    let numbers =
+        [f.setpoint.bend.0.x, f.setpoint.bend.0.y, f.setpoint.length.0, f.unexplained.x, f.unexplained.y, f.feedback.x, f.feedback.y];
     let pistons: [f64; 3] = f.piston_target_mm.into();
     let floats = numbers.iter().chain(&estimate).chain(&pistons).chain(&f.k_epsilon).map(|x| x.to_bits());
     let integers = output.steps.0.map(|n| n as u64).into_iter().chain([output.mode as u64, u64::from(output.energise)]);

@@ -201,11 +201,11 @@ mod tests {
     use super::*;
     use crate::control::pi::ReferenceModel;
 
-    /// Best candidate after steps in many directions, through a line with gain error and creep.
-    fn best_for(truth: Dynamics, dt_s: f64) -> Option<Dynamics> {
+    /// What an unknown line is known to be after steps in many directions, through a line with gain error and creep.
+    fn range_for(truth: Dynamics, seconds: f64, dt_s: f64) -> DynamicsRange {
         let (mut bank, mut plant) = (DynamicsBank::default(), ReferenceModel::default());
         let (mut at, mut crept) = (Vector2::zeros(), Vector2::zeros());
-        for k in 0..(40.0 / dt_s) as usize {
+        for k in 0..(seconds / dt_s) as usize {
             let phase = (k as f64 * dt_s / 1.5).floor();
             let target = Vector2::new((phase * 1.3).cos(), (phase * 2.1).sin()) * 0.7;
             let step: Vector2<f64> = target - at;
@@ -215,16 +215,38 @@ mod tests {
             crept += (estimate * 0.1 - crept) * (dt_s / 5.0);
             bank.step(at, estimate * 0.9 + crept, dt_s);
         }
-        bank.best(&Dynamics { lag_s: 0.03, delay_s: 0.01 })
+        bank.assess(&UNKNOWN, &UNKNOWN.range())
     }
+
+    const UNKNOWN: DynamicsPrior = DynamicsPrior { expected: Dynamics { lag_s: 0.03, delay_s: 0.01 }, uncertainty_s: 0.3 };
 
     #[test]
     fn finds_slow_lines_and_dead_times() {
         for dt_s in [0.001, 0.005] {
-            let slow = best_for(Dynamics { lag_s: 0.6, delay_s: 0.0 }, dt_s).unwrap();
-            assert!((slow.lag_s - 0.6).abs() < 0.3, "{slow:?}");
-            let late = best_for(Dynamics { lag_s: 0.03, delay_s: 0.16 }, dt_s).unwrap();
-            assert!((late.delay_s - 0.16).abs() < 0.03, "{late:?}");
+            let slow = range_for(Dynamics { lag_s: 0.6, delay_s: 0.0 }, 40.0, dt_s);
+            assert!((slow.best.lag_s - 0.6).abs() < 0.3, "{slow:?}");
+            let late = range_for(Dynamics { lag_s: 0.03, delay_s: 0.16 }, 40.0, dt_s);
+            assert!((late.best.delay_s - 0.16).abs() < 0.02, "{late:?}");
+            let both = range_for(Dynamics { lag_s: 0.35, delay_s: 0.3 }, 40.0, dt_s);
+            assert!((both.best.response_s() - 0.65).abs() < 0.1, "{both:?}");
+        }
+    }
+
+    #[test]
+    fn the_plausible_range_contains_the_truth_and_narrows_with_motion() {
+        for truth in
+            [Dynamics { lag_s: 0.03, delay_s: 0.01 }, Dynamics { lag_s: 0.05, delay_s: 0.22 }, Dynamics { lag_s: 0.3, delay_s: 0.1 }]
+        {
+            let mut before = UNKNOWN.range();
+            for seconds in [1.0, 3.0, 12.0] {
+                let range = range_for(truth, seconds, 0.001);
+                // the grid of candidates has steps of up to 0.06 s there
+                let inside = range.response_min_s - 0.06..range.response_max_s + 0.06;
+                assert!(inside.contains(&truth.response_s()), "{truth:?} after {seconds} s: {range:?}");
+                assert!(range.error_max_s() <= before.error_max_s() + 0.03, "{truth:?} after {seconds} s: {range:?}");
+                before = range;
+            }
+            assert!(before.error_max_s() < 0.2 * UNKNOWN.range().error_max_s(), "{truth:?}: {before:?}");
         }
     }
 
@@ -239,14 +261,14 @@ mod tests {
             // an obstacle limits the bend
             bank.step(at, at.map(|x: f64| x.clamp(-0.9, 0.1)), 0.005);
         }
-        let found = bank.best(&Dynamics { lag_s: 0.03, delay_s: 0.0 });
-        assert!(found.is_none_or(|d| d.lag_s <= 0.12), "{found:?}");
+        let found = bank.assess(&UNKNOWN, &UNKNOWN.range());
+        assert!(found.best.lag_s <= 0.12, "{found:?}");
     }
 
     #[test]
-    fn keeps_correct_dynamics_and_requires_motion() {
+    fn correct_dynamics_stay_and_a_tip_at_rest_says_nothing() {
         let truth = Dynamics { lag_s: 0.03, delay_s: 0.01 };
-        assert_eq!(best_for(truth, 0.001), None);
-        assert_eq!(DynamicsBank::default().best(&truth), None);
+        assert!((range_for(truth, 40.0, 0.001).best.response_s() - truth.response_s()).abs() < 0.01);
+        assert_eq!(DynamicsBank::default().assess(&UNKNOWN, &UNKNOWN.range()), UNKNOWN.range());
     }
 }

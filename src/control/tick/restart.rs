@@ -2,6 +2,7 @@
 
 use super::state::LoopState;
 use super::types::LoopConfig;
+use crate::control::hunting::HuntingDetector;
 use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::model::bend::Bend;
 use crate::model::transmission::Line;
@@ -29,6 +30,9 @@ pub struct RestartState {
     /// Standard deviation of both, s.
     #[serde(default = "unknown_s")]
     pub dynamics_uncertainty_s: f64,
+    /// Factor by which hunting has slowed the loop down, at least 1.
+    #[serde(default = "brisk")]
+    pub caution: f64,
     /// Rest pose, once it is known.
     pub rest: Option<RestartRest>,
 }
@@ -36,6 +40,11 @@ pub struct RestartState {
 /// Uncertainty of lag and dead time in a memory that does not state it, s.
 fn unknown_s() -> f64 {
     0.3
+}
+
+/// Factor in a memory that does not state it.
+fn brisk() -> f64 {
+    1.0
 }
 
 /// Rest pose of the alignment, in the base frame.
@@ -69,6 +78,7 @@ impl LoopState {
             lag_s: dynamics.expected.lag_s,
             delay_s: dynamics.expected.delay_s,
             dynamics_uncertainty_s: dynamics.uncertainty_s,
+            caution: self.feedback.hunting.caution,
             rest,
         }
     }
@@ -80,6 +90,7 @@ impl LoopState {
         let expected = Dynamics { lag_s: remembered.lag_s, delay_s: remembered.delay_s };
         self.learning.before = DynamicsPrior { expected, uncertainty_s: remembered.dynamics_uncertainty_s };
         self.dynamics = self.learning.before.range();
+        self.feedback.hunting = HuntingDetector::new(remembered.caution);
         self.transmission.play_output_mm = remembered.play_output_mm.into();
         self.stand(config, &remembered.steps, Bend(remembered.bend_rad.into()));
     }

@@ -220,7 +220,9 @@ impl TipEstimator for BendFilter {
         if mask.acc {
             self.acc.add(&(sample.acc_m_s2 - turn.predicted(&self.alignment.acc_rest_m_s2, &self.kalman.block(ACC))));
         }
-        if let (true, Some(m), Some(rest)) = (self.config.use_mag && mask.mag && self.needs_field(), &sample.mag_ut, &self.alignment.mag_rest_ut) {
+        if let (true, Some(m), Some(rest)) =
+            (self.config.use_mag && mask.mag && self.needs_field(), &sample.mag_ut, &self.alignment.mag_rest_ut)
+        {
             self.mag.add(&(m - turn.predicted(rest, &self.kalman.block(MAG))));
         }
         if mask.still {
