@@ -34,8 +34,15 @@ fn frames(world: &mut dyn World) -> Vec<Frame> {
 
 /// Bits of the results in a frame. The operator `==` would treat −0 as 0 and NaN as unequal.
 fn bits(frame: &Frame) -> Vec<u64> {
-    let numbers =
-        [frame.t.0, frame.error.x, frame.error.y, frame.feedback.x, frame.feedback.y, frame.dynamics.lag_s, frame.dynamics.delay_s];
+    let numbers = [
+        frame.t.0,
+        frame.unexplained.x,
+        frame.unexplained.y,
+        frame.feedback.x,
+        frame.feedback.y,
+        frame.dynamics.lag_s,
+        frame.dynamics.delay_s,
+    ];
     let estimate = frame.estimate.map_or([0.0; 3], |f| [f.bend.0.x, f.bend.0.y, f.sigma_rad.unwrap_or(-1.0)]);
     let steps = frame.steps.0.map(f64::from);
     let vectors = [frame.bellow_mm, frame.piston_target_mm].into_iter().flat_map(|v| [v.x, v.y, v.z]);

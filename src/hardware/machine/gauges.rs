@@ -231,7 +231,6 @@ mod tests {
         assert!(gauges.tip_warm && alarm.is_none(), "40 °C is warm: {gauges:?}");
         assert!(matches!(at(43.5, 10).1, Some(Alarm::Hot { temp_c }) if temp_c > 41.0));
         assert_eq!(at(40.0, 10).1, None);
-        drop(at);
         assert_eq!(watch.turn(t_ns + 2_000_000, Some(300.0)).1, None, "one reading of many");
     }
 }

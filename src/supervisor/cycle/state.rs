@@ -55,6 +55,7 @@ impl ModeState {
 
 /// What is known about the position of the pistons.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "lives in the state of the loop, which may not allocate")]
 pub(super) enum Position {
     /// The counts are valid.
     Known,
