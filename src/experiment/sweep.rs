@@ -17,7 +17,7 @@ use serde::Serialize;
 /// Directions of the schedule of a row.
 pub const DIRECTIONS: usize = 4;
 /// Bend RMSE that is good enough even where the open loop is better, degrees.
-const GOOD_DEG: f64 = 0.3;
+pub const GOOD_DEG: f64 = 0.3;
 /// Largest permitted hunting, degrees.
 const HUNTING_MAX_DEG: f64 = 0.5;
 /// Time at which the wall of `contact_and_release_deg` goes away: after half of the directions, s.

@@ -208,12 +208,16 @@ pub fn html(e: &Evaluation) -> String {
     page.html()
 }
 
+/// A quantile of the settling time; that of a state that does not settle is only a lower bound.
+#[must_use]
+pub fn settle(s: f64) -> String {
+    if s < HOLD_S { format!("{s:.2} s") } else { format!("> {HOLD_S} s") }
+}
+
 /// One row for each arm that ran, with the columns [`ARM_COLUMNS`].
 #[must_use]
 pub fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
     let deg = |x: f64| format!("{x:.2}°");
-    // the quantile of a state that does not settle is only a lower bound
-    let settle = |s: f64| if s < HOLD_S { format!("{s:.2} s") } else { format!("> {HOLD_S} s") };
     let row = |arm: Arm| {
         let a = e.arm(arm)?;
         Some(vec![

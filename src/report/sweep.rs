@@ -1,7 +1,7 @@
 //! The envelope as a drawing: a row for each condition and a cell for each value, which shows the closed loop against the
 //! best open loop and where it fails.
 
-use crate::experiment::sweep::SweepRow;
+use crate::experiment::sweep::{GOOD_DEG, SweepRow};
 use crate::report::svg::{Anchor, Ink, Svg};
 
 const LEFT: f64 = 200.0;
@@ -37,7 +37,12 @@ fn cell(out: &mut Svg, x: f64, y: f64, row: &SweepRow) {
     let (ink, opacity) = if row.ok { (Ink::GREEN, 0.16) } else { (Ink::RED, 0.35) };
     out.rect([x, y, CELL.0 - 4.0, CELL.1 - 4.0], ink.0, opacity);
     let middle = x + CELL.0 / 2.0 - 2.0;
-    out.text((middle, y + 15.0), Anchor::Middle, Ink::FAINT, &format!("{}{}", row.value, if row.ok { "" } else { ": fails" }));
+    let failure = match row.ok {
+        true => String::new(),
+        false if row.closed_deg > row.open_deg.max(GOOD_DEG) => ": worse".to_owned(),
+        false => format!(": moves {:.1}°", row.hunting_deg),
+    };
+    out.text((middle, y + 15.0), Anchor::Middle, Ink::FAINT, &format!("{}{failure}", row.value));
     let style = "font-size=\"11\" font-weight=\"600\" text-anchor=\"middle\"";
     out.styled_text(middle, y + 30.0, Ink::TEXT, style, &format!("{:.2}° ({:.1}°)", row.closed_deg, row.open_deg));
 }
@@ -48,9 +53,19 @@ mod tests {
 
     #[test]
     fn every_row_is_a_cell_and_a_failure_is_named() {
-        let row = |condition, value, ok| SweepRow { condition, value, open_deg: 7.0, closed_deg: 0.2, p95_deg: 0.3, hunting_deg: 0.0, ok };
-        let svg = svg(&[row("a_s", 0.1, true), row("a_s", 0.2, false), row("b < c", 1.0, true)]);
-        assert_eq!((svg.matches("0.20° (7.0°)").count(), svg.matches("fails").count()), (3, 1));
+        let row = |condition, value, closed_deg, hunting_deg, ok| SweepRow {
+            condition,
+            value,
+            open_deg: 7.0,
+            closed_deg,
+            p95_deg: 0.3,
+            hunting_deg,
+            ok,
+        };
+        let rows = [row("a_s", 0.1, 0.2, 0.1, true), row("a_s", 0.2, 0.2, 0.83, false), row("b < c", 1.0, 8.0, 0.1, false)];
+        let svg = svg(&rows);
+        assert_eq!((svg.matches("0.20° (7.0°)").count(), svg.matches("8.00° (7.0°)").count()), (2, 1));
+        assert!(svg.contains(">0.1<") && svg.contains("0.2: moves 0.8°") && svg.contains("1: worse"), "{svg}");
         assert!(svg.contains("b &lt; c") && svg.matches(">a_s<").count() == 1);
     }
 }

@@ -7,6 +7,7 @@ use crate::config::board::Board;
 use crate::config::gains::Gains;
 use crate::experiment::ablation::{self, AblationRow, MECHANISMS};
 use crate::experiment::sweep::{self, CONDITIONS, Condition, Study, SweepRow};
+use crate::report::evaluation::settle;
 use crate::report::sweep as picture;
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::json;
@@ -86,8 +87,8 @@ fn ablation_row(r: &AblationRow) -> Vec<String> {
         r.without.to_owned(),
         format!("{:.3}°", r.bend_rmse_deg),
         format!("{:.3}°", r.worst_deg),
-        format!("{:.2} s", r.settle_s_median),
-        format!("{:.2} s", r.settle_s_p95),
+        settle(r.settle_s_median),
+        settle(r.settle_s_p95),
         r.unsettled.to_string(),
         format!("{:.2}°", r.peak_to_peak_max_deg),
     ]
