@@ -139,7 +139,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
         let config = for_world(&base, world.as_ref());
         let result =
             identify::algorithm_1(&config, world.as_mut(), &paper(), None, &mut |pass| progress(&format!("identify, pass {pass}")))?;
-        (base.lines, base.dynamics) = (result.lines(), result.dynamics);
+        (base.lines, base.dynamics, base.line_sigmas) = (result.lines(), result.dynamics, result.line_sigmas());
         found = Some(result);
     }
     let mut arms = Vec::with_capacity(plan.arms.len());

@@ -13,6 +13,7 @@
 //! 4. **Bounds.** k_ε stays within `±range (1 + k_ε)` of the calibration and k_λ within ±[`LAMBDA_RANGE_MM`], and neither moves
 //!    further than `step_max` per pose; the caller compensates the difference in its integrator.
 
+use crate::control::learning::batch::Prior;
 use crate::model::transmission::Line;
 use crate::parameters;
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -25,12 +26,10 @@ parameters! {
         /// Fraction of the information about what a row measures that is kept per row. A larger value remembers longer and
         /// follows a changing tip later.
         forgetting: f64 = 0.97, "", 0.5..=1.0, "0.97 remembers about thirty poses";
-        /// Standard deviation of k_ε about the calibration. A larger value trusts the calibration less.
-        k_epsilon_sigma: f64 = 0.5, "", 0.001..=5.0, "0.5 is twice the spread between units";
-        /// Standard deviation of k_λ about the calibration. A larger value trusts the calibration less.
-        k_lambda_sigma_mm: f64 = 0.25, "mm", 0.001..=2.0, "0.25 is three times the spread between units";
+        /// Factor on the standard deviations that the calibration states. A larger value trusts the calibration less.
+        prior: f64 = 1.0, "", 0.1..=100.0, "2 allows for a tip that has changed since";
         /// Standard deviation of the offset c. A larger value attributes more of a deviation to drift than to the gains.
-        offset_sigma_mm: f64 = 0.3, "mm", 0.001..=5.0, "0.3 is a play that started off centre";
+        offset_sigma_mm: f64 = 0.03, "mm", 0.001..=5.0, "0.03 is one microstep";
         /// Change of bend between two poses that count. A larger value learns from fewer, more different poses.
         pose_step_deg: f64 = 5.0, "deg", 0.5..=90.0, "5 is well above the noise";
         /// Range of k_ε around the calibration, as a fraction of 1 + k_ε. A larger value follows a worn tip further, and a fault
@@ -99,16 +98,17 @@ pub struct RefineState {
 impl RefineState {
     /// A learner that starts at the calibrated gains.
     #[must_use]
-    pub fn new(config: &RefineConfig, prior: &[Line; 3]) -> Self {
-        let sigma = Vector3::new(config.k_epsilon_sigma, config.k_lambda_sigma_mm, config.offset_sigma_mm);
-        let information = Matrix3::from_diagonal(&sigma.map(|s| 1.0 / (s * s)));
-        let channel = |line: &Line| Channel {
-            prior: *line,
-            information,
-            estimate: Vector3::new(line.k_epsilon, line.k_lambda_mm, 0.0),
-            spread: ROW_SIGMA_MM * ROW_SIGMA_MM,
-        };
-        Self { channels: [channel(&prior[0]), channel(&prior[1]), channel(&prior[2])], last_pose: None, poses: 0 }
+    pub fn new(config: &RefineConfig, prior: &[Prior; 3]) -> Self {
+        let channels = prior.map(|p| {
+            let sigma = Vector3::new(config.prior * p.k_epsilon_sigma, config.prior * p.k_lambda_sigma_mm, config.offset_sigma_mm);
+            Channel {
+                prior: p.line,
+                information: Matrix3::from_diagonal(&sigma.map(|s| 1.0 / (s * s))),
+                estimate: Vector3::new(p.line.k_epsilon, p.line.k_lambda_mm, 0.0),
+                spread: ROW_SIGMA_MM * ROW_SIGMA_MM,
+            }
+        });
+        Self { channels, last_pose: None, poses: 0 }
     }
 
     /// Learns from a held pose. Returns the new gains, or `None` if the pose was not accepted.
@@ -203,6 +203,10 @@ mod tests {
         })
     }
 
+    fn unknown(line: Line) -> Prior {
+        Prior { line, k_epsilon_sigma: 0.5, k_lambda_sigma_mm: 0.24 }
+    }
+
     fn start(scale: f64) -> [Line; 3] {
         TRUTH.map(|l| Line { k_epsilon: l.k_epsilon * scale, k_lambda_mm: 0.9 })
     }
@@ -210,9 +214,9 @@ mod tests {
     #[test]
     fn gains_30_percent_off_converge_in_40_poses_in_spite_of_an_offset() {
         for scale in [0.7, 1.3] {
-            let config = RefineConfig::default();
+            let config = RefineConfig { offset_sigma_mm: 0.3, ..RefineConfig::default() };
             let mut now = start(scale);
-            let mut state = RefineState::new(&config, &now);
+            let mut state = RefineState::new(&config, &now.map(unknown));
             for pose in poses(40) {
                 now = state.learn(&config, &now, &pose).unwrap_or(now);
             }
@@ -231,7 +235,7 @@ mod tests {
     fn a_held_pose_counts_once() {
         let config = RefineConfig::default();
         let now = start(1.0);
-        let mut state = RefineState::new(&config, &now);
+        let mut state = RefineState::new(&config, &now.map(unknown));
         let Some(pose) = poses(3).last() else { panic!("three poses") };
         assert!(state.learn(&config, &now, &pose).is_some());
         let before = state;
@@ -245,7 +249,7 @@ mod tests {
     fn gains_stay_within_their_range_and_finite() {
         let config = RefineConfig::default();
         let mut now = start(1.0);
-        let mut state = RefineState::new(&config, &now);
+        let mut state = RefineState::new(&config, &now.map(unknown));
         for round in 0..200 {
             for pose in poses(60) {
                 let pose = HeldPose { piston_mm: pose.piston_mm * 4.0, ..pose };
@@ -263,7 +267,7 @@ mod tests {
     fn an_outlier_is_not_learned_from() {
         let config = RefineConfig::default();
         let mut now = start(1.0);
-        let mut state = RefineState::new(&config, &now);
+        let mut state = RefineState::new(&config, &now.map(unknown));
         for pose in poses(60) {
             now = state.learn(&config, &now, &pose).unwrap_or(now);
         }

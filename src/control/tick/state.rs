@@ -185,7 +185,7 @@ impl LoopState {
             dynamics: config.dynamics.range(),
             feedback: Feedback::default(),
             learning: Learning {
-                refine: RefineState::new(&config.refine, &config.lines),
+                refine: RefineState::new(&config.refine, &config.line_priors()),
                 bank: DynamicsBank::default(),
                 before: config.dynamics,
             },

@@ -1,6 +1,7 @@
 //! Configuration, input and output of a tick.
 
 use crate::control::follow::Pace;
+use crate::control::learning::batch::Prior;
 use crate::control::learning::online::RefineConfig;
 use crate::control::limits::{ActuatorLimits, Cut};
 use crate::control::obstruction::ObstructionConfig;
@@ -29,6 +30,8 @@ pub struct LoopConfig {
     pub drive: Drive,
     /// Calibrated transmission gains: the initial feedforward and the prior of the refinement.
     pub lines: [Line; 3],
+    /// Standard deviations of k_ε and of k_λ in mm, per channel: how far the refinement may take them.
+    pub line_sigmas: [[f64; 2]; 3],
     /// Lag and dead time before any motion.
     pub dynamics: DynamicsPrior,
     /// How the backlash compensation reverses.
@@ -53,6 +56,17 @@ pub struct LoopConfig {
     pub motors: Option<MotorField>,
     /// Time after its last step at which a driver reduces its current, s.
     pub motors_idle_after_s: f64,
+}
+
+impl LoopConfig {
+    /// The calibrated gains with their standard deviations.
+    #[must_use]
+    pub fn line_priors(&self) -> [Prior; 3] {
+        std::array::from_fn(|i| {
+            let [k_epsilon_sigma, k_lambda_sigma_mm] = self.line_sigmas[i];
+            Prior { line: self.lines[i], k_epsilon_sigma, k_lambda_sigma_mm }
+        })
+    }
 }
 
 /// Settings of the outer loop.

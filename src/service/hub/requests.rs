@@ -121,6 +121,7 @@ impl Hub {
             geometry: next.tick.geometry,
             drive: next.tick.drive,
             lines: next.tick.lines,
+            line_sigmas: next.tick.line_sigmas,
             dynamics: next.tick.dynamics,
             ..assembled
         };
