@@ -160,9 +160,9 @@ proptest! {
             let mut arrived = [None; 3];
             for k in 0..1_000_000 {
                 motion.tick(only(to), 1e-3);
-                for i in 0..3 {
-                    if motion.state()[i] == MotionState::rest(only(to)[i]) && arrived[i].is_none() {
-                        arrived[i] = Some(k);
+                for (i, arrived) in arrived.iter_mut().enumerate() {
+                    if motion.state()[i] == MotionState::rest(only(to)[i]) && arrived.is_none() {
+                        *arrived = Some(k);
                     }
                 }
                 if arrived.iter().all(Option::is_some) {
