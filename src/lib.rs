@@ -14,7 +14,7 @@
 //! | [`supervisor`] | modes, safety gate, orders, residual monitor, commissioning, the `Machine` trait | nothing |
 //! | [`simulation`] | the built-in plant and the plant link | child processes |
 //! | [`diagnosis`] | sim-to-real gap: observe, fit, search, score, decide | threads |
-//! | [`experiment`] | the paper's protocol, identification, evaluation | nothing |
+//! | [`experiment`] | the paper's protocol, identification, evaluation, sweep and ablation | threads |
 //! | [`report`] | SVG and HTML | nothing |
 //! | [`hardware`] | IMU drivers, pins, step thread, clock, real-time set-up | devices |
 //! | [`config`] | TOML in, validated domain types out | files |

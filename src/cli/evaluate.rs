@@ -81,7 +81,15 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let board = inputs::board(args.board.as_deref())?;
     let gains = inputs::gains(args.gains.as_deref())?;
     if args.sweep || args.ablate {
-        return studies::run(args, &board, &gains);
+        let request = studies::Request {
+            sweep: args.sweep,
+            only: args.only.as_deref(),
+            calib: args.calib.as_deref(),
+            json: args.json.as_deref(),
+            svg: args.svg.as_deref(),
+            seed: args.seed,
+        };
+        return studies::run(&request, &built_in(args, &board)?, &board, &gains);
     }
     let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
     let plant = Plant::new(args, &board)?;

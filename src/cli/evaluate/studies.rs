@@ -1,9 +1,8 @@
 //! `evaluate --sweep` and `evaluate --ablate`: tables, JSON and the drawing of the envelope.
 
-use super::{Args, built_in};
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::assemble;
-use crate::config::board::Board;
+use crate::config::board::{Board, PlantSection};
 use crate::config::gains::Gains;
 use crate::experiment::ablation::{self, AblationRow, MECHANISMS};
 use crate::experiment::sweep::{self, CONDITIONS, Condition, Study, SweepRow};
@@ -11,31 +10,43 @@ use crate::report::evaluation::settle;
 use crate::report::sweep as picture;
 use miette::{IntoDiagnostic, Result, miette};
 use serde_json::json;
+use std::path::Path;
 use std::time::Instant;
 
 /// Units of a row of the sweep, and of the ablation.
 const SWEEP_UNITS: u64 = 5;
 const ABLATION_UNITS: u64 = 10;
 
-/// Runs the study that `args` select.
+/// What the command line asks of a study.
+pub(super) struct Request<'a> {
+    /// The sweep; otherwise the ablation.
+    pub sweep: bool,
+    /// Text that the names of the conditions contain.
+    pub only: Option<&'a str>,
+    pub calib: Option<&'a Path>,
+    pub json: Option<&'a Path>,
+    pub svg: Option<&'a Path>,
+    pub seed: u64,
+}
+
+/// Runs a study on the plant of `section`.
 ///
 /// # Errors
 /// A report about the input or the plant.
-pub(super) fn run(args: &Args, board: &Board, gains: &Gains) -> Result<CommandOutcome> {
-    let section = built_in(args, board)?;
+pub(super) fn run(request: &Request<'_>, section: &PlantSection, board: &Board, gains: &Gains) -> Result<CommandOutcome> {
     let study = Study {
-        config: assemble(board, &inputs::calibration(args.calib.as_deref())?, gains),
+        config: assemble(board, &inputs::calibration(request.calib)?, gains),
         make: section.make(),
         period_s: section.period_s,
-        seed: args.seed,
-        units: if args.sweep { SWEEP_UNITS } else { ABLATION_UNITS },
+        seed: request.seed,
+        units: if request.sweep { SWEEP_UNITS } else { ABLATION_UNITS },
     };
-    if args.sweep { run_sweep(args, &study) } else { run_ablation(args, &study) }
+    if request.sweep { run_sweep(request, &study) } else { run_ablation(request, &study) }
 }
 
-fn run_sweep(args: &Args, study: &Study) -> Result<CommandOutcome> {
+fn run_sweep(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
     let start = Instant::now();
-    let only = args.only.as_deref().unwrap_or_default();
+    let only = request.only.unwrap_or_default();
     let conditions: Vec<Condition> = CONDITIONS.into_iter().filter(|c| c.name.contains(only)).collect();
     if conditions.is_empty() {
         let names = CONDITIONS.map(|c| c.name).join(", ");
@@ -45,8 +56,8 @@ fn run_sweep(args: &Args, study: &Study) -> Result<CommandOutcome> {
     let bar = output::bar(rows as u64 * study.units, "units,");
     let rows = sweep::run(study, &conditions, &|| bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
-    output::json(args.json.as_deref(), &json!({ "seed": study.seed, "units": study.units, "sweep": rows }))?;
-    if let Some(path) = &args.svg {
+    output::json(request.json, &json!({ "seed": study.seed, "units": study.units, "sweep": rows }))?;
+    if let Some(path) = request.svg {
         output::write(path, &picture::svg(&rows))?;
     }
     let failed = rows.iter().filter(|r| !r.ok).count();
@@ -57,10 +68,10 @@ fn run_sweep(args: &Args, study: &Study) -> Result<CommandOutcome> {
         rows.len(),
         study.units,
         sweep::DIRECTIONS,
-        calibration(args),
+        calibration(request),
         start.elapsed().as_secs_f64()
     );
-    output::show(&text, args.json.as_deref());
+    output::show(&text, request.json);
     Ok(if failed == 0 { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
 }
 
@@ -71,14 +82,14 @@ fn sweep_row(r: &SweepRow) -> Vec<String> {
     [r.condition.to_owned(), r.value.to_string()].into_iter().chain(numbers).chain([verdict.to_owned()]).collect()
 }
 
-fn run_ablation(args: &Args, study: &Study) -> Result<CommandOutcome> {
+fn run_ablation(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
     let bar = output::bar(MECHANISMS.len() as u64 * study.units, "units,");
     let rows = ablation::run(study, &MECHANISMS, &|| bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
-    output::json(args.json.as_deref(), &json!({ "seed": study.seed, "units": study.units, "ablate": rows }))?;
+    output::json(request.json, &json!({ "seed": study.seed, "units": study.units, "ablate": rows }))?;
     let columns = ["without", "bend RMSE", "worst unit", "median to 1°", "95 % to 1°", "never to 1°", "peak to peak"];
     let table = output::table(&columns, 1..columns.len(), rows.iter().map(ablation_row));
-    output::show(&format!("{table}\nclosed loop, {} units, {}\n", study.units, calibration(args)), args.json.as_deref());
+    output::show(&format!("{table}\nclosed loop, {} units, {}\n", study.units, calibration(request)), request.json);
     Ok(CommandOutcome::Good)
 }
 
@@ -94,6 +105,6 @@ fn ablation_row(r: &AblationRow) -> Vec<String> {
     ]
 }
 
-fn calibration(args: &Args) -> String {
-    args.calib.as_ref().map_or("the paper's calibration for every unit".to_owned(), |path| format!("calibration {}", path.display()))
+fn calibration(request: &Request<'_>) -> String {
+    request.calib.map_or("the paper's calibration for every unit".to_owned(), |path| format!("calibration {}", path.display()))
 }
