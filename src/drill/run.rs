@@ -157,13 +157,15 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, Machine
         (stays, zero) = (stays && !moved, zero || moved);
     }
     if bench.runner.supervisor.mode() == Mode::Faulted {
-        order(bench, Order::Reset, row)?;
+        // the gate may still brake: an operator tries again
+        let accepted = (0..100).any(|_| bench.run(0.1).is_ok() && bench.turn(Some(Order::Reset)).is_ok_and(|t| t.answer == Some(Ok(()))));
+        row.require(accepted, |_| "the fault could not be reset within 10 s".to_owned());
     }
     if !stays {
         return_to_rest(bench, spec, zero, row)?;
     }
     if zero {
-        if bench.runner.supervisor.mode() == Mode::Disarmed {
+        if matches!(bench.runner.supervisor.mode(), Mode::Disarmed | Mode::Lost) {
             order(bench, Order::AssertStraight, row)?;
         }
         bench.set_straight();
@@ -191,7 +193,7 @@ fn return_to_rest(bench: &mut Bench, spec: &Spec, zero: bool, row: &mut Row) -> 
     if supervisor.mode() != Mode::Relaxing && supervisor.keep().steps.0 != [0; 3] {
         order(bench, Order::Relax, row)?;
     }
-    let rested = bench.until(15.0, |t| matches!(t.mode, Mode::Disarmed | Mode::Aligning))?;
+    let rested = bench.until(15.0, |t| matches!(t.mode, Mode::Disarmed | Mode::Aligning | Mode::Lost))?;
     row.require(rested, |_| "did not return to rest".to_owned());
     // at rest, a leaking line reaches the ambient pressure, at which it is closed again
     bench.run(if zero { VENT_S } else { 1.0 })?;
