@@ -1,7 +1,7 @@
 //! Online refinement of the transmission gains by recursive least squares.
 //!
-//! A held pose gives each channel whose piston has crossed its backlash one row of Eq. 22, with one more unknown:
-//! `q̃ − q = q k_ε + s k_λ + c`, where `s` is the side of the backlash and `c` an offset that drift, lost steps or a play that
+//! A held pose gives each channel one row of Eq. 22, with one more unknown: `q̃ − q = q k_ε + s k_λ + c`, where `s` is the side of
+//! the backlash, or `w − q = q k_ε + c` with the play output `w` while a piston has not certainly crossed it, and `c` an offset that drift, lost steps or a play that
 //! started off centre leave. Without `c` such an offset would be taken for a gain. Per channel the recursion keeps the
 //! information matrix Λ of (k_ε, k_λ, c). The safeguards, in order:
 //!
@@ -63,7 +63,7 @@ struct Channel {
     spread: f64,
 }
 
-/// One row: bellow length change, side of the backlash, piston minus bellow, all in mm.
+/// One row: bellow length change, side of the backlash or 0, piston or play output minus bellow; lengths in mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Row {
     q_mm: f64,
@@ -78,11 +78,13 @@ pub struct HeldPose {
     pub bend: Vector2<f64>,
     /// Counted piston positions q̃, mm.
     pub piston_mm: Vector3<f64>,
+    /// Outputs of the play operators at the counted steps, mm.
+    pub play_output_mm: Vector3<f64>,
     /// Bellow length changes q at the estimated bend, mm.
     pub bellow_mm: Vector3<f64>,
     /// Side of the backlash, −1 or 1, per channel.
     pub side: Vector3<f64>,
-    /// Weight of each channel's row; 0 omits it.
+    /// 1 for a channel whose piston has certainly crossed its backlash, else 0.
     pub weight: Vector3<f64>,
 }
 
@@ -120,10 +122,11 @@ impl RefineState {
         self.last_pose = Some(pose.bend);
         let mut next = *lines;
         for i in 0..3 {
-            let (q_mm, side) = (pose.bellow_mm[i], pose.side[i]);
-            if pose.weight[i] > 0.0 {
-                self.channels[i].add(config, &Row { q_mm, side, excess_mm: pose.piston_mm[i] - q_mm });
-            }
+            // a pose that feedback reached by a small reversal counts through its play output. Without such poses only those
+            // that needed more push would count, and the gains would grow
+            let q_mm = pose.bellow_mm[i];
+            let (side, at_mm) = if pose.weight[i] > 0.0 { (pose.side[i], pose.piston_mm[i]) } else { (0.0, pose.play_output_mm[i]) };
+            self.channels[i].add(config, &Row { q_mm, side, excess_mm: at_mm - q_mm });
             next[i] = self.channels[i].towards(config, &lines[i]);
         }
         self.poses += 1;
@@ -199,7 +202,7 @@ mod tests {
             let side = (bellow_mm - before).map(f64::signum);
             before = bellow_mm;
             let piston_mm = Vector3::from_fn(|c, _| bellow_mm[c] * (1.0 + TRUTH[c].k_epsilon) + side[c] * TRUTH[c].k_lambda_mm + 0.2);
-            HeldPose { bend, piston_mm, bellow_mm, side, weight: Vector3::repeat(1.0) }
+            HeldPose { bend, piston_mm, play_output_mm: piston_mm, bellow_mm, side, weight: Vector3::repeat(1.0) }
         })
     }
 

@@ -127,7 +127,14 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
     let bellow_mm = config.geometry.lengths(&Shape { bend: Bend(bend), length: Mm(state.setpoint.length.at.x) });
     let lines = &mut state.transmission;
     let Sides { side, .. } = lines.pushes;
-    let pose = HeldPose { bend, piston_mm: lines.pushes.piston_mm(), bellow_mm, side, weight: lines.pushes.weight() };
+    let pose = HeldPose {
+        bend,
+        piston_mm: lines.pushes.piston_mm(),
+        play_output_mm: lines.play_output_mm,
+        bellow_mm,
+        side,
+        weight: lines.pushes.weight(),
+    };
     let learned = state.learning.refine.learn(&config.refine, &lines.lines, &pose);
     if let Some(next) = learned {
         // bumpless: the pistons stay, so the same play outputs now mean another bend
