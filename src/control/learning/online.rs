@@ -25,7 +25,7 @@ parameters! {
         enabled: bool = true;
         /// Fraction of the information about what a row measures that is kept per row. A larger value remembers longer and
         /// follows a changing tip later.
-        forgetting: f64 = 0.97, "", 0.5..=1.0, "0.97 remembers about thirty poses";
+        forgetting: f64 = 0.99, "", 0.5..=1.0, "0.99 remembers about a hundred poses";
         /// Factor on the standard deviations that the calibration states. A larger value trusts the calibration less.
         prior: f64 = 1.0, "", 0.1..=100.0, "2 allows for a tip that has changed since";
         /// Standard deviation of the offset c. A larger value attributes more of a deviation to drift than to the gains.

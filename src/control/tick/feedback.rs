@@ -1,6 +1,6 @@
 //! The outer loop of the tick: set-point, PI feedback and online learning.
 
-use super::Observation;
+use super::observation::Observation;
 use super::state::{Feedback, Hold, LoopState, shape_of};
 use super::types::LoopConfig;
 use crate::control::follow::Follower;

@@ -11,6 +11,7 @@
 //! the same bits.
 
 mod feedback;
+mod observation;
 mod pistons;
 mod restart;
 mod sense;
@@ -27,29 +28,8 @@ use crate::estimation::fusion::tip::TipEstimate;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::primitives::units::Mm;
-use nalgebra::Vector2;
+use observation::Observation;
 use pistons::PistonOutput;
-
-/// Measured and modelled bends of one tick, rad.
-struct Observation {
-    estimate: Option<TipEstimate>,
-    from_pistons: Bend,
-    /// Bend that the reference model predicts for now.
-    predicted: Vector2<f64>,
-    /// Rate of the predicted bend, rad/s.
-    predicted_rate: f64,
-    /// Predicted minus estimated bend.
-    unexplained: Vector2<f64>,
-    /// Bend at which the tip comes to rest if the pistons stop now: the estimate plus the motion that is still under way.
-    settled: Vector2<f64>,
-}
-
-impl Observation {
-    fn without_estimate(from_pistons: Bend) -> Self {
-        let zero = Vector2::zeros();
-        Self { estimate: None, from_pistons, predicted: zero, predicted_rate: 0.0, unexplained: zero, settled: zero }
-    }
-}
 
 /// One tick of the loop.
 pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame {
