@@ -6,7 +6,7 @@
 //! swings the tip as well, but there the pistons move against the motion.
 //!
 //! Three swings that count in a row, one and a half periods, are hunting. Then the loop becomes slower by
-//! [`SLOWER`], which ends a swing that a wrong response time causes, and the error at which the pistons may stand widens to
+//! a factor of two, which ends a swing that a wrong response time causes, and the error at which the pistons may stand widens to
 //! the smallest extreme that was reached, which ends a swing in a mechanism that sticks and slips: it has no finer
 //! position. The slowness is kept, also over restarts; the wider band is halved with every new target, so that a mechanism
 //! that has freed itself becomes exact again.

@@ -4,7 +4,7 @@
 //! `y` pass the same high-pass filter, which removes creep and drift, and are compared up to a factor, which removes gain
 //! errors; only the shape of the motion remains. The unexplained share `1 − (Σx·y)² / (Σx² Σy²)` accumulates with slow
 //! forgetting during motion. This is multiple-model estimation after Magill (1965), with unexplained energy in place of
-//! likelihoods: a path of the tip of [`PATH_PER_ROW_RAD`] counts as one independent observation whose variance is the
+//! likelihoods: a path of the tip of 0.05 rad counts as one independent observation whose variance is the
 //! unexplained share of the best candidate.
 //!
 //! The result is not only the best candidate but also the range of candidates that remain plausible, because the gains of
