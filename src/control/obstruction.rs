@@ -1,8 +1,8 @@
 //! Detects a tip that does not follow the feedback: an obstacle, a blocked line, or a motor that is off.
 //!
 //! While the set-point rests, the feedback grows until the tip responds. If the feedback has grown considerably and the
-//! tip has followed by less than a given fraction, more pressure does not help: the integrator stops and the loop reports
-//! an obstruction. A new target restarts the detection. So does a tip that moves against the feedback, because a weak
+//! tip has followed by less than a given fraction, more pressure does not help: the integral part may only shrink, and the
+//! loop reports an obstruction. A new target restarts the detection. So does a tip that moves against the feedback, because a weak
 //! line or an approaching obstacle causes that; whether feedback helps then shows from the new position.
 
 use nalgebra::Vector2;
@@ -25,7 +25,7 @@ pub struct ObstructionConfig {
 pub struct ObstructionDetector {
     /// Feedback and estimate at the start of the observation, rad.
     start: Option<(Vector2<f64>, Vector2<f64>)>,
-    /// The tip does not follow; the integrator stops.
+    /// The tip does not follow; the integral part may only shrink.
     pub blocked: bool,
 }
 

@@ -87,6 +87,8 @@ pub struct ArmResult {
     pub k_eps_end: [f64; 3],
     /// k_λ in use at the end, mm.
     pub k_lambda_end_mm: [f64; 3],
+    /// Standard deviations of k_ε and of k_λ in mm at the end, per channel.
+    pub sigma_end: [[f64; 2]; 3],
     /// The held states.
     pub held: Vec<Held>,
 }
@@ -108,7 +110,7 @@ pub fn run(name: &str, rig: &mut Rig<'_>, poses: &[Pose], progress: &mut dyn FnM
             progress();
         }
     }
-    Ok(summary(name, held, rig.state.lines()))
+    Ok(ArmResult { sigma_end: rig.state.line_sigmas(), ..summary(name, held, rig.state.lines()) })
 }
 
 /// Sums over the scored part of a state.
@@ -228,6 +230,7 @@ fn summary(name: &str, held: Vec<Held>, lines: &[Line; 3]) -> ArmResult {
         stopped: held.iter().filter(|h| h.stopped).count(),
         k_eps_end: lines.map(|l| l.k_epsilon),
         k_lambda_end_mm: lines.map(|l| l.k_lambda_mm),
+        sigma_end: [[0.0; 2]; 3],
         held,
     }
 }

@@ -48,10 +48,6 @@ pub struct RestartNote {
     pub state: RestartState,
     /// The pistons are at zero, so a restart has nothing to verify.
     pub at_rest: bool,
-    /// The position of the pistons is unknown.
-    pub lost: bool,
-    /// No measurement has confirmed the last zero.
-    pub unverified: bool,
 }
 
 /// Result of an order, with the id of its message.
@@ -204,13 +200,7 @@ impl Loop {
         if self.shared.cycles.fetch_add(1, Relaxed).is_multiple_of(NOTE_EVERY) {
             let supervisor = &self.runner.supervisor;
             // if the ring is full the hub is late, and a newer note will replace this one
-            let note = RestartNote {
-                state: supervisor.keep(),
-                at_rest: supervisor.is_at_rest(),
-                lost: supervisor.is_lost(),
-                unverified: supervisor.is_unverified(),
-            };
-            let _ = self.rings.notes.push(note);
+            let _ = self.rings.notes.push(RestartNote { state: supervisor.keep(), at_rest: supervisor.is_at_rest() });
         }
         Ok(())
     }

@@ -1,9 +1,9 @@
 //! Online refinement of the transmission gains by recursive least squares.
 //!
-//! A held pose gives each channel one row of Eq. 22, with one more unknown: `q̃ − q = q k_ε + s k_λ + c`, where `s` is the side of
-//! the backlash, or `w − q = q k_ε + c` with the play output `w` while a piston has not certainly crossed it, and `c` an offset that drift, lost steps or a play that
-//! started off centre leave. Without `c` such an offset would be taken for a gain. Per channel the recursion keeps the
-//! information matrix Λ of (k_ε, k_λ, c). The safeguards, in order:
+//! A held pose gives each channel one row of Eq. 22 with one more unknown, `q̃ − q = q k_ε + s k_λ + c`. Here `s` is the side of
+//! the backlash, and `c` an offset that drift, lost steps or a play that started off centre leave; without `c` it would be
+//! taken for a gain. A piston that has not certainly crossed its backlash gives the row `w − q = q k_ε + c` of its play output
+//! `w` instead. Per channel the recursion keeps the information matrix of (k_ε, k_λ, c). The safeguards, in order:
 //!
 //! 1. **Coverage.** A pose counts only if the tip has moved by `pose_step_deg` since the last one. Holding a pose adds nothing.
 //! 2. **Directional forgetting.** Only what a new row measures again is forgotten (Cao & Schwartz 2000): old rows keep
@@ -133,7 +133,7 @@ impl RefineState {
         Some(next)
     }
 
-    /// Standard deviations of k_ε and of k_λ in mm, per channel.
+    /// Standard deviations of k_ε and of k_λ in mm, per channel, from the scatter of the rows.
     #[must_use]
     pub fn sigma(&self) -> [[f64; 2]; 3] {
         self.channels.map(|c| {

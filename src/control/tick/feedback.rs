@@ -65,7 +65,7 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, dt_s:
 pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &Observation, moving: bool, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
     let outer = &mut state.feedback;
-    outer.leave_or_arrive(moving, state.base.moved);
+    outer.depart(moving, state.base.moved);
     if state.base.moved {
         outer.standstill = StandstillLatch::default();
         outer.pi.feedback = outer.pi.integral;
@@ -92,10 +92,10 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
 }
 
 impl Feedback {
-    /// At a departure: keeps the integral part. What it has gained against an obstruction says nothing about the next
-    /// target, so there it starts from the last value that was free of it.
-    fn leave_or_arrive(&mut self, moving: bool, base_moved: bool) {
-        if moving && !self.departing {
+    /// When the set-point begins to move: keeps the integral part. What it has gained against an obstruction says nothing
+    /// about the next target, so there it starts from the last value that was free of it.
+    fn depart(&mut self, moving: bool, base_moved: bool) {
+        if moving && !self.moving {
             if base_moved {
                 // it belongs to the pose in which the base turned
                 self.pi = PiState::default();
@@ -106,11 +106,11 @@ impl Feedback {
             }
             self.hunting.new_target();
         }
-        self.departing = moving;
+        self.moving = moving;
     }
 }
 
-/// Learns the dynamics during motion, and k_ε from every new held pose.
+/// Learns the dynamics during motion, and k_ε and k_λ from every new held pose.
 pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Observation, estimate: Bend, dt_s: f64) {
     if config.feedback.is_some_and(|f| f.learn_dynamics) {
         let learning = &mut state.learning;

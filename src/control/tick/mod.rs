@@ -92,6 +92,7 @@ fn frame(config: &LoopConfig, state: &LoopState, input: &Input, observation: &Ob
         piston_target_mm: output.piston_target_mm,
         steps: config.drive.steps(&output.piston_target_mm),
         k_epsilon: state.transmission.lines.map(|l| l.k_epsilon),
+        k_lambda_mm: state.transmission.lines.map(|l| l.k_lambda_mm),
         dynamics: state.dynamics.best,
         cut: output.cut,
         at_rest: state.feedback.standstill.closed,

@@ -35,7 +35,7 @@ impl PistonOutput {
 }
 
 /// Bend that the counted steps cause according to the transmission model. The play operator gives the output from which
-/// k_ε is learned. The error is taken against the output that the inverse intended: the two differ while a feedback
+/// the gains are learned. The error is taken against the output that the inverse intended: the two differ while a feedback
 /// reversal has crossed only a share of the backlash, and then the integrator must act on the intended one.
 pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps) -> Bend {
     let piston_mm = config.drive.piston_mm(steps);

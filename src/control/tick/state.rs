@@ -116,7 +116,7 @@ pub(super) struct Feedback {
     /// Integral part when the set-point last left a pose that nothing obstructed, rad.
     pub(super) free_integral: Vector2<f64>,
     /// The set-point moves.
-    pub(super) departing: bool,
+    pub(super) moving: bool,
     pub(super) saturation: SaturationMonitor,
     pub(super) backlash: BacklashAdaptation,
 }
@@ -199,6 +199,12 @@ impl LoopState {
     #[must_use]
     pub fn lines(&self) -> &[Line; 3] {
         &self.transmission.lines
+    }
+
+    /// Standard deviations of the refined k_ε and k_λ in mm, per channel.
+    #[must_use]
+    pub fn line_sigmas(&self) -> [[f64; 2]; 3] {
+        self.learning.refine.sigma()
     }
 
     /// Replaces the transmission gains after a calibration.

@@ -189,6 +189,8 @@ pub struct Frame {
     pub steps: Steps,
     /// k_ε in use.
     pub k_epsilon: [f64; 3],
+    /// k_λ in use, mm.
+    pub k_lambda_mm: [f64; 3],
     /// Lag and dead time in use.
     pub dynamics: Dynamics,
     /// Limit that cut the request.
@@ -205,7 +207,8 @@ pub struct Frame {
     pub saturation: Saturation,
     /// State of the sensors.
     pub senses: Senses,
-    /// The base has turned; the integrator is frozen until the next alignment.
+    /// The base has turned. Later poses have the feedforward alone, until the unexplained bend has come back or the next
+    /// alignment.
     pub base_moved: bool,
     /// The tip twists as its mechanism cannot: the base may have turned slowly. The loop continues.
     pub base_doubted: bool,

@@ -134,11 +134,6 @@ impl Supervisor {
         }
     }
 
-    /// The pistons may have moved since this state was remembered: the measured pose decides, also at zero.
-    pub fn check(&mut self, remembered: RestartState) {
-        self.position = Position::Unchecked(remembered);
-    }
-
     /// The remembered state is unusable: the supervisor asks for `zero` whatever the sensors measure.
     pub fn doubt(&mut self) {
         self.position = Position::Unchecked(RestartState { rest: None, ..self.state.keep(&self.sent) });
@@ -147,11 +142,6 @@ impl Supervisor {
     /// Takes over from a supervisor what a fresh one must not forget: the latch of a stop and an unverified zero.
     pub fn inherit(&mut self, from: &Self) {
         (self.stopped, self.unverified) = (from.stopped, from.unverified);
-    }
-
-    /// Remembers over a restart that no measurement has confirmed the last zero.
-    pub fn set_unverified(&mut self) {
-        self.unverified = true;
     }
 
     /// True if the position of the pistons is unknown, now or pending the check after a restart that cannot pass.
@@ -220,12 +210,6 @@ impl Supervisor {
         if self.is_located() {
             return self.state.fusion.estimate().map(|e| e.bend.beta());
         }
-        self.off_remembered_rad()
-    }
-
-    /// Angle between the gravity of the present alignment and that of the remembered straight tip, rad.
-    #[must_use]
-    pub fn off_remembered_rad(&self) -> Option<f64> {
         let (now, then) = (self.state.fusion.alignment()?, self.straight?);
         Some(now.acc_rest_m_s2.angle(&Vector3::from(then.acc_m_s2)))
     }

@@ -52,6 +52,7 @@ impl Supervisor {
             bias_moved: self.sensors.bias_moved(&self.state.fusion),
             stream_ended,
             stopped: self.stopped,
+            unverified: self.unverified,
             dt_s,
             first,
         }

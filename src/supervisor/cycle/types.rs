@@ -66,6 +66,8 @@ pub struct CycleOutput {
     pub stream_ended: bool,
     /// A stop is latched.
     pub stopped: bool,
+    /// No measurement has confirmed the last zero.
+    pub unverified: bool,
     /// Time since the last cycle, s.
     pub dt_s: f64,
     /// The first cycle of this supervisor.
