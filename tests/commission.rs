@@ -190,6 +190,7 @@ impl Machine for Racks {
             imu: ImuReading::Nothing,
             base_imu: None,
             counted,
+            counted_age_s: 0.0,
             energised,
             inputs,
             alarm: None,

@@ -212,6 +212,7 @@ fn tapes_do_not_panic() {
             imu: retroflex::estimation::fusion::health::ImuReading::Nothing,
             base_imu: None,
             counted: Steps([k; 3]),
+            counted_age_s: 0.0,
             energised: true,
             inputs: retroflex::motion::lines::Inputs::default(),
             alarm: None,

@@ -33,6 +33,7 @@ fn request(wanted: [i32; 3]) -> GateInput {
         dt_s: DT,
         wanted: Steps(wanted),
         counted: Steps::default(),
+        counted_age_s: 0.0,
         armed: true,
         estimated_bellow_mm: None,
         following: None,
@@ -176,6 +177,41 @@ fn a_long_tick_at_a_constant_speed_is_not_an_acceleration() {
         let counts = [(mm / 0.03f64).round() as i32, 0, 0];
         let t = GateInput { dt_s, counted: Steps(counts), ..request(counts) };
         assert_eq!(gate.pass(&t).tripped, None, "tick {tick}");
+    }
+}
+
+/// The step thread stands still for 14 ms and then catches up at the speed of its shortest interval.
+#[test]
+fn a_step_thread_that_catches_up_is_not_fast() {
+    const TOP_MM_S: f64 = 30.0;
+    let stall = |age_is_known: bool| {
+        let mut gate = Gate::new(&GateLimits { acceleration_mm_s2: 300.0, ..limits() }, &Steps([0; 3]));
+        // plan and what is made of it, as times on the plan; the thread is 14 ms behind and gains a quarter of each tick
+        let (mut planned_s, mut made_s) = (0.0f64, 0.0f64);
+        (0..600).find_map(|tick| {
+            planned_s += DT;
+            made_s = if (300..314).contains(&tick) { made_s } else { (made_s + 1.25 * DT).min(planned_s) };
+            let speeding_s = TOP_MM_S / 200.0;
+            let travelled_mm = if made_s < speeding_s { 100.0 * made_s * made_s } else { TOP_MM_S * (made_s - speeding_s / 2.0) };
+            let counts = [(travelled_mm / 0.03).floor() as i32, 0, 0];
+            let counted_age_s = if age_is_known { planned_s - made_s } else { 0.0 };
+            gate.pass(&GateInput { counted: Steps(counts), counted_age_s, ..request(counts) }).tripped
+        })
+    };
+    assert_eq!(stall(true), None);
+    assert_eq!(stall(false), Some(TripCause::Acceleration), "the age makes the difference");
+}
+
+/// A jump of the counts is fast, whatever age they claim.
+#[test]
+fn a_jump_of_old_counts_trips() {
+    for age_s in [0.0, 0.004, -0.0005] {
+        let mut gate = at(0);
+        let first = (1..=40).find_map(|k| {
+            let counts = if k > 20 { [60, 0, 0] } else { [0; 3] };
+            gate.pass(&GateInput { counted: Steps(counts), counted_age_s: age_s, ..request(counts) }).tripped
+        });
+        assert!(first.is_some(), "age {age_s} s");
     }
 }
 

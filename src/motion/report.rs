@@ -72,6 +72,8 @@ pub struct StepperReport {
     pub epoch: u32,
     /// Steps pulsed since zero, signed.
     pub counted: Steps,
+    /// All steps that were due before this time are counted, ns. It is `t_ns` unless a step is late.
+    pub complete_ns: u64,
     /// Rest positions of the pistons, mm; valid in [`StepperMode::Resting`] and [`StepperMode::Faulted`].
     pub rest_mm: [f64; 3],
     /// The drivers are energised.

@@ -75,6 +75,7 @@ pub fn write(out: &mut Vec<u8>, record: &Record) {
     s.imu.put(out);
     s.base_imu.put(out);
     s.counted.0.put(out);
+    s.counted_age_s.put(out);
     let bits = [s.energised, s.inputs.emergency_stop, s.inputs.home[0], s.inputs.home[1], s.inputs.home[2]];
     bits.iter().rev().fold(0u8, |byte, bit| byte << 1 | u8::from(*bit)).put(out);
     AlarmCode(s.alarm).put(out);
@@ -87,11 +88,13 @@ fn read(input: &mut &[u8]) -> Option<Record> {
     let imu = ImuReading::get(input)?;
     let base_imu = Option::get(input)?;
     let counted = Steps(<[i32; 3]>::get(input)?);
+    let counted_age_s = f64::get(input)?;
     let bits = u8::get(input)?;
     let bit = |n: u8| bits >> n & 1 == 1;
     let inputs = Inputs { emergency_stop: bit(1), home: [bit(2), bit(3), bit(4)] };
     let alarm = AlarmCode::get(input)?.0;
-    let sensed = Sensed { t, imu, base_imu, counted, energised: bit(0), inputs, alarm, gauges: Gauges::default(), truth: None };
+    let (gauges, truth) = (Gauges::default(), None);
+    let sensed = Sensed { t, imu, base_imu, counted, counted_age_s, energised: bit(0), inputs, alarm, gauges, truth };
     Some(Record { sensed, order: Option::get(input)?, digest: u64::get(input)? })
 }
 
@@ -168,6 +171,7 @@ mod tests {
                 imu,
                 base_imu,
                 counted: Steps([k as i32, -7, 1 << 30]),
+                counted_age_s: k as f64 * 1e-4,
                 energised: k % 3 == 1,
                 inputs,
                 alarm,

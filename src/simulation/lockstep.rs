@@ -71,7 +71,7 @@ impl<W: World> Machine for Lockstep<W> {
             base_imu = reply.base_imu.or(base_imu);
             truth = reply.truth;
         }
-        Ok(Sensed { imu, base_imu, truth, ..Sensed::of_drive(now, &self.drive) })
+        Ok(Sensed { imu, base_imu, truth, ..Sensed::of_drive(now, self.reached_ns, &self.drive) })
     }
 
     fn energise(&mut self, on: bool) {

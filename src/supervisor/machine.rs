@@ -14,7 +14,7 @@
 
 use crate::estimation::fusion::health::ImuReading;
 use crate::motion::lines::Inputs;
-use crate::motion::report::StepperFault;
+use crate::motion::report::{StepperFault, StepperMode};
 use crate::motion::{Drive, DriveState, StepGenerator};
 use crate::primitives::frames::{Base, Rotation, Tip};
 use crate::primitives::sample::ImuSample;
@@ -32,6 +32,9 @@ pub struct Sensed {
     pub base_imu: Option<ImuSample>,
     /// Microsteps made since zero, signed.
     pub counted: Steps,
+    /// Age of the counts, s: steps that have been due since then may be missing. The step thread may be late, and it reports
+    /// at its own times; a report that is newer than `t` has a negative age.
+    pub counted_age_s: f64,
     /// The drivers are energised.
     pub energised: bool,
     /// The input lines.
@@ -45,13 +48,17 @@ pub struct Sensed {
 }
 
 impl Sensed {
-    /// What the drive reports at `t`, without any sample.
+    /// What the drive reports at `t`, which is `t_ns` on the clock of the step generator, without any sample.
     #[must_use]
-    pub fn of_drive<G: StepGenerator>(t: Seconds, drive: &Drive<G>) -> Self {
+    pub fn of_drive<G: StepGenerator>(t: Seconds, t_ns: u64, drive: &Drive<G>) -> Self {
         let state = drive.state();
-        let (mut counted, mut inputs) = (Steps::default(), Inputs::default());
+        let (mut counted, mut inputs, mut counted_age_s) = (Steps::default(), Inputs::default(), 0.0);
         if let Some(report) = drive.generator().latest() {
             (counted, inputs) = (report.counted, report.inputs);
+            // pistons that rest send few reports, and their counts stay true
+            if matches!(report.mode, StepperMode::Following | StepperMode::Stopping) {
+                counted_age_s = (t_ns as i64 - report.complete_ns as i64) as f64 * 1e-9;
+            }
         }
         inputs.emergency_stop |= drive.has_stopped();
         let alarm = match state {
@@ -62,7 +69,18 @@ impl Sensed {
             _ => drive.is_starved().then_some(Alarm::Underrun),
         };
         let energised = drive.generator().is_energised();
-        Self { t, imu: ImuReading::Nothing, base_imu: None, counted, energised, inputs, alarm, gauges: Gauges::default(), truth: None }
+        Self {
+            t,
+            imu: ImuReading::Nothing,
+            base_imu: None,
+            counted,
+            counted_age_s,
+            energised,
+            inputs,
+            alarm,
+            gauges: Gauges::default(),
+            truth: None,
+        }
     }
 }
 

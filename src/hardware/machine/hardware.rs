@@ -105,7 +105,7 @@ impl Machine for Hardware {
         };
         let (imu, die_c) = newest(&mut self.imu, zero_ns);
         let (gauges, limit) = self.gauges.turn(now_ns, die_c);
-        let steps = Sensed::of_drive(now, &self.drive);
+        let steps = Sensed::of_drive(now, zero_ns + (now.0 * 1e9) as u64, &self.drive);
         Ok(Sensed { imu, base_imu, gauges, alarm: steps.alarm.or(limit), ..steps })
     }
 

@@ -232,6 +232,7 @@ impl StepCore {
             mode: self.mode,
             epoch: self.epoch,
             counted: Steps(self.counted),
+            complete_ns: (0..3).filter_map(|i| self.stream.peek(i)).fold(now_ns, |t_ns, (due_ns, _)| t_ns.min(due_ns)),
             rest_mm: self.at.map(|s| s.position_mm),
             energised: self.levels.enable,
             inputs: self.inputs,

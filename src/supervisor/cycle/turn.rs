@@ -145,6 +145,7 @@ impl Supervisor {
             dt_s,
             wanted: if armed && sensed.energised { frame.steps } else { self.sent },
             counted: sensed.counted,
+            counted_age_s: sensed.counted_age_s,
             armed,
             estimated_bellow_mm: frame.estimate.map(|e| bellows(geometry, &e.bend.0, stretch_mm).into()),
             following: frame.estimate.filter(|_| must_follow).map(|e| Following { setpoint, estimate: e.bend.0.into() }),

@@ -1,8 +1,9 @@
 //! Counts that the machine reported during the last ticks, and the speeds that follow from them.
 //!
 //! The speed is the mean over a window of W ticks and the acceleration the change between two consecutive windows:
-//! `v = (n_k − n_{k−W})/W`, `a = (v_k − v_{k−W})/W`, with the true duration of each tick. Both have the resolution of
-//! one microstep, which [`Quotient::exceeds`] allows for.
+//! `v = (n_k − n_{k−W})/W`, `a = (v_k − v_{k−W})/W`. The time of a count is that up to which the machine has made the steps,
+//! not that of the tick: a step thread that is late and catches up is not fast. Both have the resolution of one microstep,
+//! which [`Quotient::exceeds`] allows for.
 
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "NaN exceeds every limit")]
 
@@ -17,9 +18,11 @@ pub(super) struct History {
     step_mm: f64,
     /// Counts at both ends of each tick; the newest is at `head`.
     counted: [Steps; 2 * WINDOW + 1],
-    /// Duration of the tick before each count, s.
+    /// Time between each count and the one before, s.
     took_s: [f64; 2 * WINDOW + 1],
     head: usize,
+    /// Time since the newest count, s.
+    since_s: f64,
     /// Nothing has been reported yet: the first counts are where the pistons rest.
     fresh: bool,
 }
@@ -27,7 +30,7 @@ pub(super) struct History {
 impl History {
     /// Pistons that have rested for both windows, presumably at `at`.
     pub(super) fn resting(at: &Steps, step_mm: f64, tick_s: f64) -> Self {
-        Self { step_mm, counted: [*at; 2 * WINDOW + 1], took_s: [tick_s; 2 * WINDOW + 1], head: 0, fresh: true }
+        Self { step_mm, counted: [*at; 2 * WINDOW + 1], took_s: [tick_s; 2 * WINDOW + 1], head: 0, since_s: 0.0, fresh: true }
     }
 
     /// The counts of the last tick.
@@ -35,14 +38,20 @@ impl History {
         self.counted[self.head]
     }
 
-    /// Appends the counts after a tick of `dt_s`.
-    pub(super) fn push(&mut self, counted: Steps, dt_s: f64) {
+    /// Appends the counts after a tick of `dt_s`, which are `age_s` old; without effect if they are no newer than the last.
+    pub(super) fn push(&mut self, counted: Steps, dt_s: f64, age_s: f64) {
+        self.since_s += dt_s.max(0.0);
+        let took_s = self.since_s - age_s;
+        if took_s <= 0.0 {
+            return;
+        }
+        self.since_s = age_s;
         if std::mem::take(&mut self.fresh) {
             self.counted = [counted; 2 * WINDOW + 1];
         }
         self.head = (self.head + 1) % self.counted.len();
         self.counted[self.head] = counted;
-        self.took_s[self.head] = dt_s.max(0.0);
+        self.took_s[self.head] = took_s;
     }
 
     /// Speed of channel `i` over the last window, mm/s.

@@ -30,6 +30,8 @@ pub struct GateInput {
     pub wanted: Steps,
     /// Counts reported by the machine.
     pub counted: Steps,
+    /// Age of these counts, s.
+    pub counted_age_s: f64,
     /// The drivers are armed.
     pub armed: bool,
     /// Bellow length changes at the estimated bend, mm; `None` without an estimate.
@@ -181,7 +183,7 @@ impl Gate {
             // the counts of pistons at rest may be declared anew
             self.history = History::resting(&input.counted, self.limits.step_mm, self.limits.tick_s);
         }
-        self.history.push(input.counted, input.dt_s);
+        self.history.push(input.counted, input.dt_s, input.counted_age_s);
         let tripped = self.check(input);
         if let Some(cause) = tripped {
             self.latched = Some(self.latched.unwrap_or(cause));
