@@ -66,7 +66,9 @@ impl<'r> Service<'r> {
                 return status;
             }
             let alarm = status["alarm"].as_str().unwrap_or("");
-            if status["latched"] == "step_generator" && (alarm.contains("late") || alarm.contains("ran out")) {
+            let stalled = alarm.contains("late") || alarm.contains("ran out");
+            // a host that stops for longer stops the loop too
+            if stalled && ["step_generator", "late", "stale"].iter().any(|cause| status["latched"] == *cause) {
                 let alarm = alarm.to_owned();
                 self.resume(&alarm);
                 began = Instant::now();
@@ -157,14 +159,17 @@ impl<'r> Service<'r> {
         self.rig.unhang();
     }
 
-    /// Ends the service as systemd does.
-    pub fn terminate(mut self) -> ExitStatus {
+    /// Ends the service as systemd does. The second value is true if the host stalled the step thread on the way to rest, so
+    /// that it stopped there.
+    pub fn terminate(mut self) -> (ExitStatus, bool) {
+        let faults = || said(self.rig).matches("event=\"fault\"").count();
+        let before = faults();
         // SAFETY: a signal to a child that has not been waited for yet, so the number is still its own.
         unsafe { libc::kill(self.child.id() as i32, libc::SIGTERM) };
         let began = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
-                return status;
+                return (status, faults() > before);
             }
             assert!(began.elapsed().as_secs_f64() < 30.0, "SIGTERM does not end it\n{}", said(self.rig));
             std::thread::sleep(Duration::from_millis(20));
