@@ -36,6 +36,13 @@ pub struct Condition {
     set: fn(&mut PlantConfig, f64, f64),
 }
 
+impl Condition {
+    /// Sets the value on a unit.
+    pub fn apply(&self, p: &mut PlantConfig, v: f64, turn: f64) {
+        (self.set)(p, v, turn);
+    }
+}
+
 /// Every condition.
 pub const CONDITIONS: [Condition; 15] = [
     Condition {

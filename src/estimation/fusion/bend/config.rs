@@ -40,10 +40,12 @@ parameters! {
         /// Error of gravity that no noise figure covers (scale and axes of the accelerometer), as a fraction. A larger value
         /// relies on the gyroscope for longer.
         direction_error: f64 = 0.004, "", 1e-5..=1.0, "0.004 is 0.2°";
-        /// The same for the field (soft iron, a field that is not uniform); the default is half a microtesla. A larger value
-        /// gives the field less weight and limits the harm of a wrong one.
+        /// Expected error of the field (soft iron, motors, a field that is not uniform), until motion has shown it; the
+        /// default is half a microtesla. A larger value gives the field less weight at first.
         field_error: f64 = 0.012, "", 1e-5..=1.0, "0.012 is half a microtesla";
-        /// Time for which such an error stays constant: within it, samples do not average out. A larger value gives many
+        /// Time for which an error of the field stays constant. A larger value gives the field less weight.
+        field_time_s: f64 = 15.0, "s", 0.0..=1000.0, "15 is the time of some poses";
+        /// Time for which an error of gravity or twist stays constant: within it, samples do not average out. A larger value gives many
         /// samples less weight.
         direction_time_s: f64 = 1.0, "s", 0.0..=100.0, "1 is the time of a motion";
         /// Twist that is not proportional to bend; the default is 2.2° at 75°. A larger value lets the estimate turn about
@@ -57,8 +59,5 @@ parameters! {
         still_rate_sigma_rad_s: f64 = 0.005, "rad/s", 1e-5..=1.0, "0.005 is the creep of a fresh bend";
         /// Uses the magnetometer.
         use_mag: bool = true;
-        /// Uncertainty of the bend from which the field counts. Below it gravity sees the bend, and the field could only
-        /// disturb it. A larger value uses the field less often.
-        field_from_deg: f64 = 1.0, "deg", 0.0..=90.0, "1 is reached where gravity does not see the bend";
     }
 }

@@ -20,6 +20,10 @@ const FIELD_NIS_STEP_MAX: f64 = 100.0;
 /// Smallest noise of accelerometer, m/s², and magnetometer, µT: a simulated source may be noise-free.
 const ACC_SIGMA_MIN_M_S2: f64 = 0.005;
 const MAG_SIGMA_MIN_UT: f64 = 0.05;
+/// Rotation over which the mean square error of the field is averaged, rad: about three motions.
+const FIELD_LEVEL_TURN_RAD: f64 = 2.0;
+/// Smallest error of the field, as a fraction of it.
+const FIELD_ERROR_MIN: f64 = 0.002;
 /// A rate at standstill beyond this many standard deviations is motion.
 const STILL_GATE: f64 = 5.0;
 
@@ -27,7 +31,7 @@ const STILL_GATE: f64 = 5.0;
 struct Noise {
     white: f64,
     direction: f64,
-    /// Number of corrections over which the direction error is correlated.
+    /// Number of corrections over which the error of direction is correlated.
     repeats: f64,
 }
 
@@ -36,8 +40,8 @@ impl Noise {
         self.white + self.direction
     }
     /// White noise of the same effect over the correlation time.
-    fn correlated(&self, excess: f64) -> f64 {
-        self.white + (self.direction + excess) * self.repeats
+    fn correlated(&self) -> f64 {
+        self.white + self.direction * self.repeats
     }
 }
 
@@ -76,26 +80,42 @@ impl BendFilter {
         let nis = self.kalman.nis(&h, &innovation, noise.single());
         let gain = (self.config.correction_period_s / GRAVITY_NIS_TIME_S).min(1.0);
         self.gravity_nis += gain * (nis.min(GRAVITY_NIS_MAX) - self.gravity_nis);
-        self.kalman.correct_vector(&h, &innovation, noise.correlated(0.0), before);
+        self.kalman.correct_vector(&h, &innovation, noise.correlated(), before);
     }
 
-    /// While the NIS of the field exceeds 1, the excess is attributed to the direction error, which is correlated,
-    /// and not to white noise. Beyond [`FIELD_NIS_MAX`] the variance grows with the square of the NIS, so that the
-    /// weight of a disturbed field falls without a bound.
+    /// The weight of the field follows the error that its strength and dip show. While the NIS exceeds 1, the excess counts
+    /// as a further error of that kind. Beyond [`FIELD_NIS_MAX`] it grows with the square of the NIS, so that the weight of a
+    /// disturbed field falls without a bound.
     fn correct_field(&mut self, turn: &Turn, rest: &Vector3<f64>, before: &StateVector) {
         let white = self.alignment.mag_sigma_ut.max(MAG_SIGMA_MIN_UT).powi(2) / f64::from(self.mag.n);
-        let noise = self.noise(white, self.config.field_error * rest.norm());
+        let single = white + (self.config.field_error * rest.norm()).powi(2);
         let h = KalmanState::rows(MAG, &turn.slopes(rest, &self.kalman.block(MAG)));
-        let single = noise.single();
         let nis = self.kalman.nis(&h, &self.mag.mean(), single);
         let gain = if nis > self.field_nis { FIELD_NIS_RISE } else { FIELD_NIS_FALL };
         let mean_nis = self.field_nis + gain * (nis.min(FIELD_NIS_STEP_MAX * self.field_nis) - self.field_nis);
         let variance = self.kalman.innovation_variance(&h, single) / 3.0;
         let persistent = (mean_nis.max(1.0) - 1.0) * (mean_nis / FIELD_NIS_MAX).max(1.0);
         let sudden = if nis > NIS_GATE { nis / FIELD_NIS_MAX } else { 0.0 };
-        let excess = variance * persistent.max(sudden);
-        self.kalman.correct_vector(&h, &self.mag.mean(), noise.correlated(excess), before);
+        let error_ut2 = self.field_error_ut2(turn, rest) + variance * persistent.max(sudden);
+        let repeats = (self.config.field_time_s / self.config.correction_period_s).max(1.0);
+        self.kalman.correct_vector(&h, &self.mag.mean(), white + error_ut2 * repeats, before);
         self.field_nis = mean_nis;
+    }
+
+    /// Mean square error of the field per axis, µT², over the last motions: the part of the innovation that gravity and
+    /// strength reveal. The third axis is the heading, whose error is what the field shall correct.
+    fn field_error_ut2(&mut self, turn: &Turn, rest: &Vector3<f64>) -> f64 {
+        let seen = |rest: &Vector3<f64>, bias: Vector3<f64>| turn.predicted(rest, &bias) - bias;
+        let field = seen(rest, self.kalman.block(MAG));
+        let gravity = seen(&self.alignment.acc_rest_m_s2, self.kalman.block(ACC));
+        let innovation = self.mag.mean();
+        // a vertical field has no heading
+        let heading = gravity.cross(&field).try_normalize(1e-6).unwrap_or_default();
+        let revealed = innovation - heading * heading.dot(&innovation);
+        let turned = self.rate_rad_s * self.config.correction_period_s;
+        let gain = turned / (turned + FIELD_LEVEL_TURN_RAD);
+        self.field_error_ut2 += gain * (revealed.norm_squared() / 2.0 - self.field_error_ut2);
+        self.field_error_ut2.max((FIELD_ERROR_MIN * rest.norm()).powi(2))
     }
 
     /// The twist is c β. Its error stays the same while the tip stays.

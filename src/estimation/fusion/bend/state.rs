@@ -57,6 +57,8 @@ pub struct BendFilter {
     pub(super) gravity_nis: f64,
     /// Running mean of the NIS of the field; 1 while the noise model holds.
     pub(super) field_nis: f64,
+    /// Mean square error of the field per axis, µT².
+    pub(super) field_error_ut2: f64,
     /// Running mean of the NIS of the twist.
     pub(super) twist_nis: f64,
     /// Velocity of the sensor by the bend rate, now and at the last correction, m/s, alignment axes.
@@ -90,6 +92,7 @@ impl BendFilter {
             rate_rad_s: 0.0,
             gravity_nis: 1.0,
             field_nis: 1.0,
+            field_error_ut2: (config.field_error * alignment.mag_rest_ut.map_or(0.0, |m| m.norm())).powi(2),
             twist_nis: 0.0,
             velocity_m_s: [Vector3::zeros(); 2],
             correction: Vector2::zeros(),
@@ -110,11 +113,6 @@ impl BendFilter {
         self.kalman.set(GYRO, &now.gyro_bias_rad_s);
         (self.acc, self.mag, self.rate) = (Innovation::default(), Innovation::default(), Innovation::default());
         (self.gravity_nis, self.field_nis, self.twist_nis) = (1.0, 1.0, 0.0);
-    }
-
-    /// True where gravity does not see the bend well enough.
-    fn needs_field(&self) -> bool {
-        self.bend_sigma_rad() >= self.config.field_from_deg.to_radians()
     }
 
     /// Largest standard deviation of the bend, rad.
@@ -220,9 +218,7 @@ impl TipEstimator for BendFilter {
         if mask.acc {
             self.acc.add(&(sample.acc_m_s2 - turn.predicted(&self.alignment.acc_rest_m_s2, &self.kalman.block(ACC))));
         }
-        if let (true, Some(m), Some(rest)) =
-            (self.config.use_mag && mask.mag && self.needs_field(), &sample.mag_ut, &self.alignment.mag_rest_ut)
-        {
+        if let (true, Some(m), Some(rest)) = (self.config.use_mag && mask.mag, &sample.mag_ut, &self.alignment.mag_rest_ut) {
             self.mag.add(&(m - turn.predicted(rest, &self.kalman.block(MAG))));
         }
         if mask.still {

@@ -27,6 +27,11 @@ struct Sensor {
     base: UnitQuaternion<f64>,
     acc_bias: Vector3<f64>,
     iron: Vector3<f64>,
+    /// Field of the motors, different in every pose, µT.
+    motors: Vector3<f64>,
+    /// Bias and scale error of the gyroscope.
+    gyro_bias: Vector3<f64>,
+    gyro_scale: f64,
     before: UnitQuaternion<f64>,
     t_s: f64,
 }
@@ -35,13 +40,23 @@ impl Sensor {
     fn new(seed: u64, base: UnitQuaternion<f64>) -> Self {
         let mut rng = StdRng::seed_from_u64(seed);
         let (acc_bias, iron) = (noise(&mut rng, 0.2), noise(&mut rng, 5.0));
-        Self { rng, base, acc_bias, iron, before: UnitQuaternion::identity(), t_s: 0.0 }
+        Self {
+            rng,
+            base,
+            acc_bias,
+            iron,
+            motors: Vector3::zeros(),
+            gyro_bias: Vector3::zeros(),
+            gyro_scale: 0.0,
+            before: UnitQuaternion::identity(),
+            t_s: 0.0,
+        }
     }
     fn gravity(&self, q: &UnitQuaternion<f64>) -> Vector3<f64> {
         (self.base * q).inverse() * Vector3::new(0.0, 0.0, 9.81) + self.acc_bias
     }
     fn field(&self, q: &UnitQuaternion<f64>) -> Vector3<f64> {
-        (self.base * q).inverse() * Vector3::new(20.0, 0.0, -44.0) + self.iron
+        (self.base * q).inverse() * Vector3::new(20.0, 0.0, -44.0) + self.iron + self.motors
     }
     fn alignment(&self) -> Alignment {
         let straight = UnitQuaternion::identity();
@@ -64,7 +79,7 @@ impl Sensor {
         (self.before, self.t_s) = (q, self.t_s + DT_S);
         ImuSample {
             t: Seconds(self.t_s),
-            gyro_rad_s: rate + noise(&mut self.rng, 0.002),
+            gyro_rad_s: rate * (1.0 + self.gyro_scale) + self.gyro_bias + noise(&mut self.rng, 0.002),
             acc_m_s2: self.gravity(&q) + noise(&mut self.rng, 0.02),
             mag_ut: mag.then(|| self.field(&q) + noise(&mut self.rng, 0.35)),
         }
@@ -153,4 +168,52 @@ fn the_covariance_is_consistent_where_gravity_does_not_observe() {
     }
     assert!(unobserved > 3.0 * observed, "1 σ: {unobserved}° unobserved, {observed}° observed");
     assert!(nees / n < 3.0, "mean NEES per degree of freedom {}", nees / n);
+}
+
+/// Poses whose bend is about the vertical, with a field of the motors that differs from pose to pose.
+#[test]
+fn a_field_that_the_motors_disturb_does_no_harm_and_a_clean_one_helps() {
+    let flat = UnitQuaternion::from_euler_angles(0.0, std::f64::consts::FRAC_PI_2, 0.0);
+    let rms_deg = |motors_ut: f64, mag: bool, stands: bool| {
+        let (mut sum, mut n) = (0.0, 0.0);
+        for seed in 0..8 {
+            let mut sensor = Sensor::new(80 + seed, flat);
+            sensor.iron *= 0.2;
+            if stands {
+                sensor.gyro_scale = if seed % 2 == 0 { 0.01 } else { -0.01 };
+            } else {
+                sensor.gyro_bias = Vector3::repeat(0.003);
+            }
+            let mut filter = BendFilter::new(&turning_only(), &sensor.alignment());
+            let mut offsets = StdRng::seed_from_u64(seed);
+            for pose in 0..60 {
+                sensor.motors = noise(&mut offsets, motors_ut);
+                for step in 0..300 {
+                    // half a second from one side to the other, then a second of rest
+                    let swing = (f64::from(step) * DT_S / 0.5).min(1.0) * std::f64::consts::PI;
+                    let side = if pose % 2 == 0 { 1.2 } else { -1.2 };
+                    let beta = if pose == 0 { 0.5 * side * (1.0 - swing.cos()) } else { -side * swing.cos() };
+                    let bend = Bend([0.1, beta].into());
+                    let sample = sensor.sample(&bend, mag);
+                    let still = stands && step > 120;
+                    filter.update(&sample, DT_S, MeasurementMask { still, ..USE }, &BaseTurn::none());
+                    if step > 240 && pose > 10 {
+                        sum += (filter.bend().0 - bend.0).norm_squared();
+                        n += 1.0;
+                    }
+                }
+            }
+        }
+        f64::sqrt(sum / n).to_degrees()
+    };
+    let alone = rms_deg(0.0, false, true);
+    for motors_ut in [0.0, 0.1, 0.3, 1.0, 3.0, 8.0, 20.0] {
+        let with = rms_deg(motors_ut, true, true);
+        println!("{motors_ut} µT: {with:.2}°, without magnetometer {alone:.2}°");
+        assert!(with < 1.2 * alone, "{motors_ut} µT: {with}°, without {alone}°");
+    }
+    // without standstill the gyroscope drifts, and the field bounds it
+    let (with, alone) = (rms_deg(0.0, true, false), rms_deg(0.0, false, false));
+    println!("no standstill: {with:.2}° with a clean field, {alone:.2}° without magnetometer");
+    assert!(with < 0.7 * alone);
 }
