@@ -32,14 +32,13 @@ pub struct Condition {
     pub name: &'static str,
     /// Values, mildest first.
     pub values: &'static [f64],
-    /// Sets the value on a unit; the angle turns directions from unit to unit.
     set: fn(&mut PlantConfig, f64, f64),
 }
 
 impl Condition {
-    /// Sets the value on a unit.
-    pub fn apply(&self, p: &mut PlantConfig, v: f64, turn: f64) {
-        (self.set)(p, v, turn);
+    /// Sets the value on a unit; `turn_deg` turns directions from unit to unit.
+    pub fn apply(&self, unit: &mut PlantConfig, value: f64, turn_deg: f64) {
+        (self.set)(unit, value, turn_deg);
     }
 }
 
@@ -210,7 +209,7 @@ pub fn run(study: &Study, conditions: &[Condition], progress: &(dyn Fn() + Sync)
     let row = |&(condition, value): &(&Condition, f64)| {
         let unit = |n: u64| {
             let mut unit = study.unit(n);
-            (condition.set)(&mut unit, value, TURN_DEG * n as f64 % 360.0);
+            condition.apply(&mut unit, value, TURN_DEG * n as f64 % 360.0);
             let arms = Arm::ALL.map(|arm| study.run(&study.config, arm, &unit, n, DIRECTIONS));
             progress();
             arms.into_iter().collect::<Result<Vec<_>, _>>()
@@ -283,7 +282,7 @@ mod tests {
         for c in &CONDITIONS {
             for &value in c.values {
                 let mut unit = PlantConfig::default();
-                (c.set)(&mut unit, value, 137.5);
+                c.apply(&mut unit, value, 137.5);
                 unit.validate().unwrap_or_else(|e| panic!("{} = {value}: {e}", c.name));
                 assert_ne!(unit, PlantConfig::default(), "{}", c.name);
             }
