@@ -22,7 +22,8 @@ fn every_fault_in_flight_is_survived() {
     let rows: Vec<_> = list::specs().iter().map(|s| fly(&config, s, &allowance).unwrap()).collect();
     let failed: Vec<String> = rows.iter().filter(|r| !r.ok).map(|r| format!("{}: {}", r.fault, r.why)).collect();
     assert!(failed.is_empty(), "{failed:#?}");
-    assert!(rows.len() >= 33, "only {} faults", rows.len());
+    assert!(rows.len() >= 40, "only {} faults", rows.len());
+    assert!(rows.iter().all(|r| r.requires.contains("detected within")));
     // a turn of the base at a held pose is not attributed to a line
     let base = rows.iter().find(|r| r.fault == "base_turned").unwrap();
     assert!(base.message.contains("base"), "{}", base.message);

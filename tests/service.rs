@@ -3,14 +3,10 @@
 
 use retroflex::drill::process::Daemon;
 use retroflex::log::bend_log;
-use retroflex::service::protocol::{Request, request_line};
 use retroflex::service::store::Store;
-use std::io::Write;
-use std::os::unix::net::UnixStream;
+use std::io::Read;
 use std::path::Path;
 use std::process::{Command, Output};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 fn program() -> &'static Path {
@@ -59,13 +55,20 @@ fn a_session_from_start_to_end() {
     expect(&socket, &["relax"], 0, "");
     daemon.until(10.0, "rest", |s| s["mode"] == "disarmed" && s["counted"] == serde_json::json!([0, 0, 0])).unwrap();
     expect(&socket, &["record", "stop"], 0, "day.csv");
-    replays(&folder.path().join("state/recordings/day.csv"));
+    replays(&folder.path().join("state/recordings/day.csv.gz"));
 
     // the status socket is read-only
     let status_socket = folder.path().join("status.sock");
     expect(&status_socket, &["status", "--json"], 0, "disarmed");
     expect(&status_socket, &["arm"], 1, "read-only");
     expect(&status_socket, &["stop"], 1, "read-only");
+
+    // what the tip cannot reach is refused before it moves, with what it can reach
+    expect(&socket, &["bend", "110"], 2, "at most 8");
+    // a schedule moves the tip, so it is not played before `arm`
+    let schedule = folder.path().join("schedule.csv");
+    std::fs::write(&schedule, "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n0,0,20,4,5\n20,0,20,0.1,20\n").unwrap();
+    expect(&socket, &["play", schedule.to_str().unwrap()], 1, "retroflex arm");
 
     // it ends at rest, and the memory says so
     let (success, _) = daemon.end().unwrap();
@@ -86,8 +89,9 @@ fn replays(log: &Path) {
     };
     let (code, text) = replay();
     assert!(code == Some(0) && text.contains(" 0 differ"), "{text}");
-    let tape = log.with_extension("csv.tape");
-    let mut bytes = std::fs::read(&tape).unwrap();
+    let tape = log.with_extension("gz.tape");
+    let mut bytes = Vec::new();
+    flate2::read::MultiGzDecoder::new(std::fs::File::open(&tape).unwrap()).read_to_end(&mut bytes).unwrap();
     let at = bytes.len() - 3;
     bytes[at] ^= 0x10;
     std::fs::write(&tape, bytes).unwrap();
@@ -110,39 +114,43 @@ fn a_second_service_with_the_same_state_folder_is_refused() {
     daemon.end().unwrap();
 }
 
-/// Readers take all places of the status socket and a client floods the command socket; a stop still takes effect.
+/// Without flags, an ordinary user's service and commands find each other; damaged memory is lost until an asserted zero.
 #[test]
-fn a_stop_takes_effect_under_load() {
+fn an_ordinary_user_needs_no_flags_and_damaged_memory_is_lost() {
     let folder = tempfile::tempdir().unwrap();
-    let daemon = Daemon::start(program(), folder.path()).unwrap();
-    daemon.take_off().unwrap();
-    daemon.until(5.0, "motion", |s| s["mode"] == "tracking").unwrap();
-    let mut client = daemon.client().unwrap();
-    let status_socket = folder.path().join("status.sock");
-    let readers: Vec<UnixStream> = (0..40).filter_map(|_| UnixStream::connect(&status_socket).ok()).collect();
-    let done = Arc::new(AtomicBool::new(false));
-    let bend = Request::Bend { bend_deg: 60.0, dir_deg: 30.0, length_mm: None, speed_deg_s: None };
-    let flood = |mut stream: UnixStream, line: String| {
-        let done = Arc::clone(&done);
-        stream.set_nonblocking(true).unwrap();
-        std::thread::spawn(move || {
-            while !done.load(Ordering::Relaxed) {
-                if stream.write(line.as_bytes()).is_err() {
-                    std::thread::sleep(Duration::from_millis(1));
-                }
-            }
-        })
+    let command = |args: &[&str]| {
+        let mut command = Command::new(program());
+        // as root the system's folders would be used; systemd's variables stand for the user's here
+        command.args(args).env("STATE_DIRECTORY", folder.path().join("state")).env("RUNTIME_DIRECTORY", folder.path().join("run"));
+        command.env_remove("RETROFLEX_SOCKET").env_remove("NOTIFY_SOCKET").env_remove("JOURNAL_STREAM");
+        command
     };
-    let mut floods: Vec<_> = readers.into_iter().map(|s| flood(s, request_line(1, &Request::Subscribe { rate_hz: 1000.0 }))).collect();
-    floods.push(flood(UnixStream::connect(daemon.socket()).unwrap(), request_line(1, &bend)));
-    std::thread::sleep(Duration::from_millis(500));
-    let started = Instant::now();
-    client.request(&Request::Stop {}).unwrap();
-    eprintln!("the stop was answered within {:.1} ms", started.elapsed().as_secs_f64() * 1e3);
-    let refused = client.request(&bend).unwrap_err().message;
-    assert!(refused.contains("retroflex arm"), "a bend after the stop: {refused}");
-    done.store(true, Ordering::Relaxed);
-    floods.into_iter().for_each(|thread| thread.join().unwrap());
-    daemon.until(5.0, "the hold", |s| s["mode"] == "holding" && s["stopped"] == true).unwrap();
-    daemon.kill();
+    let status = || {
+        let out = command(&["status", "--json"]).output().unwrap();
+        serde_json::from_slice::<serde_json::Value>(&out.stdout).unwrap_or_default()
+    };
+    let until = |mode: &str| {
+        let since = Instant::now();
+        while status()["mode"] != mode {
+            assert!(since.elapsed() < Duration::from_secs(20), "{mode}: {}", status());
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    };
+    let memory = folder.path().join("state/memory.b");
+    for (damage, mode) in [(false, "disarmed"), (true, "lost")] {
+        if damage {
+            std::fs::write(&memory, b"").unwrap();
+        }
+        let mut child = command(&["run"]).stderr(std::process::Stdio::null()).spawn().unwrap();
+        until(mode);
+        if damage {
+            for (args, code, part) in [(["arm", "--"], 1, "zero"), (["zero", "--"], 0, ""), (["arm", "--"], 0, "")] {
+                let out = command(&args[..1]).output().unwrap();
+                let text = String::from_utf8_lossy(&out.stderr).into_owned();
+                assert!(out.status.code() == Some(code) && text.contains(part), "{args:?}: {text}");
+            }
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
 }

@@ -1,10 +1,12 @@
 //! `retroflex bench rt`: timing of the step thread on this machine, compared with `cyclictest` where it is installed.
 
-use crate::cli::{CommandOutcome, Unreachable, output};
+use crate::cli::{CommandOutcome, Unreachable, manual_motion, output};
 use crate::config::board::Board;
 use crate::config::source;
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::cyclictest;
+use crate::hardware::lock::HardwareLock;
+use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{self, MockPins, OpenError, Pins, PinsConfig};
 use crate::hardware::stepper::StartError;
@@ -84,6 +86,7 @@ fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
             path.display()
         ));
     }
+    let _lock = HardwareLock::take().map_err(|device| manual_motion::hardware_error(path, HardwareError::InUse(device)))?;
     let pins = pins::open(wiring, board.drive.microsteps).map_err(|e| match e {
         OpenError::Config(e) => miette!("{}: {e}", path.display()),
         OpenError::Pin(e) => Unreachable { what: "the GPIO".to_owned(), why: e.to_string() }.into(),

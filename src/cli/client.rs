@@ -80,7 +80,7 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
         Client::Reload(p) => send(&p.at, &Request::Reload {}),
         Client::Status(args) => status::status(args),
         Client::Record(args) => {
-            let request = |action| Request::Record { action, name: args.name.clone() };
+            let request = |action| Request::Record { action, name: args.name.clone(), owned: false };
             match args.action {
                 // a recording that starts at rest starts with a new alignment
                 Action::Start => send_and_align(&args.at, &request(RecordAction::Start)),

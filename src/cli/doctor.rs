@@ -101,7 +101,8 @@ pub fn examine(board: &Board) -> Vec<Finding> {
     let mut findings = vec![model(), kernel(), pressure(board)];
     findings.extend(devices(board));
     findings.extend(real_time(board));
-    findings.extend([clock(), throttling(), disk(&board.service.state), folder("socket folder", board.service.socket.parent())]);
+    let paths = Paths::of(&board.service);
+    findings.extend([clock(), throttling(), disk(&paths.state), folder("socket folder", paths.control.parent())]);
     findings
 }
 

@@ -3,7 +3,7 @@
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::gains::Gains;
 use crate::drill::bench::BenchConfig;
-use crate::drill::process::{self, Harm};
+use crate::drill::process::{self, Harm, Repeats};
 use crate::drill::row::Row;
 use crate::drill::run::{Allowance, fly};
 use crate::drill::{list, soak};
@@ -25,6 +25,9 @@ pub struct Args {
     /// Number of kills of the process.
     #[arg(long, default_value_t = 200)]
     kills: u32,
+    /// Number of stops under each attack on the service.
+    #[arg(long, default_value_t = 100)]
+    tries: u32,
     /// Leave out the faults of the process, which run in real time.
     #[arg(long)]
     in_flight: bool,
@@ -97,8 +100,8 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {
         let program = std::env::current_exe().into_diagnostic()?;
         let scratch = Scratch::new()?;
-        let process = process::rows(config, &program, &scratch.0, args.kills).into_diagnostic()?;
-        rows.extend(process.into_iter().filter(|r| selected(&r.fault)));
+        let process = process::rows(config, &program, &scratch.0, Repeats { kills: args.kills, tries: args.tries }, &selected).into_diagnostic()?;
+        rows.extend(process);
     }
     Ok(rows)
 }

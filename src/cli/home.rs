@@ -4,8 +4,13 @@ use crate::cli::{CommandOutcome, manual_motion, output};
 use crate::config::board::Board;
 use crate::config::sections::HomingMethod;
 use crate::config::source;
+use crate::control::tick::RestartState;
+use crate::primitives::units::Steps;
+use crate::service::memory::Memory;
+use crate::service::paths::Paths;
+use crate::service::store::Store;
 use crate::supervisor::commission::homing::{self, HomingConfig};
-use miette::{Result, miette};
+use miette::{IntoDiagnostic, Result, miette};
 use std::io::BufRead;
 use std::path::PathBuf;
 
@@ -30,10 +35,19 @@ pub struct Args {
 /// A report: bad input, hardware that does not answer, or the reason why zero was not found.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let board: Board = source::read(&args.board)?;
+    // the lock of the state folder also keeps a service from starting meanwhile
+    let memory = board.hardware().map(|_| Store::open(&Paths::of(&board.service).state)).transpose().into_diagnostic()?;
     let text = match board.homing.method {
         HomingMethod::Switches => by_switches(args, &board)?,
         HomingMethod::Operator => by_operator(args)?,
     };
+    if let Some((mut store, recall)) = memory {
+        let found = recall.memory.unwrap_or_default();
+        // the switches measure; the operator's word is not verified
+        let unverified = board.homing.method == HomingMethod::Operator;
+        let restart = found.restart.map(|r| RestartState { steps: Steps::default(), bend_rad: [0.0; 2], play_output_mm: [0.0; 3], ..r });
+        store.write(&Memory { armed: false, lost: false, unverified, restart, ..found }).into_diagnostic()?;
+    }
     output::print(&text);
     Ok(CommandOutcome::Good)
 }

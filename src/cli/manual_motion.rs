@@ -43,7 +43,7 @@ pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
         return miette!("{}: {error}", path.display());
     }
     let what = match &error {
-        HardwareError::Pins(OpenError::Pin(_)) => "the GPIO",
+        HardwareError::Pins(OpenError::Pin(_)) | HardwareError::InUse(_) => "the GPIO",
         HardwareError::Stepper(_) | HardwareError::Thread(_) => "the scheduler",
         _ => "the IMU",
     };

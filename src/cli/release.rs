@@ -4,6 +4,7 @@
 use crate::cli::{CommandOutcome, manual_motion, output};
 use crate::config::board::Board;
 use crate::config::source;
+use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::{self, OpenError, PinError};
 use crate::motion::lines::Levels;
@@ -32,6 +33,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         return Err(miette!("{}: there is no [pins] table, so there are no drivers to release", args.board.display()));
     };
     let hardware = |e: OpenError| manual_motion::hardware_error(&args.board, HardwareError::Pins(e));
+    let _lock = HardwareLock::take().map_err(|path| manual_motion::hardware_error(&args.board, HardwareError::InUse(path)))?;
     let mut pins = pins::open(config, board.drive.microsteps).map_err(hardware)?;
     let off = |e: PinError| hardware(OpenError::Pin(e));
     pins.write(&Levels::default()).map_err(off)?;

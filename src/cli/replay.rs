@@ -1,5 +1,6 @@
 //! `retroflex replay LOG`: runs a recorded input through the present software and compares every decision bit for bit.
 
+use crate::log::table::GZIP_MAGIC;
 use crate::cli::CommandOutcome;
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
@@ -14,7 +15,9 @@ use crate::service::tape::{Header, Reader, digest};
 use crate::supervisor::cycle::Supervisor;
 use crate::supervisor::machine::MachineInfo;
 use miette::{Result, miette};
-use std::path::PathBuf;
+use flate2::read::MultiGzDecoder;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
 
 /// Arguments of `replay`.
 #[derive(Debug, clap::Args)]
@@ -33,7 +36,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let tape = tape_path(&args.log);
     let path = tape.display();
-    let bytes = std::fs::read(&tape).map_err(|e| {
+    let bytes = read(&tape).map_err(|e| {
         miette!("{path}: {e}; a log has a tape only if it was recorded with `retroflex run --record LOG`, or with `retroflex record start` while disarmed at rest")
     })?;
     let end = bytes.iter().position(|b| *b == b'\n').ok_or_else(|| miette!("{path}: has no header line"))?;
@@ -63,6 +66,19 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::NotGoodEnough)
 }
 
+/// The content of a tape, compressed or not; of a truncated one, what is there.
+fn read(path: &Path) -> io::Result<Vec<u8>> {
+    let bytes = std::fs::read(path)?;
+    if !bytes.starts_with(&GZIP_MAGIC) {
+        return Ok(bytes);
+    }
+    let mut content = Vec::new();
+    match MultiGzDecoder::new(bytes.as_slice()).read_to_end(&mut content) {
+        Err(e) if e.kind() != io::ErrorKind::UnexpectedEof => Err(e),
+        _ => Ok(content),
+    }
+}
+
 fn supervisor(header: Header) -> Result<Supervisor> {
     let board: Board = source::parse("board of the tape", &header.texts[0])?;
     let gains: Gains = source::parse("gains of the tape", &header.texts[1])?;
@@ -73,5 +89,5 @@ fn supervisor(header: Header) -> Result<Supervisor> {
     config.tick.lines = header.lines.map(|[k_epsilon, k_lambda_mm]| Line { k_epsilon, k_lambda_mm });
     let [lag_s, delay_s, uncertainty_s] = header.dynamics;
     config.tick.dynamics = DynamicsPrior { expected: Dynamics { lag_s, delay_s }, uncertainty_s };
-    Ok(Start { config, restart: header.restart, unreadable: header.unreadable }.supervisor())
+    Ok(Start { config, restart: header.restart, belief: header.belief, unverified: false }.supervisor())
 }

@@ -70,11 +70,11 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let texts = [show::compact(&board), show::compact(&gains), show::compact(&calibration)];
     if let Some(socket) = &args.socket {
-        board.service.socket.clone_from(socket);
-        board.service.status_socket = socket.with_file_name("status.sock");
+        board.service.socket = Some(socket.clone());
+        board.service.status_socket = None;
     }
     if let Some(state) = &args.state {
-        board.service.state.clone_from(state);
+        board.service.state = Some(state.clone());
     }
     let bound = PressureBound::of(&board);
     if args.plant.is_none() && !bound.is_bounded() {

@@ -19,7 +19,7 @@ impl Check for Board {
         let at_rest = "compare it with geometry.rest_length_mm";
         to.range("geometry.bellow_min_mm", g.bellow_min_mm, 1.0..=g.rest_length_mm, "mm", at_rest);
         to.range("geometry.bellow_max_mm", g.bellow_max_mm, g.rest_length_mm..=200.0, "mm", at_rest);
-        let same = self.service.socket == self.service.status_socket;
+        let same = self.service.socket.is_some() && self.service.socket == self.service.status_socket;
         to.holds("service.status_socket", !same, "the status socket is the command socket", "give each its own path");
         priorities(self, to);
         power(self, to);

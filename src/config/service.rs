@@ -11,19 +11,30 @@ use std::path::PathBuf;
 parameters! {
     /// The service: sockets, state folder and the loop's thread.
     pub struct ServiceSection {
-        /// Socket for commands. Whoever may connect may command, so its folder and group decide. There is no network port.
-        socket: PathBuf = "/run/retroflex/control.sock".into();
-        /// Socket for reading the status only.
-        status_socket: PathBuf = "/run/retroflex/status.sock".into();
+        /// Socket for commands. Whoever may connect may command, so its folder and group decide. There is no network port. Left
+        /// out, `control.sock` in `/run/retroflex` for root and under systemd, in `$XDG_RUNTIME_DIR/retroflex` for anybody else.
+        socket: Option<PathBuf> = None;
+        /// Socket for reading the status only. Left out, `status.sock` beside the other.
+        status_socket: Option<PathBuf> = None;
         /// Permission bits of the command socket; the default is owner and group.
         socket_mode: u32 = 0o660, "octal", 0..=511, "write it in octal, such as 0o660";
         /// Permission bits of the status socket; the default is everybody.
         status_mode: u32 = 0o666, "octal", 0..=511, "write it in octal, such as 0o666";
-        /// Folder of what must survive a restart, and of the recordings.
-        state: PathBuf = "/var/lib/retroflex".into();
+        /// Folder of what must survive a restart, and of the recordings. Left out, `/var/lib/retroflex` for root and under
+        /// systemd, `$XDG_STATE_HOME/retroflex` or `~/.local/state/retroflex` for anybody else.
+        state: Option<PathBuf> = None;
         /// A stream of set-points that is silent for this long has ended, and the tip stops. A larger value tolerates a slower
         /// sender and lets the tip continue for longer without one.
         dead_man_s: f64 = 0.25, "s", 0.02..=5.0, "a few periods of the sender";
+        /// A client that is still connected for this long after it commanded a motion attends it: if it disconnects before the
+        /// motion has ended, the tip holds. A larger value lets more clients leave a motion to itself.
+        attended_s: f64 = 0.25, "s", 0.0..=1e6, "longer than a command that only sends and ends";
+        /// Longest recording.
+        record_max_s: f64 = 3600.0, "s", 1.0..=1e6, "an hour";
+        /// Largest recording, log and tape together. A larger value fills more of the disk.
+        record_max_mib: f64 = 1024.0, "MiB", 1.0..=1e6, "1024 is some hours, compressed";
+        /// A recording ends when less of the disk is free. A larger value leaves more to the state and to others.
+        record_free_mib: f64 = 256.0, "MiB", 1.0..=1e6, "the state needs 1 MiB";
         /// SCHED_FIFO priority of the loop, below that of the step thread; 0 requests none. A larger value displaces more of the
         /// system.
         priority: i32 = 70, "", 0..=99, "below the step thread; 0 requests none";

@@ -3,6 +3,8 @@
 //! The range of a bellow, 14 to 29 mm, limits the target shape, not the command: feedback must be able to overdrive a
 //! lossy line. Travel and pressure limit the piston itself.
 
+use crate::model::arc::{Geometry, Shape};
+use crate::model::bend::Bend;
 use crate::model::transmission::Line;
 use nalgebra::Vector3;
 
@@ -58,6 +60,27 @@ impl ActuatorLimits {
             high = high.min(room - q_mm[i]);
         }
         if low > high { (low + high) / 2.0 } else { 0.0f64.clamp(low, high) }
+    }
+
+    /// Share of the bend of `shape`, at most 1, that these lines can hold at its length.
+    #[must_use]
+    pub fn largest_share(&self, geometry: &Geometry, lines: &[Line; 3], shape: &Shape) -> f64 {
+        let holds = |share: f64| {
+            let q_mm = geometry.lengths(&Shape { bend: Bend(shape.bend.0 * share), ..*shape });
+            let relieved = q_mm.add_scalar(self.relief(&q_mm, lines));
+            let piston_mm = Vector3::from_fn(|i, _| lines[i].piston_mm(relieved[i], relieved[i].signum()));
+            let within = self.bellows(&(q_mm * (1.0 - 1e-9)), geometry.rest_length_mm).1 == Cut::None;
+            within && self.pistons(&(piston_mm * (1.0 - 1e-9)), &relieved).1 == Cut::None
+        };
+        if holds(1.0) {
+            return 1.0;
+        }
+        let (mut low, mut high) = (0.0, 1.0);
+        for _ in 0..20 {
+            let middle = (low + high) / 2.0;
+            if holds(middle) { low = middle } else { high = middle }
+        }
+        low
     }
 
     /// Limits piston targets (mm) by travel and pressure. `q_mm` is the estimated bellow change, so `piston − q` is the
@@ -116,6 +139,24 @@ mod tests {
             assert!(lines[i].play_output_mm(q[i] + s).abs() + 1.0 <= 30.0 + 1e-9);
         }
         assert_eq!(LIMITS.relief(&(q * 0.5), &lines), 0.0);
+    }
+
+    #[test]
+    fn the_largest_bend_is_that_at_which_a_bellow_is_shortest() {
+        let (geometry, lines) = (Geometry::default(), [Line { k_epsilon: 2.2, k_lambda_mm: 0.9 }; 3]);
+        let share = |bend_deg: f64, dir_deg: f64| {
+            let shape = Shape { bend: Bend::from_deg(bend_deg, dir_deg), length: crate::primitives::units::Mm(20.0) };
+            LIMITS.largest_share(&geometry, &lines, &shape)
+        };
+        assert_eq!(share(75.0, 80.0), 1.0);
+        // at dir 0 the first bellow is shortened by r β
+        let limit_deg = (6.0 / geometry.r_mm).to_degrees();
+        assert!((share(120.0, 0.0) * 120.0 - limit_deg).abs() < 0.01, "{}", share(120.0, 0.0) * 120.0);
+        assert_eq!(share(limit_deg - 0.01, 0.0), 1.0);
+        // weak lines reach the pressure limit first
+        let weak = [Line { k_epsilon: 6.0, k_lambda_mm: 0.9 }; 3];
+        let shape = Shape { bend: Bend::from_deg(80.0, 0.0), length: crate::primitives::units::Mm(20.0) };
+        assert!(LIMITS.largest_share(&geometry, &weak, &shape) < 0.7);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::control::tick::Command;
 use crate::drill::bench::bend;
-use crate::drill::spec::{Bound, Detector, Injection, Spec};
+use crate::drill::spec::{Bound, Detector, Injection, Situation, Spec};
 use crate::estimation::fusion::health::{HealthCause, ReadFault};
 use crate::model::bend::Bend;
 use crate::primitives::units::Mm;
@@ -24,7 +24,7 @@ const ANY: &[&str] = &["holding", "tracking", "faulted"];
 /// Every fault in flight.
 #[must_use]
 pub fn specs() -> Vec<Spec> {
-    [sensor_faults(), plant_faults(), timing_faults(), order_faults(), environment_faults()].concat()
+    [sensor_faults(), plant_faults(), timing_faults(), order_faults(), stops(), environment_faults()].concat()
 }
 
 fn sensor(name: &'static str, injection: Injection, causes: &'static [HealthCause], bound: Bound) -> Spec {
@@ -96,12 +96,31 @@ fn order_faults() -> Vec<Spec> {
     let contradictory = Injection::Orders(Order::Relax, bend(40.0, 0.0));
     let stop = Detector::Trip(&[TripCause::EmergencyStop]);
     let underrun = Injection::Alarm(Alarm::Underrun);
+    let silent = Injection::Alarm(Alarm::Silent);
+    let unreachable = Injection::Order(to(Bend::from_deg(110.0, 0.0)));
     vec![
         refused("command_nan", nan, |r| r == Refusal::NotANumber, Bound::Continues, MOVING),
         refused("command_out_of_range", far, |r| r == Refusal::TooFar, Bound::Continues, MOVING),
         refused("command_contradictory", contradictory, |r| matches!(r, Refusal::Mode(_)), Bound::Copes, &["relaxing", "disarmed"]),
         Spec::new("emergency_stop", Injection::EmergencyStop, stop, Bound::Freezes, FAULTED).then_zero(),
         Spec::new("step_thread_underrun", underrun, Detector::Trip(&[TripCause::StepGenerator]), Bound::Holds, FAULTED),
+        Spec::new("step_thread_silent", silent, Detector::Trip(&[TripCause::StepGenerator]), Bound::Holds, FAULTED).within(0.002),
+        refused("command_unreachable", unreachable, |r| matches!(r, Refusal::Unreachable(_)), Bound::Continues, MOVING).within(0.002),
+    ]
+}
+
+/// A stop in every situation; orders to move follow it a hundred times a second.
+fn stops() -> Vec<Spec> {
+    let stop = |name, situation, states| {
+        let spec = Spec::new(name, Injection::Stop, Detector::Stopped, Bound::Brakes, states).within(0.002);
+        Spec { situation, ..spec }
+    };
+    vec![
+        stop("stop_in_motion", Situation::Moving, &["holding"]),
+        stop("stop_while_held", Situation::Held, &["holding"]),
+        stop("stop_while_relaxing", Situation::Relaxing, &["holding"]),
+        stop("stop_while_the_gate_returns", Situation::Returning, FAULTED),
+        stop("stop_while_calibrating", Situation::Calibrating, &["holding"]),
     ]
 }
 
@@ -120,7 +139,7 @@ fn environment_faults() -> Vec<Spec> {
         Spec::new("pushed", push, pushed, Bound::Copes, ANY).then_zero(),
         sensor("magnet", magnet, &[HealthCause::FieldDisturbed], Bound::Continues),
         // during a move, a small turn of the base cannot be distinguished from bending
-        Spec { held: true, ..base("base_turned", 25.0) },
+        Spec { situation: Situation::Held, ..base("base_turned", 25.0) },
         base("base_turned_in_motion", 60.0),
     ]
 }

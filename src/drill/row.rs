@@ -21,6 +21,8 @@ pub struct Row {
     pub error_deg_after: f64,
     /// Message for the operator.
     pub message: String,
+    /// What the row requires, in words.
+    pub requires: String,
     /// Every requirement was met.
     pub ok: bool,
     /// The requirements that were not met.
@@ -28,10 +30,10 @@ pub struct Row {
 }
 
 impl Row {
-    /// A row without a failure.
+    /// A row without a failure, and what it requires.
     #[must_use]
-    pub fn new(fault: &str) -> Self {
-        Self { fault: fault.to_owned(), ok: true, ..Self::default() }
+    pub fn new(fault: &str, requires: impl Into<String>) -> Self {
+        Self { fault: fault.to_owned(), requires: requires.into(), ok: true, ..Self::default() }
     }
 
     /// Adds a failure.

@@ -2,10 +2,11 @@
 
 use crate::drill::bench::{Bench, BenchConfig, bend};
 use crate::drill::row::Row;
-use crate::drill::spec::{Bound, Detector, Injection, Spec};
+use crate::drill::spec::{Bound, Detector, Injection, Situation, Spec};
 use crate::model::bend::Bend;
 use crate::supervisor::cycle::CycleOutput;
-use crate::supervisor::cycle::order::Order;
+use crate::supervisor::cycle::order::{Order, Refusal};
+use crate::supervisor::gate::SafeState;
 use crate::supervisor::machine::MachineError;
 use crate::supervisor::mode::Mode;
 
@@ -17,6 +18,8 @@ const HELD_S: f64 = 8.0;
 const OBSERVED_S: f64 = 7.0;
 /// A fault without detection is followed by a further move after this time, s.
 const FURTHER_S: f64 = 4.5;
+/// Period of the orders to move that follow a stop, s.
+const RUNAWAY_S: f64 = 0.01;
 /// Time for a line to vent at rest, s.
 const VENT_S: f64 = 30.0;
 /// Largest error of the pose after the repair, degrees.
@@ -30,6 +33,7 @@ const AFTER: (f64, f64) = (35.0, 150.0);
 /// Microsteps that are allowed after a detection, all channels.
 #[derive(Debug, Clone, Copy)]
 pub struct Allowance {
+    stopping: i64,
     braking: i64,
     moving: i64,
 }
@@ -45,8 +49,9 @@ impl Allowance {
         let supervisor = bench.runner.supervisor.config();
         let (gate, motion) = (supervisor.gate, supervisor.tick.motion);
         let blind_mm = motion.limits.speed_max_mm_s * supervisor.tick.fuse.health.blind_max_s;
-        let braking = (3.0 * (motion.braking_mm() + blind_mm) / gate.step_mm).ceil() as i64 + 6;
-        let Some(mut last) = take_off(&mut bench)? else { return Ok(Self { braking, moving: 0 }) };
+        let steps = |mm: f64| (3.0 * mm / gate.step_mm).ceil() as i64 + 6;
+        let (stopping, braking) = (steps(motion.braking_mm()), steps(motion.braking_mm() + blind_mm));
+        let Some(mut last) = take_off(&mut bench)? else { return Ok(Self { stopping, braking, moving: 0 }) };
         let mut moving = 0;
         bench.turn(Some(bend(TO.0, TO.1)))?;
         for _ in 0..(OBSERVED_S / bench.period_s()) as usize {
@@ -54,12 +59,19 @@ impl Allowance {
             moving += emitted(&last, &output);
             last = output;
         }
-        Ok(Self { braking, moving: 2 * moving + (3.0 * gate.travel_mm / gate.step_mm) as i64 })
+        Ok(Self { stopping, braking, moving: 2 * moving + (3.0 * gate.travel_mm / gate.step_mm) as i64 })
+    }
+
+    /// Microsteps that braking from full speed needs.
+    #[must_use]
+    pub fn stopping(&self) -> i64 {
+        self.stopping
     }
 
     fn of(&self, bound: Bound) -> i64 {
         match bound {
             Bound::Freezes => 0,
+            Bound::Brakes => self.stopping,
             Bound::Holds => self.braking,
             Bound::Continues | Bound::Copes => self.moving,
         }
@@ -86,18 +98,23 @@ fn take_off(bench: &mut Bench) -> Result<Option<CycleOutput>, MachineError> {
 /// # Errors
 /// [`MachineError`].
 pub fn fly(config: &BenchConfig, spec: &Spec, allowance: &Allowance) -> Result<Row, MachineError> {
-    let mut row = Row { steps_allowed: allowance.of(spec.bound), state: "boot".to_owned(), ..Row::new(spec.name) };
+    let steps_allowed = allowance.of(spec.bound);
+    let requires = spec.words(steps_allowed, AFTER_MAX_DEG);
+    let mut row = Row { steps_allowed, state: "boot".to_owned(), ..Row::new(spec.name, requires) };
+    let mut config = config.clone();
+    if spec.situation == Situation::Returning {
+        config.board.safety.on.emergency_stop = SafeState::Relax;
+    }
     let mut bench = config.bench(0, 1)?;
     if take_off(&mut bench)?.is_none() {
         row.fail("not aligned");
         return Ok(row);
     }
-    bench.turn(Some(bend(spec.target.0, spec.target.1)))?;
-    let (after_s, mode) = if spec.held { (HELD_S, Mode::Holding) } else { (MID_MOTION_S, Mode::Tracking) };
-    let before = bench.run(after_s)?;
-    row.require(before.mode == mode, |_| format!("injected in mode {}", before.mode));
+    let before = enter(&mut bench, spec)?;
+    row.require(before.mode == spec.situation.mode(), |_| format!("injected in mode {}", before.mode));
     let last = observe(&mut bench, spec, before, &mut row)?;
     row.require(row.detected_s.is_some(), |_| "not detected".to_owned());
+    row.require(row.detected_s.is_none_or(|s| s <= spec.within_s), |row| format!("detected after {:?} s", row.detected_s));
     row.require(row.steps_after <= row.steps_allowed, |row| format!("{} microsteps after the detection", row.steps_after));
     row.require(spec.states.contains(&row.state.as_str()), |row| format!("final state {}", row.state));
     row.require(spec.detector.accepts(&last), |_| format!("diagnosed as `{}`", last.suspicion.map_or_else(String::new, |s| s.to_string())));
@@ -108,6 +125,26 @@ pub fn fly(config: &BenchConfig, spec: &Spec, allowance: &Allowance) -> Result<R
         format!("error {:.1}° after the repair (estimate {estimate:.1}°, truth {truth:.1}°)", row.error_deg_after)
     });
     Ok(row)
+}
+
+/// Brings the machine into the situation in which the fault is injected.
+fn enter(bench: &mut Bench, spec: &Spec) -> Result<CycleOutput, MachineError> {
+    if spec.situation == Situation::Calibrating {
+        bench.turn(Some(Order::Calibrate(true)))?;
+    }
+    bench.turn(Some(bend(spec.target.0, spec.target.1)))?;
+    let output = bench.run(if spec.situation == Situation::Held { HELD_S } else { MID_MOTION_S })?;
+    match spec.situation {
+        Situation::Relaxing => bench.turn(Some(Order::Relax))?,
+        Situation::Returning => {
+            bench.runner.machine.emergency_stop = true;
+            bench.turn(None)?;
+            bench.runner.machine.emergency_stop = false;
+            bench.turn(None)?
+        }
+        Situation::Moving | Situation::Held | Situation::Calibrating => return Ok(output),
+    };
+    bench.run(MID_MOTION_S)
 }
 
 /// Injects the fault and observes its effect.
@@ -126,6 +163,12 @@ fn observe(bench: &mut Bench, spec: &Spec, before: CycleOutput, row: &mut Row) -
         if matches!(spec.detector, Detector::Residual(_)) && row.detected_s.is_none() && !moved_further && elapsed_s > FURTHER_S {
             moved_further = true;
             order = Some(bend(FURTHER.0, FURTHER.1));
+        }
+        if matches!(spec.injection, Injection::Stop) {
+            let moves = output.order.is_some_and(|order| order.starts_motion());
+            row.require(!moves || output.answer == Some(Err(Refusal::Stopped)), |_| format!("{:?} was not refused", output.order));
+            let every = (RUNAWAY_S / bench.period_s()) as u64;
+            order = ((elapsed_s / bench.period_s()) as u64).is_multiple_of(every).then(|| bend(FURTHER.0, FURTHER.1));
         }
         if row.detected_s.is_some() {
             row.steps_after += emitted(&last, &output);
@@ -147,6 +190,13 @@ fn observe(bench: &mut Bench, spec: &Spec, before: CycleOutput, row: &mut Row) -
 /// The operator's procedure: clear the fault, return to rest, repair, align again if necessary, and move to the next pose.
 /// Returns the error of that pose, degrees.
 fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, MachineError> {
+    if matches!(spec.injection, Injection::Stop) {
+        if bench.runner.supervisor.mode() == Mode::Faulted {
+            order(bench, Order::Reset, row)?;
+        }
+        order(bench, Order::Arm, row)?;
+        bench.run(0.05)?;
+    }
     let mut stays = !spec.zero && bench.runner.supervisor.mode().moves();
     let mut zero = spec.zero;
     if stays || matches!(spec.injection, Injection::EmergencyStop | Injection::Bus(..) | Injection::ClockJump(..)) {

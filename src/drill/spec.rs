@@ -8,7 +8,11 @@ use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::{Order, Refusal};
 use crate::supervisor::gate::TripCause;
 use crate::supervisor::machine::Alarm;
+use crate::supervisor::mode::Mode;
 use crate::supervisor::residual_monitor::SuspicionKind;
+
+/// Longest time until a detection unless a row states its own, s: the whole observation.
+const WITHIN_S: f64 = 7.0;
 
 /// What is injected.
 #[derive(Debug, Clone, Copy)]
@@ -29,6 +33,37 @@ pub enum Injection {
     Order(Order),
     /// An order, and in the next cycle a contradictory one.
     Orders(Order, Order),
+    /// A stop, followed by orders to move as long as it is observed.
+    Stop,
+}
+
+/// What the machine does when the fault is injected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Situation {
+    /// It moves to the target.
+    Moving,
+    /// It holds the target.
+    Held,
+    /// It returns to rest.
+    Relaxing,
+    /// The gate has tripped and returns to rest.
+    Returning,
+    /// A calibration moves it.
+    Calibrating,
+}
+
+impl Situation {
+    /// The mode of the supervisor.
+    #[must_use]
+    pub fn mode(self) -> Mode {
+        match self {
+            Self::Moving => Mode::Tracking,
+            Self::Held => Mode::Holding,
+            Self::Relaxing => Mode::Relaxing,
+            Self::Returning => Mode::Faulted,
+            Self::Calibrating => Mode::Calibrating,
+        }
+    }
 }
 
 /// What counts as detection.
@@ -43,6 +78,8 @@ pub enum Detector {
     Trip(&'static [TripCause]),
     /// A late cycle.
     LateCycle,
+    /// The latch of a stop.
+    Stopped,
     /// The refusal of the order.
     Refusal(fn(Refusal) -> bool),
     /// A moved gyroscope bias, or any cause against the sensor.
@@ -60,8 +97,22 @@ pub enum Bound {
     Holds,
     /// The pistons are held or the move continues with a correction.
     Copes,
+    /// What braking needs, with the sensor in order.
+    Brakes,
     /// No microstep at all.
     Freezes,
+}
+
+impl Bound {
+    fn words(self) -> &'static str {
+        match self {
+            Self::Continues => "the move continues",
+            Self::Holds => "the pistons are held",
+            Self::Copes => "the pistons are held or the move is corrected",
+            Self::Brakes => "the pistons brake",
+            Self::Freezes => "the pistons stand",
+        }
+    }
 }
 
 /// One fault in flight.
@@ -83,15 +134,32 @@ pub struct Spec {
     pub by_hand: bool,
     /// Bend and direction of the move during which the fault is injected, degrees.
     pub target: (f64, f64),
-    /// The fault is injected while the tip holds that pose, not on its way.
-    pub held: bool,
+    /// What happens when it is injected.
+    pub situation: Situation,
+    /// Longest time until the detection, s.
+    pub within_s: f64,
 }
 
 impl Spec {
     /// A fault in the middle of the standard move.
     #[must_use]
     pub fn new(name: &'static str, injection: Injection, detector: Detector, bound: Bound, states: &'static [&'static str]) -> Self {
-        Self { name, injection, detector, bound, states, zero: false, by_hand: false, target: (68.0, 80.0), held: false }
+        let (target, situation) = ((68.0, 80.0), Situation::Moving);
+        Self { name, injection, detector, bound, states, zero: false, by_hand: false, target, situation, within_s: WITHIN_S }
+    }
+
+    /// With a bound of its own on the time until the detection, s.
+    #[must_use]
+    pub fn within(self, within_s: f64) -> Self {
+        Self { within_s, ..self }
+    }
+
+    /// What the row requires, in words.
+    #[must_use]
+    pub fn words(&self, steps: i64, after_deg: f64) -> String {
+        let states = self.states.join(" or ");
+        let (within_s, bound) = (self.within_s, self.bound.words());
+        format!("detected within {within_s} s; then {bound}, at most {steps} microsteps; ends {states}; next pose within {after_deg}°")
     }
 
     /// With a new alignment before the next pose.
@@ -120,6 +188,7 @@ impl Injection {
             Self::Alarm(alarm) => machine.alarm = Some(alarm),
             Self::Order(order) => return [Some(order), None],
             Self::Orders(first, second) => return [Some(first), Some(second)],
+            Self::Stop => return [Some(Order::Stop), None],
         }
         [None, None]
     }
@@ -151,6 +220,7 @@ impl Detector {
                 output.raised.contains(shaken).then(|| shaken.advice().to_owned())
             }),
             Self::Trip(causes) => trip(causes),
+            Self::Stopped => output.stopped.then(|| "stopped: `retroflex arm` first".to_owned()),
             Self::LateCycle => (output.dt_s > 0.0015).then(|| format!("a cycle came {:.0} ms late", (output.dt_s - 1e-3) * 1e3)),
             Self::Refusal(expected) => output.answer?.err().filter(|refusal| expected(*refusal)).map(|refusal| refusal.to_string()),
             Self::Bias if output.bias_moved => {

@@ -134,7 +134,7 @@ fn drive<P: Pins + 'static>(
         match stepper.sync(now_ns) {
             SyncStatus::Ready => {}
             SyncStatus::Restart(rest_mm) => motion.reset(rest_mm),
-            SyncStatus::Faulted(_) | SyncStatus::Dead => break,
+            SyncStatus::Faulted(_) | SyncStatus::Dead | SyncStatus::Silent => break,
             SyncStatus::Busy => {
                 rt::sleep_until_ns(next_ns);
                 continue;

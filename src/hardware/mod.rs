@@ -3,6 +3,7 @@
 pub mod bench_rt;
 pub mod cyclictest;
 pub mod imu;
+pub mod lock;
 pub mod machine;
 pub mod pins;
 pub mod pressure;

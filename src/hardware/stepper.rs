@@ -36,6 +36,8 @@ const REPORTS: usize = 64;
 const REPORT_NS: u64 = 1_000_000;
 /// Longest time between two reports, ns.
 const HEARTBEAT_NS: u64 = 100_000_000;
+/// A thread that has not reported for this long hangs, ns.
+const SILENT_NS: u64 = 3 * HEARTBEAT_NS;
 /// Time for EN to reach its level, ns.
 const ENABLE_SETTLES_NS: u64 = 500_000;
 
@@ -174,6 +176,7 @@ pub struct Stepper<P> {
     status: RtStatus,
     pin_error_text: Arc<OnceLock<String>>,
     energised: bool,
+    started_ns: u64,
     thread: Option<JoinHandle<(Summary, P)>>,
 }
 
@@ -222,7 +225,7 @@ impl<P: Pins + 'static> Stepper<P> {
             shell.run()
         })?;
         let status = receiver.recv().map_err(|_| StartError::Died)?;
-        Ok(Self { feeder, orders, reports, latest: None, status, pin_error_text, energised, thread: Some(thread) })
+        Ok(Self { feeder, orders, reports, latest: None, status, pin_error_text, energised, started_ns: monotonic_ns(), thread: Some(thread) })
     }
 
     /// Brakes within the limits, releases the drivers, ends the thread and returns its results and the
@@ -240,6 +243,10 @@ impl<P> StepGenerator for Stepper<P> {
         }
         if self.reports.is_abandoned() {
             return SyncStatus::Dead;
+        }
+        let heard_ns = self.latest.as_ref().map_or(self.started_ns, |report| report.t_ns);
+        if now_ns.saturating_sub(heard_ns) > SILENT_NS {
+            return SyncStatus::Silent;
         }
         self.latest.as_ref().map_or(SyncStatus::Busy, |report| self.feeder.sync(report, now_ns))
     }

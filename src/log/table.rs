@@ -10,7 +10,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 /// First two bytes of a gzip file (RFC 1952).
-const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
+pub const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
 /// Largest deviation of a reference quaternion's norm from one: two printed decimals of each component.
 const UNIT_TOLERANCE: f64 = 0.02;
 

@@ -83,6 +83,8 @@ pub enum DriveState {
     Faulted(StepperFault),
     /// The step generator has ended.
     Dead,
+    /// The step generator does not report.
+    Silent,
 }
 
 /// Motion and a step generator.
@@ -134,6 +136,7 @@ impl<G: StepGenerator> Drive<G> {
         let before = self.state;
         self.state = match self.generator.sync(now_ns) {
             SyncStatus::Dead => DriveState::Dead,
+            SyncStatus::Silent => DriveState::Silent,
             SyncStatus::Faulted(fault) => DriveState::Faulted(fault),
             SyncStatus::Busy => DriveState::Busy,
             SyncStatus::Ready => self.feed(now_ns, target_mm),

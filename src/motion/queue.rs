@@ -54,6 +54,8 @@ pub enum SyncStatus {
     Faulted(StepperFault),
     /// The step generator has ended.
     Dead,
+    /// The step generator does not report.
+    Silent,
 }
 
 /// The loop's end of the ring.

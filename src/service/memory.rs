@@ -15,6 +15,12 @@ pub struct Memory {
     pub tip: String,
     /// Drivers may have moved the pistons since this was written.
     pub armed: bool,
+    /// The position of the pistons was unknown; only `zero` or homing changes that.
+    #[serde(default)]
+    pub lost: bool,
+    /// No measurement has confirmed the last zero.
+    #[serde(default)]
+    pub unverified: bool,
     /// Positions of pistons and tip, and what was learned.
     #[serde(alias = "kept")]
     pub restart: Option<RestartState>,

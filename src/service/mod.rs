@@ -4,25 +4,30 @@
 //!  commands ═socket═ control ──stop (atomic)──▶ loop ──▶ machine
 //!                      │ ▲                      ▲ │
 //!                      ▼ │                orders│ │answers, frames, restart notes   (wait-free rings)
-//!  readers ═socket═════ hub ────────────────────┘ ▼
+//!  readers ═socket═ status ══ hub ──────────────┘ ▼
 //!                        └──▶ state writer (disk), recording (disk), systemd (notify socket)
 //! ```
 //!
-//! The loop thread ([`rt_loop`]) uses no lock, no file and no allocator. The control thread ([`control_port`]) serves the
-//! command socket and passes `stop` to the loop directly. The hub ([`hub`]) does everything that may wait. If the hub is
-//! late, frames are lost and counted, and the loop is not affected.
+//! The loop thread ([`rt_loop`]) uses no lock, no file and no allocator. Each socket has a thread ([`port`]); that of the
+//! command socket passes `stop` to the loop directly. The hub ([`hub`]) does everything else and writes no file. If it is
+//! late, frames are lost and counted, and the loop is not affected. The loop watches the age of the other threads
+//! ([`shared`]).
 
+pub mod belief;
 pub mod calibrate;
 pub mod client;
-pub mod control_port;
+pub mod connection;
 pub mod error;
 pub mod hub;
 pub mod memory;
 pub mod notify;
+pub mod paths;
+pub mod port;
 pub mod protocol;
 pub mod record;
 pub mod rt_loop;
 pub mod server;
+pub mod shared;
 pub mod start;
 pub mod state_writer;
 pub mod status;
@@ -33,21 +38,32 @@ pub mod tape_code;
 
 use crate::config::service::ServiceSection;
 use crate::hardware::rt::{self, RtRequest};
-use crate::service::control_port::ControlPort;
+use crate::service::belief::Belief;
 use crate::service::error::ServiceError;
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::notify::Notifier;
-use crate::service::rt_loop::{HeartbeatMonitor, Loop, Shared};
+use crate::service::port::Port;
+use crate::service::rt_loop::Loop;
 use crate::service::server::{Server, Waker};
+use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};
 use crate::service::start::{RunConfig, Start};
 use crate::service::state_writer::StateWriter;
 use crate::service::stop::StopCounter;
-use crate::service::store::{Recall, Store};
+use crate::service::store::{Found, Recall, Store};
 use crate::supervisor::cycle::runner::Runner;
 use crate::supervisor::machine::Machine;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
+use std::time::Duration;
+
+/// Longest silence of a client of the command socket that has no subscription.
+const CONTROL_IDLE_MAX: Duration = Duration::from_secs(3600);
+/// The same on the status socket.
+const STATUS_IDLE_MAX: Duration = Duration::from_secs(60);
+/// The thread of the command socket has a real-time priority this far below that of the loop.
+const CONTROL_BELOW: i32 = 20;
 
 /// Exclusive use of the state folder and the sockets. It is taken before any device is opened, so that a second service
 /// on the same machine ends without touching a pin.
@@ -64,9 +80,14 @@ impl Claim {
     /// # Errors
     /// [`ServiceError`].
     pub fn new(service: &ServiceSection) -> Result<Self, ServiceError> {
-        let (store, recall) = Store::open(&service.state)?;
-        let control = Server::bind(&service.socket, service.socket_mode, 1)?;
-        let status = Server::bind(&service.status_socket, service.status_mode, 2)?;
+        let (store, recall) = Store::open(&service.state_path())?;
+        let (control, status) = (service.control_path(), service.status_path());
+        for folder in [&control, &status].into_iter().filter_map(|path| path.parent()) {
+            let created = std::fs::DirBuilder::new().recursive(true).mode(0o755).create(folder);
+            created.map_err(|source| ServiceError::Socket { path: folder.display().to_string(), source })?;
+        }
+        let control = Server::bind(&control, service.socket_mode, 1, CONTROL_IDLE_MAX)?;
+        let status = Server::bind(&status, service.status_mode, 2, STATUS_IDLE_MAX)?;
         Ok(Self { store, recall, control, status })
     }
 }
@@ -89,10 +110,17 @@ pub struct Setup {
 /// [`ServiceError`].
 pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     let Setup { machine, mut config, fast, record } = setup;
-    log_recall(&claim.recall);
-    let memory = claim.recall.memory.unwrap_or_default();
-    let start = Start::new(&config, &memory, claim.recall.unreadable);
+    let Claim { mut store, recall, control, status } = claim;
+    let belief = Belief::in_recall(&recall, machine.is_simulated());
+    log_recall(&recall, belief);
+    let mut memory = recall.memory.unwrap_or_default();
+    memory.lost = belief == Belief::Lost;
+    let start = Start::new(&config, &memory, belief);
     config.supervisor = start.config.clone();
+    if recall.found != Found::Intact {
+        // from now on both slots say what is known
+        store.write(&memory)?;
+    }
     let remarks = machine.remarks();
     let notifier = Notifier::from_env();
     let shared = Arc::new(Shared::default());
@@ -105,6 +133,8 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         fast,
         heartbeat: HeartbeatMonitor::new(notifier.heartbeat()),
         stops: StopCounter::default(),
+        watch: ThreadWatch::default(),
+        rest_since: 0,
     };
     let wish = RtRequest { priority: config.service.priority, cpu: config.service.cpu };
     let (report, reported) = channel();
@@ -116,31 +146,42 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     });
     let thread = thread.map_err(ServiceError::system("the loop thread"))?;
     let grants = reported.recv().map_err(|_| ServiceError::LoopPanicked)?;
-    let (status, hub_waker) = claim.status;
-    let (control, waker) = claim.control;
     let io = HubIo {
-        control: ControlPort::start(control, waker, hub_waker, Arc::clone(&shared)).map_err(ServiceError::system("the control thread"))?,
-        status,
+        control: start_port(control, Watched::Control, control_priority(&config.service), &shared)?,
+        status: start_port(status, Watched::Status, 0, &shared)?,
         notifier,
-        state_writer: StateWriter::start(claim.store).map_err(ServiceError::system("the state writer"))?,
+        state_writer: StateWriter::start(store).map_err(ServiceError::system("the state writer"))?,
         rings,
         shared: Arc::clone(&shared),
     };
-    let facts = Facts { remarks, grants, damaged: claim.recall.damaged, unreadable: claim.recall.unreadable };
+    let facts = Facts { remarks, grants, damaged: recall.damaged, belief };
     let ended = Hub::new(io, config, memory, facts).run(record);
     shared.quit();
     match thread.join() {
         Ok(result) => result?,
         Err(_) => return Err(ServiceError::LoopPanicked),
     }
-    ended
+    let [control, status] = ended?;
+    control.join();
+    status.join();
+    Ok(())
 }
 
-fn log_recall(recall: &Recall) {
+/// Real-time priority of the command socket's thread: a busy computer delays no stop.
+fn control_priority(service: &ServiceSection) -> i32 {
+    if service.priority > 0 { (service.priority - CONTROL_BELOW).max(1) } else { 0 }
+}
+
+fn start_port((server, waker): (Server, Waker), which: Watched, priority: i32, shared: &Arc<Shared>) -> Result<Port, ServiceError> {
+    let wish = RtRequest { priority, cpu: None };
+    Port::start(server, waker, Arc::clone(shared), which, wish).map_err(ServiceError::system(which.name()))
+}
+
+fn log_recall(recall: &Recall, belief: Belief) {
     for line in &recall.damaged {
         tracing::error!(event = "memory_damaged", "{line}");
     }
-    if recall.unreadable {
-        tracing::error!(event = "memory_unreadable", "no intact memory is left, so the piston positions are unknown: `retroflex zero`");
+    if belief == Belief::Lost {
+        tracing::error!(event = "lost", "no memory tells where the pistons are: `retroflex zero`, or `retroflex home` without the service");
     }
 }

@@ -75,6 +75,9 @@ pub enum Request {
         /// Name of the recording without folder and extension; defaults to the time in seconds since 1970.
         #[serde(default)]
         name: Option<String>,
+        /// The recording ends when the connection closes.
+        #[serde(default)]
+        owned: bool,
     },
     /// Identify, accept or discard transmission gains.
     Calibrate {

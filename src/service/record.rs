@@ -3,14 +3,22 @@
 //! The log has one row per sample of the tip's IMU; numbers are written with the fewest digits that restore them
 //! exactly. A recording has a tape only if it starts with a freshly reset supervisor, because the internal state of a
 //! running one cannot be written down.
+//!
+//! The hub formats the rows; a thread of the recording's own creates, compresses and writes the files. A recording that
+//! reaches its limits, or whose disk is too slow, ends and reports why.
 
+use crate::config::service::ServiceSection;
 use crate::estimation::fusion::health::ImuReading;
+use crate::primitives::sample::ImuSample;
 use crate::service::tape;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::machine::Sensed;
+use flate2::{Compression, write::GzEncoder};
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, TrySendError, channel, sync_channel};
+use std::time::{Duration, Instant};
 
 /// Columns, as in every bend log.
 const HEADER: &str = "time_s,cmd_bend_deg,cmd_dir_deg,cmd_len_mm,piston1_mm,piston2_mm,piston3_mm,\
@@ -18,21 +26,59 @@ acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s,mag_x_ut,ma
 
 /// Time of the first row, s.
 const FIRST_ROW_S: f64 = 1e-3;
+/// Rows are handed to the thread this often, or when there are as many bytes of them.
+const CHUNK: (Duration, usize) = (Duration::from_millis(250), 64 * 1024);
+/// Chunks that may wait for the disk: at 500 rows a second, more than 20 s.
+const CHUNKS_MAX: usize = 128;
+
+/// Bounds of a recording.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits {
+    size_bytes: u64,
+    duration_s: f64,
+    free_bytes: u64,
+}
+
+impl From<&ServiceSection> for Limits {
+    fn from(section: &ServiceSection) -> Self {
+        let mib = |n: f64| (n * 1024.0 * 1024.0) as u64;
+        Self { size_bytes: mib(section.record_max_mib), duration_s: section.record_max_s, free_bytes: mib(section.record_free_mib) }
+    }
+}
+
+/// What the thread reports.
+#[derive(Debug)]
+pub enum Progress {
+    /// The files exist.
+    Started,
+    /// The recording has ended and is on the disk, or why it is not; with the reason if a limit ended it.
+    Ended(io::Result<Option<&'static str>>),
+}
+
+/// Rows of the log and records of the tape; no records end the tape.
+type Chunk = (Vec<u8>, Option<Vec<u8>>);
 
 /// A recording in progress.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
-    log: BufWriter<File>,
-    tape: Option<BufWriter<File>>,
+    /// Rows that wait to be handed over.
+    log: Vec<u8>,
+    tape: Option<Vec<u8>>,
+    handed_over: Instant,
+    /// `None` once the recording is ending.
+    chunks: Option<SyncSender<Chunk>>,
+    progress: Receiver<Progress>,
+    limits: Limits,
     step_mm: f64,
     /// Rows written so far.
     pub rows: u64,
     start_s: Option<f64>,
     last_s: f64,
-    scratch: Vec<u8>,
     /// The new supervisor has not run its first cycle yet.
     waiting: bool,
+    /// Why it ends early.
+    reason: Option<&'static str>,
 }
 
 /// Path of the tape of a log.
@@ -44,29 +90,38 @@ pub fn tape_path(log: &Path) -> PathBuf {
 }
 
 impl Recording {
-    /// Creates the log, and with a header the tape. Existing files are not overwritten.
+    /// Starts the thread, which creates the log, and with a header the tape. Existing files are not overwritten. A name that
+    /// ends in `.gz` compresses both.
     ///
     /// # Errors
-    /// The operating system's.
-    pub fn start(path: &Path, step_mm: f64, header: Option<&tape::Header>) -> io::Result<Self> {
-        let mut log = BufWriter::new(File::create_new(path)?);
-        log.write_all(HEADER.as_bytes())?;
-        let create_tape = |header: &tape::Header| -> io::Result<BufWriter<File>> {
-            let mut tape = BufWriter::new(File::create_new(tape_path(path))?);
-            serde_json::to_writer(&mut tape, header)?;
-            tape.write_all(b"\n")?;
-            Ok(tape)
-        };
+    /// The operating system's, if there is no thread.
+    pub fn start(path: &Path, step_mm: f64, header: Option<&tape::Header>, limits: Limits) -> io::Result<Self> {
+        let tape = header.map(serde_json::to_vec).transpose()?.map(|mut line| {
+            line.push(b'\n');
+            line
+        });
+        let (chunks, work) = sync_channel(CHUNKS_MAX);
+        let (report, progress) = channel();
+        let (own, has_tape) = (path.to_owned(), tape.is_some());
+        std::thread::Builder::new().name("recording".into()).spawn(move || {
+            let ended = write(&own, has_tape, limits, &work, &report);
+            // the hub is gone only when the service ends
+            let _ = report.send(Progress::Ended(ended));
+        })?;
         Ok(Self {
             path: path.to_owned(),
-            log,
-            tape: header.map(create_tape).transpose()?,
+            log: HEADER.as_bytes().to_vec(),
+            waiting: tape.is_some(),
+            tape,
+            handed_over: Instant::now(),
+            chunks: Some(chunks),
+            progress,
+            limits,
             step_mm,
             rows: 0,
             start_s: None,
             last_s: f64::NEG_INFINITY,
-            scratch: Vec::new(),
-            waiting: header.is_some(),
+            reason: None,
         })
     }
 
@@ -76,65 +131,195 @@ impl Recording {
         &self.path
     }
 
+    /// Duration of the log so far, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.last_s.max(0.0)
+    }
+
     /// True while the recording can be replayed.
     #[must_use]
     pub fn has_tape(&self) -> bool {
         self.tape.is_some()
     }
 
+    /// True if no further row is accepted.
+    #[must_use]
+    pub fn is_ending(&self) -> bool {
+        self.chunks.is_none()
+    }
+
     /// Ends the tape before an event that it cannot hold. The log continues.
     pub fn end_tape(&mut self) {
-        self.waiting = false;
-        if let Some(mut tape) = self.tape.take() {
-            // a tape that is cut short replays up to its last whole record
-            let _ = tape.flush();
+        // records that were not handed over are dropped: the tape replays up to its last whole record
+        (self.waiting, self.tape) = (false, None);
+    }
+
+    /// Adds one cycle.
+    pub fn write(&mut self, output: &CycleOutput) {
+        self.waiting &= !output.first;
+        if self.waiting || self.is_ending() {
+            return;
+        }
+        if let Some(tape) = &mut self.tape {
+            let sensed = Sensed { truth: None, ..output.sensed };
+            tape::write(tape, &tape::Record { sensed, order: output.order, digest: tape::digest(output) });
+        }
+        if let ImuReading::Sample(sample, _) = output.input.imu {
+            let start_s = *self.start_s.get_or_insert(sample.t.0 - FIRST_ROW_S);
+            let t = sample.t.0 - start_s;
+            if t > self.last_s {
+                self.last_s = t;
+                self.row(t, &sample, output);
+            }
+        }
+        if self.duration_s() > self.limits.duration_s {
+            self.reason = Some("it reached service.record_max_s");
+            self.finish();
+        } else if self.log.len() > CHUNK.1 || self.handed_over.elapsed() > CHUNK.0 {
+            self.hand_over();
         }
     }
 
-    /// Writes one cycle.
-    ///
-    /// # Errors
-    /// The operating system's; the recording should then be ended.
-    pub fn write(&mut self, output: &CycleOutput) -> io::Result<()> {
-        self.waiting &= !output.first;
-        if self.waiting {
-            return Ok(());
-        }
-        if let Some(tape) = &mut self.tape {
-            self.scratch.clear();
-            let sensed = Sensed { truth: None, ..output.sensed };
-            tape::write(&mut self.scratch, &tape::Record { sensed, order: output.order, digest: tape::digest(output) });
-            tape.write_all(&self.scratch)?;
-        }
-        let ImuReading::Sample(sample, _) = output.input.imu else { return Ok(()) };
-        let start_s = *self.start_s.get_or_insert(sample.t.0 - FIRST_ROW_S);
-        let t = sample.t.0 - start_s;
-        if t <= self.last_s {
-            return Ok(());
-        }
-        self.last_s = t;
+    fn row(&mut self, t: f64, sample: &ImuSample, output: &CycleOutput) {
         self.rows += 1;
         let target = &output.frame.target;
         let (bend, dir) = (target.bend.beta().to_degrees(), target.bend.delta().to_degrees());
-        let piston = output.counted.0.map(|n| f64::from(n) * self.step_mm);
-        let (a, g) = (sample.acc_m_s2, sample.gyro_rad_s);
-        write!(self.log, "{t:.6},{bend},{dir},{},{},{},{}", target.length.0, piston[0], piston[1], piston[2])?;
-        write!(self.log, ",{},{},{},{},{},{}", a.x, a.y, a.z, g.x, g.y, g.z)?;
-        match sample.mag_ut {
-            Some(m) => writeln!(self.log, ",{},{},{}", m.x, m.y, m.z),
-            None => writeln!(self.log, ",,,"),
+        let [p1, p2, p3] = output.counted.0.map(|n| f64::from(n) * self.step_mm);
+        let (a, g, length) = (sample.acc_m_s2, sample.gyro_rad_s, target.length.0);
+        let fields = format_args!("{t:.6},{bend},{dir},{length},{p1},{p2},{p3},{},{},{},{},{},{}", a.x, a.y, a.z, g.x, g.y, g.z);
+        // writing to memory does not fail
+        let _ = match sample.mag_ut {
+            Some(m) => writeln!(self.log, "{fields},{},{},{}", m.x, m.y, m.z),
+            None => writeln!(self.log, "{fields},,,"),
+        };
+    }
+
+    fn hand_over(&mut self) {
+        let Some(chunks) = &self.chunks else { return };
+        self.handed_over = Instant::now();
+        let chunk = (std::mem::take(&mut self.log), self.tape.as_mut().map(std::mem::take));
+        match chunks.try_send(chunk) {
+            Ok(()) => {}
+            Err(TrySendError::Full(_)) => {
+                self.reason = Some("the disk is too slow");
+                self.chunks = None;
+            }
+            // the thread has ended and reports why
+            Err(TrySendError::Disconnected(_)) => self.chunks = None,
         }
     }
 
-    /// Ends the recording and waits for the disk. Returns the number of rows.
-    ///
-    /// # Errors
-    /// The operating system's.
-    pub fn finish(mut self) -> io::Result<u64> {
-        for file in std::iter::once(&mut self.log).chain(&mut self.tape) {
-            file.flush()?;
-            file.get_ref().sync_all()?;
-        }
-        Ok(self.rows)
+    /// Hands over what is left; the thread reports when it is on the disk.
+    pub fn finish(&mut self) {
+        self.hand_over();
+        self.chunks = None;
     }
+
+    /// What the thread has reported since the last call.
+    pub fn progress(&mut self) -> Option<Progress> {
+        let progress = match self.progress.try_recv() {
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => Progress::Ended(Err(io::Error::other("its thread ended unexpectedly"))),
+            Ok(progress) => progress,
+        };
+        if matches!(progress, Progress::Ended(_)) {
+            self.chunks = None;
+        }
+        Some(match progress {
+            Progress::Ended(Ok(by_thread)) => Progress::Ended(Ok(by_thread.or(self.reason))),
+            other => other,
+        })
+    }
+}
+
+/// The thread: returns the reason if a limit ended the recording.
+fn write(
+    path: &Path,
+    has_tape: bool,
+    limits: Limits,
+    chunks: &Receiver<Chunk>,
+    report: &Sender<Progress>,
+) -> io::Result<Option<&'static str>> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    let compressed = path.extension().is_some_and(|e| e == "gz");
+    let mut log = Output::create(path, compressed)?;
+    let mut tape = has_tape.then(|| Output::create(&tape_path(path), compressed)).transpose()?;
+    // the hub is gone only when the service ends
+    let _ = report.send(Progress::Started);
+    let mut reason = None;
+    for (rows, records) in chunks {
+        log.write(&rows)?;
+        match (&mut tape, records) {
+            (Some(file), Some(records)) => file.write(&records)?,
+            (Some(_), None) => tape.take().map_or(Ok(()), Output::finish)?,
+            (None, _) => {}
+        }
+        if log.size()? + tape.as_ref().map_or(Ok(0), Output::size)? > limits.size_bytes {
+            reason = Some("it reached service.record_max_mib");
+        } else if free_bytes(path)? < limits.free_bytes {
+            reason = Some("less than service.record_free_mib of the disk is free");
+        }
+        if reason.is_some() {
+            break;
+        }
+    }
+    log.finish()?;
+    tape.map_or(Ok(()), Output::finish)?;
+    Ok(reason)
+}
+
+/// A file, compressed or not.
+enum Output {
+    Plain(BufWriter<File>),
+    Gzip(GzEncoder<BufWriter<File>>),
+}
+
+impl Output {
+    fn create(path: &Path, compressed: bool) -> io::Result<Self> {
+        let file = BufWriter::new(File::create_new(path)?);
+        Ok(if compressed { Self::Gzip(GzEncoder::new(file, Compression::fast())) } else { Self::Plain(file) })
+    }
+
+    /// Writes and flushes, so that a killed service leaves what it has handed over.
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        match self {
+            Self::Plain(file) => file.write_all(bytes).and_then(|()| file.flush()),
+            Self::Gzip(file) => file.write_all(bytes).and_then(|()| file.flush()),
+        }
+    }
+
+    fn size(&self) -> io::Result<u64> {
+        let file = match self {
+            Self::Plain(file) => file.get_ref(),
+            Self::Gzip(file) => file.get_ref().get_ref(),
+        };
+        Ok(file.metadata()?.len())
+    }
+
+    fn finish(self) -> io::Result<()> {
+        let file = match self {
+            Self::Plain(file) => file,
+            Self::Gzip(file) => file.finish()?,
+        };
+        file.into_inner()?.sync_all()
+    }
+}
+
+/// Bytes of the file system that an ordinary user may still use.
+#[allow(unsafe_code)]
+fn free_bytes(path: &Path) -> io::Result<u64> {
+    use std::os::fd::AsRawFd;
+    let file = File::open(path)?;
+    let mut stat = std::mem::MaybeUninit::<libc::statvfs>::uninit();
+    // SAFETY: the descriptor is open, and `stat` is written in full when the call succeeds
+    let stat = unsafe {
+        if libc::fstatvfs(file.as_raw_fd(), stat.as_mut_ptr()) != 0 {
+            return Err(io::Error::last_os_error());
+        }
+        stat.assume_init()
+    };
+    Ok(u64::from(stat.f_bavail) * u64::from(stat.f_frsize))
 }

@@ -4,15 +4,17 @@
 use crate::control::tick::RestartState;
 use crate::hardware::rt::{monotonic_ns, sleep_until_ns};
 use crate::primitives::units::Seconds;
-use crate::service::notify::Heartbeat;
-use crate::service::stop::{StopCounter, StopSignal};
+use crate::service::connection::UNANSWERED_MAX;
+use crate::service::server::CLIENTS_MAX;
+use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};
+use crate::service::stop::StopCounter;
 use crate::supervisor::cycle::order::{Order, Refusal};
 use crate::supervisor::cycle::runner::Runner;
 use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
 use crate::supervisor::machine::{Machine, MachineError};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
 
 /// A message to the loop.
 #[derive(Debug)]
@@ -48,6 +50,10 @@ pub struct RestartNote {
     pub state: RestartState,
     /// The pistons are at zero, so a restart has nothing to verify.
     pub at_rest: bool,
+    /// The position of the pistons is unknown.
+    pub lost: bool,
+    /// No measurement has confirmed the last zero.
+    pub unverified: bool,
 }
 
 /// Result of an order, with the id of its message.
@@ -56,6 +62,7 @@ pub type Answer = (u64, Result<(), Refusal>);
 /// The loop's ends of the rings. All rings are wait-free.
 pub struct LoopRings {
     orders: Consumer<Message>,
+    setpoints: Consumer<Message>,
     answers: Producer<Answer>,
     frames: Producer<CycleOutput>,
     notes: Producer<RestartNote>,
@@ -64,8 +71,10 @@ pub struct LoopRings {
 
 /// The hub's ends of the rings.
 pub struct HubRings {
-    /// Orders to the loop.
+    /// Messages to the loop, all but set-points.
     pub orders: Producer<Message>,
+    /// `Order::Bend` and `Order::Stream`: a flood of them leaves the other ring free.
+    pub setpoints: Producer<Message>,
     /// Answers to orders.
     pub answers: Consumer<Answer>,
     /// The output of every cycle.
@@ -78,54 +87,33 @@ pub struct HubRings {
 
 /// Capacity of the frame ring, cycles: the hub may be late by 4 s at 1 kHz.
 const FRAMES: usize = 4096;
+/// Capacity of the rings of orders and answers: every client of the command socket may have as many as are accepted.
+const ORDERS: usize = CLIENTS_MAX * UNANSWERED_MAX + 64;
 /// Cycles between two restart notes.
 const NOTE_EVERY: u64 = 20;
-/// The heartbeat stops if the hub stalls for longer than this, s.
-const HUB_STALL_MAX_S: f64 = 10.0;
+/// The tip stops if nobody could command a stop for longer than this, s.
+const UNCOMMANDED_MAX_S: f64 = 1.0;
 
 /// Creates the rings.
 #[must_use]
 pub fn rings() -> (LoopRings, HubRings) {
-    let (orders, loop_orders) = RingBuffer::new(64);
-    let (loop_answers, answers) = RingBuffer::new(64);
+    let (orders, loop_orders) = RingBuffer::new(ORDERS);
+    let (setpoints, loop_setpoints) = RingBuffer::new(64);
+    let (loop_answers, answers) = RingBuffer::new(ORDERS);
     let (loop_frames, frames) = RingBuffer::new(FRAMES);
     let (loop_notes, notes) = RingBuffer::new(256);
     let (loop_retired, retired) = RingBuffer::new(16);
     (
-        LoopRings { orders: loop_orders, answers: loop_answers, frames: loop_frames, notes: loop_notes, retired: loop_retired },
-        HubRings { orders, answers, frames, notes, retired },
+        LoopRings {
+            orders: loop_orders,
+            setpoints: loop_setpoints,
+            answers: loop_answers,
+            frames: loop_frames,
+            notes: loop_notes,
+            retired: loop_retired,
+        },
+        HubRings { orders, setpoints, answers, frames, notes, retired },
     )
-}
-
-/// State shared by the threads without locks.
-#[derive(Debug, Default)]
-pub struct Shared {
-    quit: AtomicBool,
-    /// Requests and completed stops.
-    pub stop: StopSignal,
-    /// Rounds of the hub.
-    pub hub_rounds: AtomicU64,
-    /// Cycles of the loop.
-    pub cycles: AtomicU64,
-    /// Cycles that began more than half a period late.
-    pub late: AtomicU64,
-    /// Largest delay of a cycle, µs.
-    pub max_lateness_us: AtomicU64,
-    /// Frames and answers lost because a ring was full.
-    pub lost: AtomicU64,
-}
-
-impl Shared {
-    /// Ends the loop and the command thread after their present round.
-    pub fn quit(&self) {
-        self.quit.store(true, Relaxed);
-    }
-
-    /// True once [`Shared::quit`] was called.
-    #[must_use]
-    pub fn is_quitting(&self) -> bool {
-        self.quit.load(Relaxed)
-    }
 }
 
 /// Everything the real-time thread owns.
@@ -144,6 +132,10 @@ pub struct Loop {
     pub heartbeat: HeartbeatMonitor,
     /// Recognises what was queued before a stop.
     pub stops: StopCounter,
+    /// Ages of the other threads.
+    pub watch: ThreadWatch,
+    /// Id of the last order that ended a motion: earlier set-points are obsolete.
+    pub rest_since: u64,
 }
 
 impl Loop {
@@ -157,6 +149,7 @@ impl Loop {
         let start_ns = monotonic_ns();
         let mut due_ns = start_ns;
         let mut periods = 0u64;
+        let mut cycle_ns = start_ns;
         while !self.shared.is_quitting() {
             let elapsed = if self.fast {
                 periods + 1
@@ -173,8 +166,10 @@ impl Loop {
             };
             periods = elapsed;
             let now_s = if simulated || self.fast { elapsed as f64 * self.period_s } else { elapsed as f64 * 1e-9 };
+            let real_ns = monotonic_ns();
+            self.watch.step(&self.shared, real_ns.saturating_sub(std::mem::replace(&mut cycle_ns, real_ns)) as f64 * 1e-9);
             self.cycle(Seconds(now_s))?;
-            self.heartbeat.update(&self.shared, now_s);
+            self.heartbeat.update(&self.watch, now_s);
         }
         Ok(())
     }
@@ -182,8 +177,11 @@ impl Loop {
     fn cycle(&mut self, now: Seconds) -> Result<(), MachineError> {
         // a stop comes before every queued message
         let stop = self.stops.take_request(&self.shared.stop);
+        let unattended = self.watch.age_s(Watched::Control) > UNCOMMANDED_MAX_S && self.runner.supervisor.mode().moves();
         let (id, order) = match stop {
             Some(_) => (None, Some(Order::Stop)),
+            // nobody could stop the tip
+            None if unattended && !self.runner.supervisor.is_stopped() => (None, Some(Order::Stop)),
             None => self.next_order(),
         };
         let output = self.runner.turn(now, order)?;
@@ -200,7 +198,12 @@ impl Loop {
         if self.shared.cycles.fetch_add(1, Relaxed).is_multiple_of(NOTE_EVERY) {
             let supervisor = &self.runner.supervisor;
             // if the ring is full the hub is late, and a newer note will replace this one
-            let _ = self.rings.notes.push(RestartNote { state: supervisor.keep(), at_rest: supervisor.is_at_rest() });
+            let _ = self.rings.notes.push(RestartNote {
+                state: supervisor.keep(),
+                at_rest: supervisor.is_at_rest(),
+                lost: supervisor.is_lost(),
+                unverified: supervisor.is_unverified(),
+            });
         }
         Ok(())
     }
@@ -209,7 +212,12 @@ impl Loop {
     fn next_order(&mut self) -> (Option<u64>, Option<Order>) {
         match self.rings.orders.pop() {
             Ok(Message::Order { id, order, stops }) => match self.stops.admit(&order, stops) {
-                Ok(()) => return (Some(id), Some(order)),
+                Ok(()) => {
+                    if matches!(order, Order::Disarm | Order::Hold | Order::Relax) {
+                        self.rest_since = id;
+                    }
+                    return (Some(id), Some(order));
+                }
                 Err(refusal) => self.answer(id, Err(refusal)),
             },
             Ok(Message::Reload(mut config)) => {
@@ -221,7 +229,18 @@ impl Loop {
                 std::mem::swap(&mut self.runner.supervisor, &mut supervisor);
                 self.retire(Retired::Supervisor(supervisor));
             }
-            Err(_) => {}
+            Err(_) => return self.next_setpoint(),
+        }
+        (None, None)
+    }
+
+    /// Takes one set-point, unless an order that came after it ends the motion.
+    fn next_setpoint(&mut self) -> (Option<u64>, Option<Order>) {
+        let Ok(Message::Order { id, order, stops }) = self.rings.setpoints.pop() else { return (None, None) };
+        match self.stops.admit(&order, stops) {
+            Ok(()) if id > self.rest_since => return (Some(id), Some(order)),
+            Ok(()) => self.answer(id, Err(Refusal::Superseded)),
+            Err(refusal) => self.answer(id, Err(refusal)),
         }
         (None, None)
     }
@@ -242,33 +261,5 @@ impl Loop {
             self.shared.late.fetch_add(1, Relaxed);
         }
         self.shared.max_lateness_us.fetch_max(late_ns / 1000, Relaxed);
-    }
-}
-
-/// Sends the heartbeat while both the loop and the hub make progress.
-pub struct HeartbeatMonitor {
-    heartbeat: Option<Heartbeat>,
-    sent_s: f64,
-    hub_rounds: u64,
-    hub_progress_s: f64,
-}
-
-impl HeartbeatMonitor {
-    /// `heartbeat` is `None` without a watchdog.
-    #[must_use]
-    pub fn new(heartbeat: Option<Heartbeat>) -> Self {
-        Self { heartbeat, sent_s: 0.0, hub_rounds: 0, hub_progress_s: 0.0 }
-    }
-
-    fn update(&mut self, shared: &Shared, now_s: f64) {
-        let Some(heartbeat) = &self.heartbeat else { return };
-        let rounds = shared.hub_rounds.load(Relaxed);
-        if rounds != self.hub_rounds {
-            (self.hub_rounds, self.hub_progress_s) = (rounds, now_s);
-        }
-        if now_s - self.sent_s >= heartbeat.period_s && now_s - self.hub_progress_s < HUB_STALL_MAX_S {
-            self.sent_s = now_s;
-            heartbeat.send();
-        }
     }
 }

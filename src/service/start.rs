@@ -5,6 +5,7 @@ use crate::config::calib::Calibration;
 use crate::config::service::ServiceSection;
 use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::control::tick::RestartState;
+use crate::service::belief::Belief;
 use crate::service::memory::Memory;
 use crate::service::tape::Header;
 use crate::supervisor::cycle::{Supervisor, SupervisorConfig};
@@ -37,14 +38,16 @@ pub struct Start {
     pub config: SupervisorConfig,
     /// Position at the last write of the memory.
     pub restart: Option<RestartState>,
-    /// The memory was unreadable: whatever it says, `zero` is required.
-    pub unreadable: bool,
+    /// Trust in that position.
+    pub belief: Belief,
+    /// No measurement has confirmed the last zero.
+    pub unverified: bool,
 }
 
 impl Start {
     /// Applies what the memory holds about the mounted tip.
     #[must_use]
-    pub fn new(config: &RunConfig, memory: &Memory, unreadable: bool) -> Self {
+    pub fn new(config: &RunConfig, memory: &Memory, belief: Belief) -> Self {
         let mut supervisor = config.supervisor.clone();
         if let Some(gains) = memory.accepted.as_ref().filter(|g| g.tip == config.tip) {
             supervisor.tick.lines = gains.lines();
@@ -59,15 +62,20 @@ impl Start {
             restart.k_lambda_mm = supervisor.tick.lines.map(|l| l.k_lambda_mm);
             restart.rest = None;
         }
-        Self { config: supervisor, restart, unreadable }
+        Self { config: supervisor, restart, belief, unverified: memory.unverified }
     }
 
     /// A supervisor in this state.
     #[must_use]
     pub fn supervisor(self) -> Supervisor {
         let mut supervisor = Supervisor::new(self.config, self.restart);
-        if self.unreadable {
-            supervisor.doubt();
+        match (self.belief, self.restart) {
+            (Belief::Certain, _) => {}
+            (Belief::Checked, Some(restart)) => supervisor.check(restart),
+            (Belief::Checked, None) | (Belief::Lost, _) => supervisor.doubt(),
+        }
+        if self.unverified {
+            supervisor.set_unverified();
         }
         supervisor
     }
@@ -87,7 +95,7 @@ impl Start {
             lines: tick.lines.map(|l| [l.k_epsilon, l.k_lambda_mm]),
             dynamics: [tick.dynamics.expected.lag_s, tick.dynamics.expected.delay_s, tick.dynamics.uncertainty_s],
             restart: self.restart,
-            unreadable: self.unreadable,
+            belief: self.belief,
         }
     }
 }

@@ -2,6 +2,8 @@
 
 use crate::service::memory::Memory;
 use crate::service::store::{MemoryError, Store};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 
 /// Id of the last write of a service that ends.
@@ -15,6 +17,7 @@ type Job = (Box<Memory>, Option<u64>);
 pub struct StateWriter {
     jobs: SyncSender<Job>,
     completed: Receiver<Completed>,
+    under_way: Arc<AtomicUsize>,
     thread: std::thread::JoinHandle<()>,
 }
 
@@ -35,19 +38,34 @@ impl StateWriter {
     pub fn start(mut store: Store) -> std::io::Result<Self> {
         let (jobs, work) = sync_channel::<Job>(4);
         let (report, completed) = channel();
+        let under_way = Arc::new(AtomicUsize::new(0));
+        let own = Arc::clone(&under_way);
         let thread = std::thread::Builder::new().name("state".into()).spawn(move || {
             for (memory, id) in work {
-                if report.send(Completed { id, result: store.write(&memory) }).is_err() {
+                let result = store.write(&memory);
+                own.fetch_sub(1, Relaxed);
+                if report.send(Completed { id, result }).is_err() {
                     return;
                 }
             }
         })?;
-        Ok(Self { jobs, completed, thread })
+        Ok(Self { jobs, completed, under_way, thread })
     }
 
     /// Queues a write; false if the queue is full because the disk is slow.
     pub fn write(&self, memory: &Memory, id: Option<u64>) -> bool {
-        self.jobs.try_send((Box::new(memory.clone()), id)).is_ok()
+        self.under_way.fetch_add(1, Relaxed);
+        let queued = self.jobs.try_send((Box::new(memory.clone()), id)).is_ok();
+        if !queued {
+            self.under_way.fetch_sub(1, Relaxed);
+        }
+        queued
+    }
+
+    /// True if no write is under way.
+    #[must_use]
+    pub fn is_idle(&self) -> bool {
+        self.under_way.load(Relaxed) == 0
     }
 
     /// The next completed write, if any.
@@ -58,6 +76,7 @@ impl StateWriter {
 
     /// Writes a last time after everything that is queued, waits for the disk and ends the thread.
     pub fn finish(self, memory: &Memory) -> Option<Completed> {
+        self.under_way.fetch_add(1, Relaxed);
         let sent = self.jobs.send((Box::new(memory.clone()), Some(FINAL)));
         drop(self.jobs);
         let last = sent.ok().and_then(|()| self.completed.iter().find(|c| c.id == Some(FINAL)));

@@ -1,17 +1,19 @@
 //! The state that survives `kill -9`, power loss and a full disk.
 //!
 //! Two slots of fixed size are written in turn: `magic version sequence length crc\n`, JSON, padding. A write overwrites
-//! the older slot in place and waits for the disk. A torn write fails its checksum, and the other slot, one write older,
-//! is still intact. Slots are overwritten in place because a full disk accepts no new file.
+//! the older slot in place, waits for the disk and reads the slot back. Slots are overwritten in place because a full disk
+//! accepts no new file.
 //!
 //! The memory is written ahead: drivers are armed only once the slot that says so is on the disk. A slot that says
-//! "pistons at rest" is therefore true.
+//! "pistons at rest" is therefore true as long as it is the newest.
 //!
-//! A damaged slot is renamed and reported, and never used.
+//! Only a pair of slots that is whole is believed: both of full size and intact, each in its place (odd sequence numbers
+//! in the first), one write apart. Otherwise the newest write may be missing, and the position is unknown. A damaged slot
+//! is renamed and reported.
 
 use crate::service::memory::Memory;
 use std::fs::{File, OpenOptions};
-use std::io::{self, Read, Write};
+use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Version of the format.
@@ -23,15 +25,27 @@ const SLOT: usize = 32 * 1024;
 /// File names of the slots.
 const NAMES: [&str; 2] = ["memory.a", "memory.b"];
 
+/// State of the two slots.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Found {
+    /// Neither exists.
+    #[default]
+    Absent,
+    /// Both are intact and belong together.
+    Intact,
+    /// Anything else: the newest write may be missing.
+    Damaged,
+}
+
 /// What was found in the state folder.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Recall {
-    /// The newest intact slot.
+    /// The newest intact slot. Unless the slots are [`Found::Intact`], its position must not be believed.
     pub memory: Option<Memory>,
-    /// Damaged files, renamed, with the reason.
+    /// What is wrong, with the new name of a damaged file.
     pub damaged: Vec<String>,
-    /// There was a memory, but no intact slot is left: the piston positions are unknown.
-    pub unreadable: bool,
+    /// State of the slots.
+    pub found: Found,
 }
 
 /// Why the memory cannot be used.
@@ -64,7 +78,8 @@ pub enum MemoryError {
 pub struct Store {
     folder: PathBuf,
     sequence: u64,
-    next: usize,
+    /// Both slots hold a write of this program.
+    whole: bool,
     _lock: File,
 }
 
@@ -86,23 +101,26 @@ impl Store {
             return Err(MemoryError::InUse { path: folder.display().to_string() });
         }
         let mut recall = Recall::default();
-        let mut newest: Option<(u64, usize, Memory)> = None;
-        for (slot, name) in NAMES.iter().enumerate() {
+        let slots = NAMES.map(|name| {
             let path = folder.join(name);
-            match read_slot(&path) {
-                Ok(None) => {}
-                Ok(Some((sequence, memory))) => {
-                    if newest.as_ref().is_none_or(|(best, ..)| sequence > *best) {
-                        newest = Some((sequence, slot, memory));
-                    }
-                }
-                Err(reason) => recall.damaged.push(rename_damaged(&path, &reason)),
-            }
+            read_slot(&path).unwrap_or_else(|reason| {
+                recall.damaged.push(rename_damaged(&path, &reason));
+                None
+            })
+        });
+        let sequences = [0, 1].map(|slot| slots[slot].as_ref().map(|(sequence, _)| *sequence));
+        recall.found = match sequences {
+            [None, None] if recall.damaged.is_empty() => Found::Absent,
+            [Some(a), Some(b)] if a.abs_diff(b) == 1 && place(a) == 0 => Found::Intact,
+            _ => Found::Damaged,
+        };
+        if recall.found == Found::Damaged && recall.damaged.is_empty() {
+            recall.damaged.push(format!("{}: the writes {sequences:?} of the two slots do not belong together", folder.display()));
         }
-        recall.unreadable = newest.is_none() && !recall.damaged.is_empty();
-        let (sequence, next) = newest.as_ref().map_or((0, 0), |(sequence, slot, _)| (*sequence, 1 - slot));
-        recall.memory = newest.map(|(_, _, memory)| memory);
-        let store = Self { folder: folder.to_owned(), sequence, next, _lock: lock };
+        let newest = slots.into_iter().flatten().max_by_key(|(sequence, _)| *sequence);
+        let (sequence, memory) = newest.map_or((0, None), |(sequence, memory)| (sequence, Some(memory)));
+        recall.memory = memory;
+        let store = Self { folder: folder.to_owned(), sequence, whole: recall.found == Found::Intact, _lock: lock };
         store.reserve().map_err(|e| fail(folder, e))?;
         Ok((store, recall))
     }
@@ -119,24 +137,43 @@ impl Store {
         File::open(&self.folder)?.sync_all()
     }
 
-    /// Writes and waits for the disk. Returns the sequence number of the write.
+    /// Writes, waits for the disk and reads back. Returns the sequence number of the write. The first write after slots that
+    /// were not intact fills both.
     ///
     /// # Errors
     /// [`MemoryError`]; the previous write is still intact.
     pub fn write(&mut self, memory: &Memory) -> Result<u64, MemoryError> {
-        let path = self.folder.join(NAMES[self.next]);
+        if !self.whole {
+            self.write_slot(memory)?;
+        }
+        let sequence = self.write_slot(memory)?;
+        self.whole = true;
+        Ok(sequence)
+    }
+
+    fn write_slot(&mut self, memory: &Memory) -> Result<u64, MemoryError> {
         let sequence = self.sequence + 1;
+        let path = self.folder.join(NAMES[place(sequence)]);
         let slot = compose(sequence, memory)?;
         let put = || -> io::Result<()> {
-            let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(&path)?;
+            let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path)?;
             file.write_all(&slot)?;
-            file.sync_data()
+            file.set_len(SLOT as u64)?;
+            file.sync_data()?;
+            let mut back = Vec::with_capacity(SLOT);
+            file.rewind()?;
+            file.read_to_end(&mut back)?;
+            if back == slot { Ok(()) } else { Err(io::Error::other("what was written reads back differently")) }
         };
         put().map_err(|source| MemoryError::Io { path: path.display().to_string(), source })?;
         self.sequence = sequence;
-        self.next = 1 - self.next;
         Ok(sequence)
     }
+}
+
+/// Index of the slot of a write.
+fn place(sequence: u64) -> usize {
+    usize::from(sequence % 2 == 0)
 }
 
 fn compose(sequence: u64, memory: &Memory) -> Result<Vec<u8>, MemoryError> {
@@ -166,15 +203,16 @@ fn checksum(head: &str, body: &str) -> u32 {
     crc.sum()
 }
 
-/// Sequence number and content of a slot; `None` if it was never written.
+/// Sequence number and content of a slot; `None` if there is no such file.
 fn read_slot(path: &Path) -> Result<Option<(u64, Memory)>, String> {
     let mut text = Vec::new();
     match File::open(path).and_then(|f| f.take(SLOT as u64 + 1).read_to_end(&mut text)) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(e) => return Err(e.to_string()),
-        Ok(_) => {}
+        Ok(SLOT) => {}
+        Ok(size) => return Err(format!("has {size} bytes or more instead of {SLOT}")),
     }
-    parse(&text)
+    parse(&text)?.map_or_else(|| Err("is empty".to_owned()), |slot| Ok(Some(slot)))
 }
 
 /// Parses a slot; `Ok(None)` for one that was never written.
@@ -243,33 +281,66 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for n in 1..6 {
             let (mut store, recall) = Store::open(folder.path()).unwrap();
-            assert!(!recall.unreadable && recall.damaged.is_empty());
+            assert_eq!(recall.found, if n == 1 { Found::Absent } else { Found::Intact }, "{:?}", recall.damaged);
             assert_eq!(recall.memory, (n > 1).then(|| memory(n - 1)));
-            assert_eq!(store.write(&memory(n)).unwrap(), n as u64);
+            // the first write fills both slots
+            assert_eq!(store.write(&memory(n)).unwrap(), n as u64 + 1);
         }
     }
 
-    #[test]
-    fn a_damaged_slot_is_renamed_and_the_other_one_used() {
+    /// What the store says after `change` to a folder with five writes: state, newest memory, and the report.
+    fn after(change: impl Fn(&Path)) -> Recall {
         let folder = tempfile::tempdir().unwrap();
-        {
-            let (mut store, _) = Store::open(folder.path()).unwrap();
-            store.write(&memory(1)).unwrap();
-            store.write(&memory(2)).unwrap();
-        }
-        let newest = folder.path().join("memory.b");
-        let mut text = std::fs::read(&newest).unwrap();
-        text[100] ^= 1;
-        std::fs::write(&newest, &text).unwrap();
-        let (store, recall) = Store::open(folder.path()).unwrap();
-        assert_eq!(recall.memory, Some(memory(1)));
-        assert!(recall.damaged[0].contains("checksum"), "{:?}", recall.damaged);
-        assert!(folder.path().join("memory.b.damaged-1").exists() && !recall.unreadable);
+        let (mut store, _) = Store::open(folder.path()).unwrap();
+        (1..5).for_each(|n| assert!(store.write(&memory(n)).is_ok()));
         drop(store);
-        std::fs::write(folder.path().join("memory.a"), "retroflex-memory 9 1 1 00000000\nx").unwrap();
+        change(folder.path());
+        Store::open(folder.path()).unwrap().1
+    }
+
+    #[test]
+    fn only_a_whole_pair_of_slots_is_intact() {
+        let (a, b) = ("memory.a", "memory.b");
+        assert_eq!(after(|_| ()).found, Found::Intact);
+        assert_eq!(after(|f| [a, b].iter().for_each(|n| std::fs::remove_file(f.join(n)).unwrap())).found, Found::Absent);
+        for name in [a, b] {
+            let write = |f: &Path, bytes: &[u8]| std::fs::write(f.join(name), bytes).unwrap();
+            let old = |f: &Path| std::fs::read(f.join(name)).unwrap();
+            let changes: [(&str, &dyn Fn(&Path)); 8] = [
+                ("has 0 bytes", &|f| write(f, b"")),
+                ("has 500 bytes", &|f| write(f, &old(f)[..500])),
+                ("header", &|f| write(f, &[0; SLOT])),
+                ("empty", &|f| write(f, &[b' '; SLOT])),
+                ("belong together", &|f| std::fs::remove_file(f.join(name)).unwrap()),
+                ("checksum", &|f| write(f, &{ let mut t = old(f); t[100] ^= 1; t })),
+                ("belong together", &|f| { std::fs::copy(f.join(if name == a { b } else { a }), f.join(name)).unwrap(); }),
+                ("version 9", &|f| write(f, &{ let mut t = b"retroflex-memory 9 1 1 00000000\nx".to_vec(); t.resize(SLOT, b' '); t })),
+            ];
+            for (part, change) in changes {
+                let recall = after(change);
+                assert_eq!(recall.found, Found::Damaged, "{name}: {part}");
+                assert!(recall.damaged.iter().any(|d| d.contains(part)), "{name}: {part}: {:?}", recall.damaged);
+            }
+        }
+        let swapped = after(|f| {
+            std::fs::rename(f.join(a), f.join("x")).unwrap();
+            std::fs::rename(f.join(b), f.join(a)).unwrap();
+            std::fs::rename(f.join("x"), f.join(b)).unwrap();
+        });
+        assert_eq!(swapped.found, Found::Damaged);
+    }
+
+    #[test]
+    fn a_damaged_slot_is_renamed_and_the_next_write_fills_both() {
+        let folder = tempfile::tempdir().unwrap();
+        Store::open(folder.path()).unwrap().0.write(&memory(1)).unwrap();
+        std::fs::write(folder.path().join("memory.b"), [0; SLOT]).unwrap();
+        let (mut store, recall) = Store::open(folder.path()).unwrap();
+        assert!(recall.found == Found::Damaged && folder.path().join("memory.b.damaged-1").exists());
+        store.write(&memory(2)).unwrap();
+        drop(store);
         let (_store, recall) = Store::open(folder.path()).unwrap();
-        assert!(recall.unreadable && recall.memory.is_none());
-        assert!(recall.damaged[0].contains("version 9"), "{:?}", recall.damaged);
+        assert_eq!((recall.found, recall.memory), (Found::Intact, Some(memory(2))));
     }
 
     #[test]

@@ -8,6 +8,7 @@ use crate::control::tick::RestartState;
 use crate::estimation::fusion::health::ImuReading;
 use crate::motion::lines::Inputs;
 use crate::primitives::units::{Seconds, Steps};
+use crate::service::belief::Belief;
 use crate::service::tape_code::{AlarmCode, Code};
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
@@ -39,9 +40,13 @@ pub struct Header {
     /// State that the supervisor started from.
     #[serde(alias = "kept")]
     pub restart: Option<RestartState>,
-    /// The memory was unreadable, so the piston positions were unknown.
-    #[serde(alias = "doubted")]
-    pub unreadable: bool,
+    /// Trust in the position of that state.
+    #[serde(default = "certain")]
+    pub belief: Belief,
+}
+
+fn certain() -> Belief {
+    Belief::Certain
 }
 
 /// One cycle.
@@ -161,6 +166,7 @@ mod tests {
             Some(Alarm::Dead),
             Some(Alarm::Pressure { kpa: 50.0 }),
             Some(Alarm::Hot { temp_c: 43.0 }),
+            Some(Alarm::Silent),
         ];
         let mut records = Vec::new();
         for (k, (order, (imu, alarm))) in orders.map(Some).chain([None]).zip(readings.cycle().zip(alarms.into_iter().cycle())).enumerate() {

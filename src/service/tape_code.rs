@@ -122,6 +122,7 @@ impl Code for AlarmCode {
             Some(Alarm::Dead) => (5, 0.0),
             Some(Alarm::Pressure { kpa }) => (6, kpa),
             Some(Alarm::Hot { temp_c }) => (7, temp_c),
+            Some(Alarm::Silent) => (8, 0.0),
         };
         tag.put(out);
         x.put(out);
@@ -137,6 +138,7 @@ impl Code for AlarmCode {
             5 => Some(Alarm::Dead),
             6 => Some(Alarm::Pressure { kpa: x }),
             7 => Some(Alarm::Hot { temp_c: x }),
+            8 => Some(Alarm::Silent),
             _ => return None,
         }))
     }

@@ -66,6 +66,7 @@ impl Sensed {
             DriveState::Faulted(StepperFault::Discontinuity { jump_mm, .. }) => Some(Alarm::Discontinuity { jump_mm }),
             DriveState::Faulted(StepperFault::Pins) => Some(Alarm::Pins),
             DriveState::Dead => Some(Alarm::Dead),
+            DriveState::Silent => Some(Alarm::Silent),
             _ => drive.is_starved().then_some(Alarm::Underrun),
         };
         let energised = drive.generator().is_energised();
@@ -114,6 +115,8 @@ pub enum Alarm {
     Pins,
     /// The step thread has ended.
     Dead,
+    /// The step thread does not report.
+    Silent,
     /// A pressure sensor measures too much.
     Pressure {
         /// Gauge pressure, kPa; NaN if the sensor does not answer.
@@ -142,6 +145,7 @@ impl std::fmt::Display for Alarm {
             Self::Discontinuity { jump_mm } => write!(f, "the motion handed to the step thread jumps by {jump_mm:.3} mm"),
             Self::Pins => f.write_str("the pins cannot be written or read"),
             Self::Dead => f.write_str("the step thread has ended"),
+            Self::Silent => f.write_str("the step thread does not report: a pin or the processor that it waits for hangs"),
             Self::Pressure { kpa } if kpa.is_nan() => f.write_str("a pressure sensor does not answer"),
             Self::Pressure { kpa } => write!(f, "a line is at {kpa:.1} kPa"),
             Self::Hot { temp_c } => write!(f, "the tip is at {temp_c:.1} °C"),

@@ -124,6 +124,11 @@ impl JumpDetector {
     }
 }
 
+/// A suspicion ends after this many consecutive moves …
+const GOOD_MOVES: u8 = 2;
+/// … whose residual is within this share of the threshold.
+const GOOD_SHARE: f64 = 0.5;
+
 /// A suspicion and its age.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Verdict {
@@ -131,6 +136,8 @@ struct Verdict {
     age_s: f64,
     /// The residual grew abruptly.
     abrupt: bool,
+    /// Consecutive moves that ended without the residual.
+    good_moves: u8,
 }
 
 /// The monitor.
@@ -207,11 +214,25 @@ impl ResidualMonitor {
             self.smooth = Vector2::zeros();
         }
         self.settled = !input.moving && (self.settled || settles);
+        if settles {
+            self.acquit(input);
+        }
         let since = residual - self.baseline.0;
         let keep = (-input.dt_s / SMOOTH_S).exp();
         self.smooth = since + (self.smooth - since) * keep;
         self.jump.step(self.config.jump_deg.to_radians(), residual, moved.max(gapless), input.dt_s);
         self.assess(input)
+    }
+
+    /// Withdraws a suspicion after moves that ended as predicted.
+    fn acquit(&mut self, input: &ResidualInput) {
+        let Some(verdict) = &mut self.verdict else { return };
+        let moved = (input.given - self.baseline.1).norm();
+        let allowed = self.config.rest_deg.to_radians() + self.config.share * moved;
+        verdict.good_moves = if self.smooth.norm() < GOOD_SHARE * allowed { verdict.good_moves + 1 } else { 0 };
+        if verdict.good_moves >= GOOD_MOVES {
+            self.forget();
+        }
     }
 
     /// Predicted bend: the bend from the pistons after a first-order lag.
@@ -246,7 +267,7 @@ impl ResidualMonitor {
         }
         let abrupt = sudden || self.rising_s - self.beyond_s < ABRUPT_S + input.answer_s;
         let suspicion = self.classify(input, moved, sudden, abrupt);
-        self.verdict = Some(Verdict { suspicion, age_s: 0.0, abrupt });
+        self.verdict = Some(Verdict { suspicion, age_s: 0.0, abrupt, good_moves: 0 });
         Some(suspicion)
     }
 

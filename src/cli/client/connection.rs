@@ -3,6 +3,7 @@
 use crate::cli::output::print;
 use crate::cli::{CommandOutcome, Unreachable};
 use crate::service::client::Client as Connection;
+use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
 use miette::{Report, Result, miette};
 use serde_json::Value;
@@ -11,13 +12,13 @@ use std::path::PathBuf;
 /// Address of the service.
 #[derive(Debug, Clone, clap::Args)]
 pub struct At {
-    /// Socket of the service. Default: RETROFLEX_SOCKET, or else /run/retroflex/control.sock.
+    /// Socket of the service. Default: RETROFLEX_SOCKET, or else that of this user's service, or else the system's.
     #[arg(long, default_value_os_t = default_socket())]
     socket: PathBuf,
 }
 
 fn default_socket() -> PathBuf {
-    std::env::var_os("RETROFLEX_SOCKET").map_or_else(|| "/run/retroflex/control.sock".into(), PathBuf::from)
+    std::env::var_os("RETROFLEX_SOCKET").map_or_else(paths::default_socket, PathBuf::from)
 }
 
 /// A failure of the service as a report.
@@ -45,6 +46,9 @@ pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Opti
 /// Sends a request and prints its result, unless that is empty.
 pub(super) fn ask_and_print(connection: &mut Connection, request: &Request) -> Result<CommandOutcome> {
     let Some(value) = ask(connection, request)? else { return Ok(CommandOutcome::NotGoodEnough) };
+    if let Some(remark) = value["remark"].as_str() {
+        eprintln!("note: {remark}");
+    }
     if value.as_object().is_some_and(|map| !map.is_empty()) {
         print(&format!("{value}\n"));
     }

@@ -5,7 +5,6 @@
 
 use super::args::PlayArgs;
 use super::connection::{ask, connect};
-use super::follow;
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
 use crate::diagnosis::excite::rows::{self, Row};
@@ -14,7 +13,7 @@ use crate::model::bend::Bend;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{RecordAction, Request};
 use miette::{IntoDiagnostic, Result};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
 /// Longest delay of a segment beyond its planned duration, s.
@@ -22,27 +21,32 @@ const LATE_MAX_S: f64 = 10.0;
 /// k_ε of a service that does not report one: the mean of the paper's.
 const K_EPSILON: f64 = 2.2;
 
-/// Runs the schedule and, with `--record`, records it.
+/// Runs the schedule on an armed tip and, with `--record`, records it. The recording ends with this command, however that ends.
 ///
 /// # Errors
 /// A schedule that cannot be read, or a report with the service's message.
 pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     let rows = rows::read(&args.schedule).into_diagnostic()?;
     let mut connection = connect(&args.at)?;
+    let Some(status) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
+    if status["mode"] != "holding" || status["stopped"] == true {
+        eprintln!("refused: the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first");
+        return Ok(NotGoodEnough);
+    }
     if args.record.is_none() {
         return run_rows(&mut connection, &rows);
     }
-    let start = Request::Record { action: RecordAction::Start, name: args.record.clone() };
-    if ask(&mut connection, &start)?.is_none() || follow::aligned(&mut connection)? != Good {
+    if status["counted"] != json!([0, 0, 0]) {
+        eprintln!("refused: the log must begin at rest: `retroflex relax`, then `retroflex arm`");
         return Ok(NotGoodEnough);
     }
-    // the first row is the rest pose: it is held before the drivers are armed
-    std::thread::sleep(Duration::from_secs_f64(rows[0].hold_s));
-    if ask(&mut connection, &Request::Arm {})?.is_none() {
-        return Ok(NotGoodEnough);
+    let request = |action| Request::Record { action, name: args.record.clone(), owned: true };
+    let Some(started) = ask(&mut connection, &request(RecordAction::Start))? else { return Ok(NotGoodEnough) };
+    if let Some(remark) = started["remark"].as_str() {
+        eprintln!("note: {remark}; `retroflex zero` first measures against the present attitude");
     }
     let outcome = run_rows(&mut connection, &rows);
-    if let Some(recorded) = ask(&mut connection, &Request::Record { action: RecordAction::Stop, name: None })? {
+    if let Some(recorded) = ask(&mut connection, &request(RecordAction::Stop))? {
         output::print(&format!("{recorded}\n"));
     }
     outcome

@@ -53,9 +53,14 @@ fn readable(s: &Value) -> String {
         ("suspected", &s["suspicion"]),
         ("alarm", &s["alarm"]),
         ("running", &s["calibrating"]),
+        ("recording", &s["recording"]["path"]),
+        ("recorded", &s["recording_ended"]),
         ("memory", &s["memory"]["error"]),
     ];
     rows.extend(optional.iter().filter(|(_, v)| !v.is_null()).map(|(name, v)| (*name, text(v))));
+    if s["unverified"] == true {
+        rows.push(("zero", "stated by the operator; no measurement has confirmed it".to_owned()));
+    }
     rows.extend(list(&s["sensor"]["advice"]).iter().map(|advice| ("sensor", text(advice))));
     rows.extend(list(&s["real_time"]).iter().map(|g| ("real time", format!("{}: {}", text(&g["what"]), text(&g["grant"])))));
     rows.iter().map(|(name, value)| format!("{name:<9} {value}\n")).collect()

@@ -14,6 +14,18 @@ const DURATION_S: f64 = 2.0;
 /// Longest wait of a well-behaved client meanwhile, s.
 const REPLY_MAX_S: f64 = 0.5;
 
+/// Names of the rows.
+pub const NAMES: [&str; 8] = [
+    "client_flood",
+    "client_half_open",
+    "client_slow_reader",
+    "client_10_mb_line",
+    "client_garbage",
+    "two_clients",
+    "stream_silent",
+    "sigterm_while_bent",
+];
+
 /// All rows, on one service.
 pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
     let daemon = Daemon::start(program, folder)?;
@@ -33,7 +45,7 @@ pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
         detected_s: Some(took_s),
         state: "relaxed".to_owned(),
         message: format!("relaxed and ended within {took_s:.1} s"),
-        ..Row::new("sigterm_while_bent")
+        ..Row::new("sigterm_while_bent", "the tip returns to rest, then the service ends with success")
     };
     row.require(success, |_| "the service did not end with success".to_owned());
     rows.push(row);
@@ -71,10 +83,10 @@ fn slowest_reply(daemon: &Daemon, times: u32) -> io::Result<f64> {
 }
 
 /// A row that is detected now, with the mode of the service.
-fn row(daemon: &Daemon, name: &str, started: Instant, message: String) -> io::Result<Row> {
+fn row(daemon: &Daemon, name: &str, requires: &str, started: Instant, message: String) -> io::Result<Row> {
     let detected_s = Some(started.elapsed().as_secs_f64());
     let status = ask(&mut daemon.client()?, &Request::Status {})?;
-    Ok(Row { detected_s, state: status["mode"].as_str().unwrap_or_default().to_owned(), message, ..Row::new(name) })
+    Ok(Row { detected_s, state: status["mode"].as_str().unwrap_or_default().to_owned(), message, ..Row::new(name, requires) })
 }
 
 fn flood(daemon: &Daemon, baseline: &Cycles) -> io::Result<Row> {
@@ -105,7 +117,7 @@ fn flood(daemon: &Daemon, baseline: &Cycles) -> io::Result<Row> {
         meanwhile.share * 100.0,
         baseline.share * 100.0
     );
-    let mut row = row(daemon, "client_flood", started, message)?;
+    let mut row = row(daemon, "client_flood", "others are answered within 0.5 s; the loop runs 0.9 of its cycles; no frame is lost", started, message)?;
     row.require(waited_s < REPLY_MAX_S, |_| format!("others waited {waited_s:.2} s"));
     row.require(meanwhile.share > 0.9 * baseline.share, |_| "the loop lost cycles".to_owned());
     row.require(meanwhile.lost <= baseline.lost, |_| format!("{} frames were lost", meanwhile.lost));
@@ -122,7 +134,7 @@ fn half_open(daemon: &Daemon) -> io::Result<Row> {
     let dropped = stream.read_to_end(&mut Vec::new()).is_ok();
     let message =
         format!("disconnected after {:.1} s; others were answered within {:.0} ms", started.elapsed().as_secs_f64(), waited_s * 1e3);
-    let mut row = row(daemon, "client_half_open", started, message)?;
+    let mut row = row(daemon, "client_half_open", "the client is disconnected within 8 s; others are answered within 0.5 s", started, message)?;
     row.require(dropped, |_| "not disconnected".to_owned());
     row.require(waited_s < REPLY_MAX_S, |_| format!("others waited {waited_s:.2} s"));
     Ok(row)
@@ -136,7 +148,7 @@ fn slow_reader(daemon: &Daemon) -> io::Result<Row> {
     let dropped = daemon.until(8.0, "the disconnection", |s| s["clients"] == 1).is_ok();
     let message =
         format!("subscribed to 1000 frames per second, read none, and was disconnected after {:.1} s", started.elapsed().as_secs_f64());
-    let mut row = row(daemon, "client_slow_reader", started, message)?;
+    let mut row = row(daemon, "client_slow_reader", "the client is disconnected within 8 s", started, message)?;
     row.require(dropped, |_| "not disconnected".to_owned());
     Ok(row)
 }
@@ -154,7 +166,7 @@ fn huge_line(daemon: &Daemon) -> io::Result<Row> {
     let mut reply = [0u8; 512];
     let n = stream.read(&mut reply).unwrap_or(0);
     let message = format!("disconnected after {} KiB: {}", sent / 1024, String::from_utf8_lossy(&reply[..n]).trim());
-    let mut row = row(daemon, "client_10_mb_line", started, message)?;
+    let mut row = row(daemon, "client_10_mb_line", "the client is disconnected before it has sent the line", started, message)?;
     row.require(sent < 10 * 1024 * 1024, |_| "the whole line was accepted".to_owned());
     Ok(row)
 }
@@ -167,7 +179,7 @@ fn garbage(daemon: &Daemon) -> io::Result<Row> {
     let mut replies = String::new();
     // the service closes the connection after a line that is not UTF-8
     let _ = stream.read_to_string(&mut replies);
-    let mut row = row(daemon, "client_garbage", started, replies.lines().next().unwrap_or_default().to_owned())?;
+    let mut row = row(daemon, "client_garbage", "the reply says what is wrong with each line", started, replies.lines().next().unwrap_or_default().to_owned())?;
     row.require(replies.contains("not JSON") && replies.contains("UTF-8"), |_| format!("replied `{}`", replies.trim()));
     Ok(row)
 }
@@ -191,7 +203,7 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
     let bend_deg = |key: &str| status[key]["bend_deg"].as_f64().unwrap_or(0.0);
     let (target, estimate) = (bend_deg("target"), bend_deg("estimate"));
     let message = format!("{accepted} commands of two clients were accepted; the last one is in effect: {target:.0}°");
-    let mut row = row(daemon, "two_clients", started, message)?;
+    let mut row = row(daemon, "two_clients", "all commands are accepted, and the tip settles within 1.5° of one target", started, message)?;
     row.error_deg_after = (target - estimate).abs();
     row.require([30.0, 50.0].iter().any(|b| (target - b).abs() < 0.1), |_| format!("the target is {target}°"));
     row.require(row.error_deg_after < 1.5, |row| format!("error {:.1}°", row.error_deg_after));
@@ -209,7 +221,7 @@ fn dead_man(daemon: &Daemon) -> io::Result<Row> {
     stream(75.0)?;
     let started = Instant::now();
     let status = daemon.until(3.0, "the stop", |s| s["mode"] == "holding")?;
-    let mut row = row(daemon, "stream_silent", started, "the stream of set-points paused for too long: stopped".to_owned())?;
+    let mut row = row(daemon, "stream_silent", "the tip stops within 1 s, before the last set-point", started, "the stream of set-points paused for too long: stopped".to_owned())?;
     row.require(row.detected_s.is_some_and(|s| s < 1.0), |row| format!("stopped after {:?} s", row.detected_s));
     row.require(status["estimate"]["bend_deg"].as_f64().is_some_and(|b| b < 74.0), |_| "moved to the last set-point".to_owned());
     Ok(row)

@@ -76,6 +76,12 @@ impl Daemon {
         Client::connect(&self.socket).map_err(|f| io::Error::other(f.message))
     }
 
+    /// Number of its process.
+    #[must_use]
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Path of its command socket.
     #[must_use]
     pub fn socket(&self) -> &Path {

@@ -1,40 +1,66 @@
 //! Faults of the process, injected into real child processes: they are killed, stopped, deprived of their disk and
 //! loaded by misbehaving clients.
 
+mod attack;
+mod attacks;
 mod clients;
 mod daemon;
 mod disk;
+mod hang;
+mod kills;
 mod restart;
 
+pub use attacks::rows as attacks;
 pub use daemon::Daemon;
 pub use disk::{Harm, exercise};
+pub use kills::rows as kills;
 
 use crate::drill::bench::BenchConfig;
 use crate::drill::row::Row;
 use std::io;
 use std::path::Path;
 
-/// Every row about the process. `program` is this program, `scratch` an empty folder, `kills` the number of kills.
+/// How often the rows repeat what they do.
+#[derive(Debug, Clone, Copy)]
+pub struct Repeats {
+    /// Kills of the process.
+    pub kills: u32,
+    /// Stops under each attack.
+    pub tries: u32,
+}
+
+/// The selected rows about the process. `program` is this program, `scratch` an empty folder.
 ///
 /// # Errors
 /// The operating system's, if the service of the client rows cannot be started.
-pub fn rows(config: &BenchConfig, program: &Path, scratch: &Path, kills: u32) -> io::Result<Vec<Row>> {
-    let row = |name: &str, result: io::Result<Row>| {
-        result.unwrap_or_else(|e| {
-            let mut row = Row::new(name);
+pub fn rows(
+    config: &BenchConfig,
+    program: &Path,
+    scratch: &Path,
+    repeats: Repeats,
+    selected: &dyn Fn(&str) -> bool,
+) -> io::Result<Vec<Row>> {
+    let folder = |name: &str| scratch.join(name);
+    let single: [(&str, &dyn Fn(&Path) -> io::Result<Row>); 6] = [
+        ("sigstop", &|folder| restart::stopped(program, folder)),
+        ("disk_full", &|folder| disk::full(program, folder)),
+        ("read_only_fs", &|folder| disk::read_only(program, folder)),
+        ("restart_while_bent", &|_| restart::while_bent(config)),
+        ("stale_calibration", &|folder| restart::stale_calibration(program, folder)),
+        ("wrong_board_file", &|folder| restart::wrong_board(program, folder)),
+    ];
+    let mut rows = Vec::new();
+    for (name, run) in single.into_iter().filter(|(name, _)| selected(name)) {
+        rows.push(run(&folder(name)).unwrap_or_else(|e| {
+            let mut row = Row::new(name, "runs at all");
             row.fail(format!("could not be run: {e}"));
             row
-        })
-    };
-    let mut rows = vec![
-        row("sigkill", restart::killed(config, program, &scratch.join("kill"), kills)),
-        row("sigstop", restart::stopped(program, &scratch.join("stop"))),
-        row("disk_full", disk::full(program, &scratch.join("full"))),
-        row("read_only_fs", disk::read_only(program, &scratch.join("readonly"))),
-        row("restart_while_bent", restart::while_bent(config)),
-        row("stale_calibration", restart::stale_calibration(program, &scratch.join("stale"))),
-        row("wrong_board_file", restart::wrong_board(program, &scratch.join("board"))),
-    ];
-    rows.extend(clients::rows(program, &scratch.join("clients"))?);
+        }));
+    }
+    rows.extend(kills::rows(config, program, &folder("kill"), repeats.kills, selected)?);
+    if clients::NAMES.iter().any(|name| selected(name)) {
+        rows.extend(clients::rows(program, &folder("clients"))?.into_iter().filter(|r| selected(&r.fault)));
+    }
+    rows.extend(attacks::rows(config, program, &folder("attacks"), repeats.tries, selected)?);
     Ok(rows)
 }

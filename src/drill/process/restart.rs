@@ -6,104 +6,14 @@ use crate::drill::bench::{BenchConfig, FaultyMachine, bend};
 use crate::drill::row::Row;
 use crate::model::bend::Bend;
 use crate::service::protocol::Request;
-use crate::service::store::{self, Store};
 use crate::simulation::plant::InjectedFault;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::machine::MachineError;
 use crate::supervisor::mode::Mode;
-use std::io::{self, BufRead, BufReader};
+use std::io;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
-
-/// `kill -9` at random instants while a child works with the memory. After each kill the memory must be intact and as new
-/// as the last acknowledged write, and a supervisor that starts from it at another position must not move.
-pub fn killed(config: &BenchConfig, program: &Path, folder: &Path, kills: u32) -> io::Result<Row> {
-    let mut row = Row { state: "lost".to_owned(), ..Row::new("sigkill") };
-    let (mut slowest_s, mut at_rest, mut lost, mut torn) = (0.0f64, 0, 0, 0);
-    // xorshift (Marsaglia 2003)
-    let mut random = 0x2545_f491_4f6c_dd1du64;
-    for n in 0..kills {
-        random ^= random << 13;
-        random ^= random >> 7;
-        random ^= random << 17;
-        let acknowledged = kill_after(program, folder, Duration::from_micros(random % 40_000))?;
-        let started = Instant::now();
-        let (store, recall) = Store::open(folder).map_err(io::Error::other)?;
-        drop(store);
-        slowest_s = slowest_s.max(started.elapsed().as_secs_f64());
-        torn += usize::from(!recall.damaged.is_empty());
-        row.require(!recall.unreadable, |_| format!("kill {n}: no intact memory: {:?}", recall.damaged));
-        let Some(memory) = recall.memory else {
-            row.require(acknowledged.is_none(), |_| format!("kill {n}: an acknowledged write is lost"));
-            continue;
-        };
-        let (Some(restart), Some((steps, armed))) = (memory.restart, acknowledged) else { continue };
-        let same = restart.steps.0 == steps && memory.armed == armed;
-        row.require(same || one_write_newer(folder, steps), |_| {
-            format!("kill {n}: {steps:?} was acknowledged, {:?} was recalled", restart.steps.0)
-        });
-        if !memory.armed {
-            at_rest += 1;
-            row.require(restart.steps.0 == [0; 3], |_| format!("kill {n}: disarmed away from zero"));
-            continue;
-        }
-        let (moved, mode) = start_at_rest(config, restart).map_err(io::Error::other)?;
-        row.steps_after += moved;
-        lost += usize::from(mode == Mode::Lost);
-        let bent = restart.bend_rad[0].hypot(restart.bend_rad[1]).to_degrees();
-        row.require(moved == 0, |_| format!("kill {n}: moved by {moved} microsteps at the restart"));
-        // below this bend the check of the pose after a restart may pass
-        row.require(bent < 8.0 || mode == Mode::Lost, |_| format!("kill {n}: recalled {bent:.0}° at a straight tip, mode {mode}"));
-    }
-    row.detected_s = Some(slowest_s);
-    row.message = format!(
-        "{kills} kills: {at_rest} at rest, {lost} required `zero`, {torn} torn slots renamed, none lost; recalled within {:.1} ms",
-        slowest_s * 1e3
-    );
-    Ok(row)
-}
-
-/// True if one newer write than the acknowledged one reached the disk before the kill.
-fn one_write_newer(folder: &Path, acknowledged: [i32; 3]) -> bool {
-    let read = |name: &str| std::fs::read(folder.join(name)).ok().and_then(|t| store::parse(&t).ok().flatten());
-    let slots: Vec<_> = ["memory.a", "memory.b"].into_iter().filter_map(read).collect();
-    let Some(newest) = slots.iter().map(|(sequence, _)| *sequence).max() else { return false };
-    slots.iter().any(|(sequence, m)| *sequence + 1 == newest && m.restart.is_some_and(|r| r.steps.0 == acknowledged))
-}
-
-/// Kills an exercise after a time. Returns the last acknowledged write: position and armed.
-fn kill_after(program: &Path, folder: &Path, after: Duration) -> io::Result<Option<([i32; 3], bool)>> {
-    std::fs::create_dir_all(folder)?;
-    let mut child = Command::new(program)
-        .args(["drill", "--exercise"])
-        .arg(folder)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::inherit())
-        .spawn()?;
-    let pipe = child.stdout.take().ok_or_else(|| io::Error::other("no pipe"))?;
-    let mut lines = BufReader::new(pipe).lines();
-    // the time counts from the first write, so that short times do not end before it
-    let mut last = lines.next().transpose()?;
-    std::thread::sleep(after);
-    child.kill()?;
-    child.wait()?;
-    // a line without its end was cut by the kill and is not an acknowledgement
-    last = lines.map_while(Result::ok).filter(|line| line.ends_with('.')).last().or(last);
-    let numbers: Vec<i32> = last.unwrap_or_default().trim_end_matches('.').split(' ').filter_map(|w| w.parse().ok()).collect();
-    Ok(match numbers[..] {
-        [armed, a, b, c] => Some(([a, b, c], armed == 1)),
-        _ => None,
-    })
-}
-
-/// Restarts on a machine at rest. Returns the microsteps within three seconds, and the mode.
-fn start_at_rest(config: &BenchConfig, restart: RestartState) -> Result<(i64, Mode), MachineError> {
-    let mut bench = config.bench_on(FaultyMachine::new(config.sim(0, 3)?, &config.board.drive_limits()), Some(restart), 0.0);
-    let output = bench.run(3.0)?;
-    Ok((distance(&output.counted.0, &restart.steps.0), output.mode))
-}
 
 /// Microsteps between two positions, all channels.
 fn distance(a: &[i32; 3], b: &[i32; 3]) -> i64 {
@@ -113,7 +23,7 @@ fn distance(a: &[i32; 3], b: &[i32; 3]) -> i64 {
 /// SIGSTOP during a move: the heartbeat stops, the manager kills the service and starts it again, and the new service does
 /// not move before `zero`.
 pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
-    let mut row = Row::new("sigstop");
+    let mut row = Row::new("sigstop", "the heartbeat stops; the next service is lost and moves only after `zero`");
     let daemon = Daemon::start(program, folder)?;
     daemon.take_off()?;
     daemon.until(5.0, "motion", |s| s["mode"] == "tracking")?;
@@ -150,7 +60,7 @@ pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
 /// A restart with a bent tip. If the tip is where it was, the service continues; if it was moved meanwhile, `zero` is
 /// required. In neither case does it move.
 pub fn while_bent(config: &BenchConfig) -> io::Result<Row> {
-    let mut row = Row { state: "disarmed".to_owned(), ..Row::new("restart_while_bent") };
+    let mut row = Row { state: "disarmed".to_owned(), ..Row::new("restart_while_bent", "no microstep; an unmoved tip continues within 2.5°, a moved one is lost") };
     let mut restart_both = || -> Result<(), MachineError> {
         for moved in [false, true] {
             let mut bench = config.bench(0, 1)?;
@@ -231,7 +141,7 @@ fn refused_start(program: &Path, folder: &Path, name: &str, options: &[&str], te
     // the message without the frame that surrounds it on a terminal
     let stderr = String::from_utf8_lossy(&out.stderr);
     let message = stderr.split_whitespace().filter(|w| !w.chars().all(|c| "│╰╭─×·▶".contains(c))).collect::<Vec<_>>().join(" ");
-    let mut row = Row { detected_s, state: "refused".to_owned(), message, ..Row::new(name) };
+    let mut row = Row { detected_s, state: "refused".to_owned(), message, ..Row::new(name, "the start is refused with exit code 2 and a message that names the mend; no socket is created") };
     row.require(out.status.code() == Some(2), |_| format!("ended with {}", out.status));
     row.require(!socket.exists(), |_| "the socket was created".to_owned());
     let complete = parts.iter().all(|p| row.message.contains(p));

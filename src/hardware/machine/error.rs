@@ -4,10 +4,14 @@ use crate::hardware::imu::ImuError;
 use crate::hardware::pins::OpenError;
 use crate::hardware::stepper::StartError;
 use crate::primitives::check::Invalid;
+use std::path::PathBuf;
 
 /// Why a machine could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum HardwareError {
+    /// Another program drives the pins.
+    #[error("{} is locked: another retroflex (`run`, `jog`, `home`, `commission`, `bench rt` or `release`) drives the pins; end it first", .0.display())]
+    InUse(PathBuf),
     /// The pins.
     #[error(transparent)]
     Pins(#[from] OpenError),

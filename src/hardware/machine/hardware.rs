@@ -4,6 +4,7 @@ use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::gauges::{GaugeConfig, GaugeWatch};
 use crate::hardware::machine::sensor::{Sensor, SensorConfig};
+use crate::hardware::lock::HardwareLock;
 use crate::hardware::pins::{self, Pins, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::{StartError, Stepper};
@@ -51,6 +52,8 @@ pub struct Hardware {
     info: MachineInfo,
     /// Monotonic time at the loop's zero, ns; set by the first cycle.
     zero_ns: Option<u64>,
+    /// Released last, when the step thread has ended.
+    _lock: HardwareLock,
 }
 
 impl Hardware {
@@ -59,6 +62,7 @@ impl Hardware {
     /// # Errors
     /// [`HardwareError`]. The sensors are opened first, so that nothing moves without them.
     pub fn open(config: &MachineConfig) -> Result<Self, HardwareError> {
+        let lock = HardwareLock::take().map_err(HardwareError::InUse)?;
         let imu = config.imu.as_ref().map(Sensor::start).transpose()?;
         let base_imu = config.base_imu.as_ref().map(Sensor::start).transpose()?;
         let gauges = GaugeWatch::start(&config.gauges)?;
@@ -73,7 +77,7 @@ impl Hardware {
             step_mm: config.step_mm,
             rest_length_mm: config.rest_length_mm,
         };
-        Ok(Self { drive, imu, base_imu, gauges, info, zero_ns: None })
+        Ok(Self { drive, imu, base_imu, gauges, info, zero_ns: None, _lock: lock })
     }
 }
 

@@ -1,6 +1,6 @@
 //! What comes from the loop: frames and answers.
 
-use super::state::{Hub, Pending, commands, unix_s};
+use super::state::{Caller, Hub, Mover, Pending, unix_s};
 use crate::service::calibrate::{Found, Next};
 use crate::service::memory::{LearnedGains, RecordedFault};
 use crate::service::protocol::Failure;
@@ -22,12 +22,18 @@ impl Hub {
         }
         while let Ok((id, result)) = self.io.rings.answers.pop() {
             let Some(pending) = self.pending.remove(&id) else { continue };
+            if result.is_ok() {
+                self.note_mover(&pending);
+            }
             let reply = result.map(|()| json!({})).map_err(|why| {
-                tracing::warn!(event = "refused", command = pending.caller.command, client = pending.caller.client, config = %self.config.config_hash, "{why}");
+                if let Some(hidden) = self.log_limit.admit("refused") {
+                    let Caller { command, client, .. } = &pending.caller;
+                    tracing::warn!(event = "refused", command, client, hidden, config = %self.config.config_hash, "{why}");
+                }
                 if pending.order == Order::Calibrate(true) {
                     self.calibration = None;
                 }
-                Failure::refused(why.to_string())
+                if why.is_invalid_order() { Failure::bad(why.to_string()) } else { Failure::refused(why.to_string()) }
             });
             self.reply(&pending.caller, &reply);
         }
@@ -42,11 +48,22 @@ impl Hub {
         self.give_up_late_answers();
     }
 
+    /// Remembers whose command moves the tip.
+    fn note_mover(&mut self, pending: &Pending) {
+        match pending.order {
+            Order::Bend(..) | Order::Stream(_) | Order::Calibrate(true) => {
+                self.mover = Some(Mover { client: pending.caller.client, since: Instant::now() });
+            }
+            Order::Hold | Order::Disarm | Order::Relax => self.mover = None,
+            _ => {}
+        }
+    }
+
     fn give_up_late_answers(&mut self) {
         let late = |p: &Pending| p.caller.since.elapsed().as_secs_f64() > ANSWER_MAX_S;
         let ids: Vec<u64> = self.pending.iter().filter(|(_, p)| late(p)).map(|(id, _)| *id).collect();
         for pending in ids.iter().filter_map(|id| self.pending.remove(id)).collect::<Vec<_>>() {
-            if pending.held {
+            if pending.held.is_some() {
                 self.refuse_held(&pending, "the disk does not respond; try again in a moment");
             } else {
                 self.reply(&pending.caller, &Err(Failure { code: 3, message: "the loop does not respond".to_owned() }));
@@ -56,11 +73,8 @@ impl Hub {
 
     fn process(&mut self, output: &CycleOutput) {
         self.log(output);
-        if let Some(recording) = &mut self.recording
-            && let Err(e) = recording.write(output)
-        {
-            tracing::error!(event = "record", path = %recording.path().display(), "the recording has ended: {e}");
-            self.recording = None;
+        if let Some(state) = &mut self.recording {
+            state.recording.write(output);
         }
         self.send_frames(output);
         self.advance_calibration(output);
@@ -73,11 +87,8 @@ impl Hub {
             // on average the rate is exact even if it does not divide that of the loop
             s.next_s = if s.next_s + s.period_s > t { s.next_s + s.period_s } else { t + s.period_s };
             let line = line.get_or_insert_with(|| status::frame_line(output, self.config.supervisor.gate.step_mm));
-            if commands(s.client) {
-                self.io.control.send(s.client, line.clone());
-            } else {
-                self.io.status.send(s.client, line);
-            }
+            let port = if s.client % 2 == 1 { &self.io.control } else { &self.io.status };
+            port.send(s.client, line.clone());
         }
     }
 

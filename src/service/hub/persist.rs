@@ -12,15 +12,25 @@ use std::time::{Duration, Instant};
 const CHECKPOINT_MAX: Duration = Duration::from_secs(60);
 
 impl Hub {
-    /// Writes the memory; the order goes out once it is on the disk.
-    pub(super) fn write_ahead(&mut self, order: Order, caller: Caller) {
+    /// Writes that drivers may be armed, once for all who wait for it; the order goes out when that is on the disk.
+    pub(super) fn arm_ahead(&mut self, caller: Caller) {
+        self.memory.armed = true;
+        let under_way = self.persistence.arming;
+        self.persistence.arming = self.write_ahead(Order::Arm, caller, under_way);
+    }
+
+    /// Writes the memory unless a write that holds the same is under way; the order goes out once it is on the disk. Returns
+    /// the id of the write.
+    fn write_ahead(&mut self, order: Order, caller: Caller, under_way: Option<u64>) -> Option<u64> {
         let id = self.next_id();
-        let pending = Pending { caller, order, held: true };
-        if self.io.state_writer.write(&self.memory, Some(id)) {
+        let write = under_way.or_else(|| self.io.state_writer.write(&self.memory, Some(id)).then_some(id));
+        let pending = Pending { caller, order, held: write };
+        if write.is_some() {
             self.pending.insert(id, pending);
         } else {
             self.refuse_held(&pending, "the disk is busy; try again in a moment");
         }
+        write
     }
 
     /// Accepts proposed gains: they are applied once they are on the disk.
@@ -28,7 +38,7 @@ impl Hub {
         let order = Order::Lines(gains.lines());
         self.persistence.accepted_before = self.memory.accepted.replace(gains);
         self.memory.proposed = None;
-        self.write_ahead(order, caller);
+        self.write_ahead(order, caller, None);
     }
 
     /// Refuses an order because the memory could not be written first.
@@ -49,14 +59,18 @@ impl Hub {
         }
         if let Some(note) = newest {
             let state = note.state;
-            let changed = self.memory.restart.is_none_or(|r| r.steps != state.steps || r.rest.is_some() != state.rest.is_some());
+            let memory = &self.memory;
+            let beliefs = memory.lost != note.lost || memory.unverified != note.unverified;
+            let changed = beliefs || memory.restart.is_none_or(|r| r.steps != state.steps || r.rest != state.rest);
             let still = !self.mode().moves() && self.mode() != Mode::Relaxing;
-            let at_rest = note.at_rest && still && !self.pending.values().any(|p| p.held);
+            let at_rest = note.at_rest && still && !self.pending.values().any(|p| p.held.is_some());
             let disarms = self.persistence.armed_on_disk && at_rest;
             self.memory.restart = Some(state);
-            self.memory.armed = !at_rest;
+            (self.memory.armed, self.memory.lost, self.memory.unverified) = (!at_rest, note.lost, note.unverified);
             let due = self.persistence.is_older_than(Duration::from_secs_f64(self.config.service.checkpoint_s));
-            if (due && (changed || disarms)) || self.persistence.is_older_than(CHECKPOINT_MAX) {
+            // a checkpoint that waits for a slow disk does not take the place of what an `arm` waits for
+            let free = self.io.state_writer.is_idle();
+            if free && ((due && (changed || disarms)) || self.persistence.is_older_than(CHECKPOINT_MAX)) {
                 self.persistence.last_checkpoint = Some(Instant::now());
                 if self.io.state_writer.write(&self.memory, None) && disarms {
                     self.persistence.armed_on_disk = false;
@@ -76,19 +90,23 @@ impl Hub {
             tracing::error!(event = "memory", config = %self.config.config_hash, "{error}");
         }
         self.persistence.error.clone_from(&error);
-        let Some(pending) = completed.id.and_then(|id| self.pending.remove(&id)) else { return };
-        let order = pending.order;
-        match error {
-            None => {
-                match order {
-                    Order::Lines(lines) => self.config.supervisor.tick.lines = lines,
-                    _ => self.persistence.armed_on_disk = true,
+        let Some(write) = completed.id else { return };
+        if self.persistence.arming == Some(write) {
+            self.persistence.arming = None;
+        }
+        let mut held: Vec<u64> = self.pending.iter().filter(|(_, p)| p.held == Some(write)).map(|(id, _)| *id).collect();
+        held.sort_unstable();
+        for pending in held.iter().filter_map(|id| self.pending.remove(id)).collect::<Vec<_>>() {
+            match &error {
+                None => {
+                    match pending.order {
+                        Order::Lines(lines) => self.config.supervisor.tick.lines = lines,
+                        _ => self.persistence.armed_on_disk = true,
+                    }
+                    self.order(pending.order, pending.caller);
                 }
-                self.order(order, pending.caller);
+                Some(error) => self.refuse_held(&pending, &format!("refused because the state could not be written first: {error}")),
             }
-            // the way back to rest is never denied
-            Some(_) if order == Order::Relax => self.order(order, pending.caller),
-            Some(error) => self.refuse_held(&pending, &format!("refused because the state could not be written first: {error}")),
         }
     }
 }

@@ -1,78 +1,147 @@
 //! Recordings, and the status of the service.
 
-use super::state::{Hub, unix_s};
+use super::state::{Caller, Hub, RecordingState, Reply, unix_s};
+use crate::service::belief::Belief;
 use crate::service::calibrate::Session;
 use crate::service::protocol::{Failure, RecordAction};
-use crate::service::record::Recording;
+use crate::service::paths::Paths;
+use crate::service::record::{Limits, Progress, Recording};
 use crate::service::rt_loop::Message;
+use crate::service::shared::Watched;
 use crate::service::start::Start;
 use crate::service::status;
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
+use std::collections::HashMap;
 use std::io;
 use std::path::Path;
 use std::sync::atomic::Ordering::Relaxed;
+use std::time::{Duration, Instant};
 
 /// Longest name of a recording, bytes.
 const NAME_MAX: usize = 80;
+/// Longest wait for the disk at the end of the service.
+const END_MAX: Duration = Duration::from_secs(10);
 /// Faults of the history that the status lists.
 const FAULTS_SHOWN: usize = 8;
 
 impl Hub {
-    pub(super) fn record(&mut self, action: RecordAction, name: Option<&str>) -> Result<Value, Failure> {
-        match (action, &self.recording) {
-            (RecordAction::Stop, None) => Err(Failure::refused("no recording is in progress")),
-            (RecordAction::Stop, Some(r)) => {
-                let reply = recording_json(r);
-                self.finish_recording();
-                Ok(reply)
+    /// `record start` and `record stop`; both are answered when the disk has accepted them.
+    pub(super) fn record(&mut self, action: RecordAction, name: Option<&str>, owned: bool, caller: &Caller) -> Reply {
+        let refuse = |why: String| Some(Err(Failure::refused(why)));
+        match (action, &mut self.recording) {
+            (RecordAction::Stop, None) => refuse("no recording is in progress".to_owned()),
+            (RecordAction::Stop, Some(state)) => {
+                state.recording.finish();
+                state.ending = Some(caller.clone());
+                None
             }
-            (RecordAction::Start, Some(r)) => {
-                Err(Failure::refused(format!("{} is being recorded; stop that recording first", r.path().display())))
+            (RecordAction::Start, Some(state)) => {
+                refuse(format!("{} is being recorded; stop that recording first", state.recording.path().display()))
             }
             (RecordAction::Start, None) => {
                 let name = name.map_or_else(|| format!("bend-{:.0}", unix_s()), str::to_owned);
                 let allowed = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
                 if name.is_empty() || name.starts_with('.') || name.len() > NAME_MAX || !name.chars().all(allowed) {
-                    return Err(Failure::bad(format!("`{name}` is not a valid name: use letters, digits, - _ . and no folder")));
+                    return Some(Err(Failure::bad(format!("`{name}` is not a valid name: use letters, digits, - _ . and no folder"))));
                 }
-                let folder = self.config.service.state.join("recordings");
-                let path = folder.join(name + ".csv");
-                let started = std::fs::create_dir_all(&folder).and_then(|()| self.start_recording(&path, false));
-                started.map_err(|e| Failure::refused(format!("{}: {e}", path.display())))?;
-                Ok(json!({"path": path, "replayable": self.recording.as_ref().is_some_and(Recording::has_tape)}))
+                let path = Paths::of(&self.config.service).state.join("recordings").join(name + ".csv.gz");
+                if let Err(e) = self.start_recording(&path, false) {
+                    return refuse(format!("{}: {e}", path.display()));
+                }
+                if let Some(state) = &mut self.recording {
+                    (state.owner, state.starting) = (owned.then_some(caller.client), Some(caller.clone()));
+                }
+                None
             }
         }
     }
 
     /// Starts a recording. It has a tape if the supervisor is in its first cycle (`at_boot`) or can be replaced by a
-    /// freshly reset one because the machine is disarmed at zero.
+    /// freshly reset one because the machine is disarmed at zero with a straight tip.
     pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
-        let idle =
-            self.mode() == Mode::Disarmed && self.is_at_zero() && self.last.as_ref().is_some_and(|t| t.latched.is_none() && !t.stopped);
-        let start = Start::new(&self.config, &self.memory, at_boot && self.facts.unreadable);
+        let straight_deg = self.config.supervisor.restart_check.straight_deg;
+        let idle = self.mode() == Mode::Disarmed
+            && self.is_at_zero()
+            && self.last.as_ref().is_some_and(|t| t.latched.is_none() && !t.stopped)
+            && self.hangs_deg().is_some_and(|deg| deg <= straight_deg);
+        let belief = if at_boot { self.facts.belief } else { Belief::Certain };
+        let start = Start::new(&self.config, &self.memory, belief);
         let machine = self.facts.remarks.first().map_or("", String::as_str);
         let header = (at_boot || idle).then(|| start.header(&self.config.texts, machine));
-        let mut recording = Recording::start(path, self.config.supervisor.gate.step_mm, header.as_ref())?;
+        let limits = Limits::from(&self.config.service);
+        let mut recording = Recording::start(path, self.config.supervisor.gate.step_mm, header.as_ref(), limits)?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.has_tape(), "recording started");
         if !at_boot && idle && self.io.rings.orders.push(Message::ReplaceSupervisor(Box::new(start.supervisor()))).is_err() {
             recording.end_tape();
         }
-        self.recording = Some(recording);
+        self.recording_ended = None;
+        self.recording = Some(RecordingState { recording, owner: None, starting: None, ending: None });
         Ok(())
     }
 
-    pub(super) fn finish_recording(&mut self) {
-        let Some(recording) = self.recording.take() else { return };
-        let path = recording.path().to_owned();
-        match recording.finish() {
-            Ok(rows) => tracing::info!(event = "record", path = %path.display(), rows, "recording finished"),
-            Err(e) => tracing::error!(event = "record", path = %path.display(), "the recording is incomplete: {e}"),
+    /// Reads what the recording's thread reports, and answers who waits for it.
+    pub(super) fn follow_recording(&mut self) {
+        while let Some(progress) = self.recording.as_mut().and_then(|state| state.recording.progress()) {
+            let Some(mut state) = self.recording.take() else { return };
+            let (path, reply) = (state.recording.path().to_owned(), Ok(recording_json(&state.recording)));
+            match progress {
+                Progress::Started => {
+                    if let Some(caller) = state.starting.take() {
+                        let hangs = self.hangs_deg().filter(|deg| *deg > self.config.supervisor.restart_check.straight_deg);
+                        let remark = hangs.map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
+                        let replayable = state.recording.has_tape();
+                        self.reply(&caller, &Ok(json!({"path": path, "replayable": replayable, "remark": remark})));
+                    }
+                    self.recording = Some(state);
+                }
+                Progress::Ended(result) => {
+                    let rows = state.recording.rows;
+                    let (reply, why) = match result {
+                        Ok(reason) => (reply, reason.map(str::to_owned)),
+                        Err(e) => (Err(Failure::refused(format!("{}: {e}", path.display()))), Some(e.to_string())),
+                    };
+                    match &why {
+                        None => tracing::info!(event = "record", path = %path.display(), rows, "recording finished"),
+                        Some(why) => tracing::error!(event = "record", path = %path.display(), rows, "the recording has ended: {why}"),
+                    }
+                    for caller in [state.starting, state.ending].into_iter().flatten() {
+                        self.reply(&caller, &reply);
+                    }
+                    self.recording_ended = why.or(self.recording_ended.take());
+                }
+            }
         }
     }
 
+    /// Ends the recording with the service, and waits for the disk.
+    pub(super) fn end_recording(&mut self) {
+        if let Some(state) = &mut self.recording {
+            state.recording.finish();
+        }
+        let since = Instant::now();
+        while self.recording.is_some() && since.elapsed() < END_MAX {
+            self.follow_recording();
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Estimated bend of a tip whose pistons are at zero, degrees.
+    fn hangs_deg(&self) -> Option<f64> {
+        let estimate = self.last.as_ref().filter(|_| self.is_at_zero())?.frame.estimate?;
+        Some(estimate.bend.beta().to_degrees())
+    }
+
+    /// The status, built once per round however many ask for it.
+    pub(super) fn cached_status(&mut self) -> Value {
+        if self.status_cache.is_none() {
+            self.status_cache = Some(self.status());
+        }
+        self.status_cache.clone().unwrap_or_default()
+    }
+
     /// The status as a JSON object.
-    pub(super) fn status(&self) -> Value {
+    fn status(&self) -> Value {
         let last = self.last.as_ref();
         let mut value = last.map_or_else(|| json!({"mode": Mode::Boot.name()}), |t| status::cycle(t, self.config.supervisor.gate.step_mm));
         let (shared, memory) = (&self.io.shared, &self.memory);
@@ -91,7 +160,11 @@ impl Hub {
             "calibrating": self.calibration.as_ref().map(Session::progress),
             "calibration_failed": self.calibration_failed,
             "proposed": memory.proposed,
-            "recording": self.recording.as_ref().map(recording_json),
+            "recording": self.recording.as_ref().map(|state| recording_json(&state.recording)),
+            "recording_ended": self.recording_ended,
+            "unverified": memory.unverified,
+            "hangs_deg": self.hangs_deg(),
+            "thread_age_s": Watched::ALL.iter().map(|w| (w.name(), shared.age_s(*w))).collect::<HashMap<_, _>>(),
             "clients": self.io.control.clients() + self.io.status.clients(),
             "cycles": shared.cycles.load(Relaxed),
             "late_cycles": shared.late.load(Relaxed),
@@ -110,5 +183,5 @@ impl Hub {
 }
 
 fn recording_json(r: &Recording) -> Value {
-    json!({"path": r.path(), "rows": r.rows, "replayable": r.has_tape()})
+    json!({"path": r.path(), "rows": r.rows, "duration_s": r.duration_s(), "replayable": r.has_tape()})
 }

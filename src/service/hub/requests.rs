@@ -1,6 +1,6 @@
 //! The requests of clients.
 
-use super::state::{Caller, Hub, Subscription, commands, too_many};
+use super::state::{Caller, Hub, Reply, Subscription, too_many};
 use crate::config::gains::Gains;
 use crate::config::source;
 use crate::control::tick::{Command, LoopConfig};
@@ -8,16 +8,13 @@ use crate::model::bend::Bend;
 use crate::model::transmission::Line;
 use crate::primitives::units::Mm;
 use crate::service::calibrate::{Found, Session};
-use crate::service::control_port::Incoming;
+use crate::service::port::Incoming;
 use crate::service::protocol::{CalibrateAction, Failure, Request};
 use crate::service::rt_loop::Message;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
 use std::time::Instant;
-
-/// The reply to a request, or `None` if the loop or the disk has to answer first.
-type Reply = Option<Result<Value, Failure>>;
 
 fn refuse(message: impl Into<String>) -> Reply {
     Some(Err(Failure::refused(message)))
@@ -52,20 +49,12 @@ impl Hub {
             self.reply(&caller, &reply);
         }
         if close {
-            self.close(client);
-        }
-    }
-
-    fn close(&mut self, client: u64) {
-        if commands(client) {
-            self.io.control.close(client);
-        } else {
-            self.io.status.close(client);
+            self.port(client).close(client);
         }
     }
 
     fn read_request(&mut self, caller: &Caller, request: &Request) -> Reply {
-        let Request::Subscribe { rate_hz } = *request else { return Some(Ok(self.status())) };
+        let Request::Subscribe { rate_hz } = *request else { return Some(Ok(self.cached_status())) };
         if !(0.1..=1000.0).contains(&rate_hz) {
             return Some(Err(Failure::bad(format!("rate_hz {rate_hz} is outside 0.1 to 1000"))));
         }
@@ -79,8 +68,8 @@ impl Hub {
     fn command(&mut self, caller: &Caller, request: &Request) -> Reply {
         let order = match *request {
             Request::Status {} | Request::Subscribe { .. } => return self.read_request(caller, request),
-            Request::Record { action, ref name } => return Some(self.record(action, name.as_deref())),
-            Request::Reload {} => return Some(self.reload()),
+            Request::Record { action, ref name, owned } => return self.record(action, name.as_deref(), owned, caller),
+            Request::Reload {} => return self.reload(caller),
             Request::Calibrate { action } => return self.calibrate(action, caller),
             Request::Bend { bend_deg, dir_deg, length_mm, speed_deg_s } => {
                 Order::Bend(self.target(bend_deg, dir_deg, length_mm), speed_deg_s.map(f64::to_radians))
@@ -95,9 +84,9 @@ impl Hub {
             Request::Zero { straight: true } => Order::AssertStraight,
             Request::ResetFault {} => Order::Reset,
         };
-        if matches!(order, Order::Arm | Order::Relax) && !self.persistence.armed_on_disk {
-            self.memory.armed = true;
-            self.write_ahead(order, caller.clone());
+        // a return to rest waits for no disk: away from zero, the disk already says that drivers may be armed
+        if order == Order::Arm && !self.persistence.armed_on_disk {
+            self.arm_ahead(caller.clone());
         } else {
             self.order(order, caller.clone());
         }
@@ -109,13 +98,30 @@ impl Hub {
         Command { bend: Bend::from_deg(bend_deg, dir_deg), length }
     }
 
-    fn reload(&mut self) -> Result<Value, Failure> {
+    /// Reads the gains file in a thread of its own, because a disk may be slow.
+    fn reload(&mut self, caller: &Caller) -> Reply {
         let Some(path) = self.config.gains.clone() else {
-            return Err(Failure::refused("no gains file was given; start the service with `retroflex run --gains FILE`"));
+            return refuse("no gains file was given; start the service with `retroflex run --gains FILE`");
         };
-        let gains: Gains = source::read(&path).map_err(|e| Failure::bad(format!("{e}; the present gains stay in use")))?;
+        let (result, caller) = (self.reloads.0.clone(), caller.clone());
+        let reads = std::thread::Builder::new().name("reload".into()).spawn(move || {
+            // the hub is gone only when the service ends
+            let _ = result.send((caller, source::read(&path).map_err(|e| e.to_string())));
+        });
+        reads.err().map(|e| Err(Failure::refused(e.to_string())))
+    }
+
+    /// Applies gains that have been read.
+    pub(super) fn take_reloads(&mut self) {
+        while let Ok((caller, gains)) = self.reloads.1.try_recv() {
+            let reply = gains.map_err(|e| Failure::bad(format!("{e}; the present gains stay in use"))).and_then(|g| self.apply(&g));
+            self.reply(&caller, &reply);
+        }
+    }
+
+    fn apply(&mut self, gains: &Gains) -> Result<Value, Failure> {
         let mut next = self.config.supervisor.clone();
-        let assembled = crate::config::assemble(&self.config.board, &self.config.calibration, &gains);
+        let assembled = crate::config::assemble(&self.config.board, &self.config.calibration, gains);
         // machine and calibration stay, the rest comes from the gains file
         next.tick = LoopConfig {
             geometry: next.tick.geometry,
@@ -127,11 +133,11 @@ impl Hub {
         };
         self.io.rings.orders.push(Message::Reload(Box::new(next.clone()))).map_err(|_| too_many())?;
         self.config.supervisor = next;
-        self.config.texts[1] = crate::config::show::compact(&gains);
-        if let Some(r) = &mut self.recording {
-            r.end_tape();
+        self.config.texts[1] = crate::config::show::compact(gains);
+        if let Some(state) = &mut self.recording {
+            state.recording.end_tape();
         }
-        Ok(json!({"gains": path}))
+        Ok(json!({"gains": self.config.gains}))
     }
 
     fn calibrate(&mut self, action: CalibrateAction, caller: &Caller) -> Reply {

@@ -1,8 +1,9 @@
 //! The rounds of the hub, and the end of the service.
 
-use super::state::Hub;
-use crate::service::control_port::Incoming;
+use super::state::{Hub, Mover};
 use crate::service::error::ServiceError;
+use crate::service::port::{FromPort, Port};
+use crate::service::shared::Watched;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
 use std::path::PathBuf;
@@ -10,7 +11,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
-/// Longest wait of a round. Requests end it early.
+/// Requests of each socket that are taken in one round.
+const REQUESTS_PER_ROUND: usize = 256;
+/// Longest wait of a round. Commands end it early.
 const ROUND: Duration = Duration::from_millis(5);
 /// Longest way back to rest when the service ends, s.
 const END_MAX_S: f64 = 30.0;
@@ -18,11 +21,11 @@ const END_MAX_S: f64 = 30.0;
 const BRAKE_MAX: Duration = Duration::from_secs(1);
 
 impl Hub {
-    /// Runs until a signal ends the service, then returns the tip to rest.
+    /// Runs until a signal ends the service, then returns the tip to rest. Hands back the threads of the sockets.
     ///
     /// # Errors
     /// [`ServiceError`].
-    pub fn run(mut self, record: Option<PathBuf>) -> Result<(), ServiceError> {
+    pub fn run(mut self, record: Option<PathBuf>) -> Result<[Port; 2], ServiceError> {
         let signalled = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
             signal_hook::flag::register(signal, Arc::clone(&signalled)).map_err(ServiceError::system("a signal handler"))?;
@@ -34,21 +37,21 @@ impl Hub {
         tracing::info!(event = "start", config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
         self.io.notifier.notify("READY=1\nSTATUS=aligning: the tip must be still for 2 s");
         while !self.is_over() {
-            self.io.shared.hub_rounds.fetch_add(1, Relaxed);
+            self.io.shared.progress(Watched::Hub);
             if signalled.load(Relaxed) && self.ending.is_none() {
                 self.start_ending();
             }
             self.take_requests();
+            self.follow_recording();
+            self.take_reloads();
             self.persist();
             self.notify_manager();
-            self.forget_dropped_clients();
             if self.io.rings.frames.is_abandoned() {
                 // the loop has ended by itself; its result tells why
                 break;
             }
         }
-        self.end();
-        Ok(())
+        Ok(self.end())
     }
 
     /// Discards what was learned on another tip.
@@ -64,26 +67,47 @@ impl Hub {
 
     /// Requests of both sockets. Those of the status socket come second, so that readers delay no command.
     fn take_requests(&mut self) {
-        let lines = self.io.status.round(ROUND);
+        let first = self.io.control.messages.recv_timeout(ROUND).ok();
         // a status that follows an answer reports what was answered
         self.take_loop_output();
-        while let Ok(incoming) = self.io.control.incoming.try_recv() {
-            self.handle(incoming, true);
-        }
-        for line in lines {
-            self.handle(Incoming::new(line, 0), false);
+        self.status_cache = None;
+        let commands = first.into_iter().chain(self.io.control.messages.try_iter()).take(REQUESTS_PER_ROUND);
+        let commands: Vec<FromPort> = commands.collect();
+        let reads: Vec<FromPort> = self.io.status.messages.try_iter().take(REQUESTS_PER_ROUND).collect();
+        for (messages, may_command) in [(commands, true), (reads, false)] {
+            for message in messages {
+                match message {
+                    FromPort::Incoming(incoming) => self.handle(incoming, may_command),
+                    FromPort::Gone(client, reason) => self.forget(client, reason),
+                }
+            }
         }
     }
 
-    fn forget_dropped_clients(&mut self) {
-        let dropped: Vec<_> = self.io.control.dropped.try_iter().chain(self.io.status.dropped.drain(..)).collect();
-        for (client, reason) in dropped {
-            self.subscriptions.retain(|s| s.client != client);
-            if reason != "disconnected"
-                && let Some(hidden) = self.log_limit.admit("dropped")
-            {
-                tracing::warn!(event = "client_dropped", client, hidden, "a client was disconnected: {reason}");
-            }
+    /// A client was disconnected: its recording ends, and the motion that it attended.
+    fn forget(&mut self, client: u64, reason: &'static str) {
+        self.subscriptions.retain(|s| s.client != client);
+        if reason != "disconnected"
+            && let Some(hidden) = self.log_limit.admit("dropped")
+        {
+            tracing::warn!(event = "client_dropped", client, hidden, "a client was disconnected: {reason}");
+        }
+        if let Some(state) = &mut self.recording
+            && state.owner == Some(client)
+        {
+            self.recording_ended = Some("the client that asked for it disconnected".to_owned());
+            state.recording.finish();
+        }
+        let attended = |m: &Mover| m.client == client && m.since.elapsed().as_secs_f64() > self.config.service.attended_s;
+        if self.mover.as_ref().is_some_and(attended) {
+            self.mover = None;
+            let order = match self.mode() {
+                Mode::Tracking => Order::Hold,
+                Mode::Calibrating => Order::Calibrate(false),
+                _ => return,
+            };
+            tracing::warn!(event = "abandoned", client, config = %self.config.config_hash, "the client that moved the tip disconnected: holding");
+            self.own_order(order);
         }
     }
 
@@ -107,8 +131,8 @@ impl Hub {
         (stays && since.elapsed() > BRAKE_MAX) || (rested && settled) || since.elapsed().as_secs_f64() > END_MAX_S
     }
 
-    fn end(mut self) {
-        self.finish_recording();
+    fn end(mut self) -> [Port; 2] {
+        self.end_recording();
         let at_rest = self.is_at_zero();
         self.memory.armed = !at_rest;
         if let (Some(restart), Some(last)) = (&mut self.memory.restart, &self.last) {
@@ -119,5 +143,6 @@ impl Hub {
             tracing::error!(event = "memory", "the last state could not be written: {e}");
         }
         tracing::info!(event = "ended", config = %self.config.config_hash, at_rest, "ended");
+        [self.io.control, self.io.status]
     }
 }

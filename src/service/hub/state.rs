@@ -1,14 +1,16 @@
 //! The state of the hub, and what all its parts use.
 
+use crate::config::gains::Gains;
 use crate::hardware::rt::RtStatus;
 use crate::service::calibrate::Session;
-use crate::service::control_port::ControlPort;
+use crate::service::belief::Belief;
 use crate::service::memory::{LearnedGains, Memory};
 use crate::service::notify::Notifier;
+use crate::service::port::Port;
 use crate::service::protocol::{Failure, reply_line};
 use crate::service::record::Recording;
-use crate::service::rt_loop::{HubRings, Message, Shared};
-use crate::service::server::Server;
+use crate::service::rt_loop::{HubRings, Message};
+use crate::service::shared::Shared;
 use crate::service::start::RunConfig;
 use crate::service::state_writer::StateWriter;
 use crate::supervisor::cycle::CycleOutput;
@@ -17,14 +19,15 @@ use crate::supervisor::mode::Mode;
 use serde_json::Value;
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 /// The connections of the hub.
 pub struct HubIo {
     /// The thread of the command socket.
-    pub control: ControlPort,
-    /// The status socket.
-    pub status: Server,
+    pub control: Port,
+    /// The thread of the status socket.
+    pub status: Port,
     /// The service manager.
     pub notifier: Notifier,
     /// The thread that writes the memory.
@@ -43,8 +46,8 @@ pub struct Facts {
     pub grants: RtStatus,
     /// Damaged files of the memory.
     pub damaged: Vec<String>,
-    /// No intact memory was found.
-    pub unreadable: bool,
+    /// Trust in the memory at the start.
+    pub belief: Belief,
 }
 
 /// The reply address of a request, and when it came.
@@ -62,9 +65,30 @@ pub(super) struct Caller {
 pub(super) struct Pending {
     pub(super) caller: Caller,
     pub(super) order: Order,
-    /// The order waits until the memory is on the disk.
-    pub(super) held: bool,
+    /// The order waits until this write of the memory is on the disk.
+    pub(super) held: Option<u64>,
 }
+
+/// The client whose command moves the tip, and when it was accepted.
+pub(super) struct Mover {
+    pub(super) client: u64,
+    pub(super) since: Instant,
+}
+
+/// A recording and the clients that wait for its start and its end.
+pub(super) struct RecordingState {
+    pub(super) recording: Recording,
+    /// The recording ends when this client disconnects.
+    pub(super) owner: Option<u64>,
+    pub(super) starting: Option<Caller>,
+    pub(super) ending: Option<Caller>,
+}
+
+/// The reply to a request, or `None` if the loop or the disk has to answer first.
+pub(super) type Reply = Option<Result<Value, Failure>>;
+
+/// The gains file as it was read, and who asked for it.
+pub(super) type Reload = (Caller, Result<Gains, String>);
 
 pub(super) struct Subscription {
     pub(super) client: u64,
@@ -83,7 +107,14 @@ pub struct Hub {
     pub(super) pending: HashMap<u64, Pending>,
     pub(super) subscriptions: Vec<Subscription>,
     pub(super) last: Option<CycleOutput>,
-    pub(super) recording: Option<Recording>,
+    pub(super) recording: Option<RecordingState>,
+    /// Why the last recording ended, unless a client ended it.
+    pub(super) recording_ended: Option<String>,
+    pub(super) mover: Option<Mover>,
+    /// Reads of the gains file under way, with their results.
+    pub(super) reloads: (Sender<Reload>, Receiver<Reload>),
+    /// The status of this round, once a client has asked for it.
+    pub(super) status_cache: Option<Value>,
     pub(super) calibration: Option<Session>,
     /// Why the last calibration failed.
     pub(super) calibration_failed: Option<String>,
@@ -99,6 +130,8 @@ pub struct Hub {
 pub(super) struct Persistence {
     /// The disk says that drivers may be armed.
     pub(super) armed_on_disk: bool,
+    /// The write that will say so.
+    pub(super) arming: Option<u64>,
     /// Why the last write failed.
     pub(super) error: Option<String>,
     /// The accepted gains before those that are being written.
@@ -107,8 +140,8 @@ pub(super) struct Persistence {
 }
 
 impl Persistence {
-    pub(super) fn new(now: Instant) -> Self {
-        Self { armed_on_disk: false, error: None, accepted_before: None, last_checkpoint: Some(now) }
+    pub(super) fn new(now: Instant, armed_on_disk: bool) -> Self {
+        Self { armed_on_disk, arming: None, error: None, accepted_before: None, last_checkpoint: Some(now) }
     }
 
     /// Makes the next round write a checkpoint.
@@ -128,6 +161,7 @@ impl Hub {
     pub fn new(io: HubIo, config: RunConfig, memory: Memory, facts: Facts) -> Self {
         let now = Instant::now();
         Self {
+            persistence: Persistence::new(now, memory.armed),
             io,
             config,
             facts,
@@ -138,9 +172,12 @@ impl Hub {
             subscriptions: Vec::new(),
             last: None,
             recording: None,
+            recording_ended: None,
+            mover: None,
+            reloads: channel(),
+            status_cache: None,
             calibration: None,
             calibration_failed: None,
-            persistence: Persistence::new(now),
             stops_logged: 0,
             last_status: (String::new(), now),
             ending: None,
@@ -152,7 +189,7 @@ impl Hub {
     pub(super) fn order(&mut self, order: Order, caller: Caller) {
         let id = self.next_id();
         let stops = caller.stops;
-        self.pending.insert(id, Pending { caller, order, held: false });
+        self.pending.insert(id, Pending { caller, order, held: None });
         self.push_order(id, order, stops);
     }
 
@@ -163,7 +200,9 @@ impl Hub {
     }
 
     fn push_order(&mut self, id: u64, order: Order, stops: u64) {
-        let pushed = self.io.rings.orders.push(Message::Order { id, order, stops }).is_ok();
+        let rings = &mut self.io.rings;
+        let ring = if matches!(order, Order::Bend(..) | Order::Stream(_)) { &mut rings.setpoints } else { &mut rings.orders };
+        let pushed = ring.push(Message::Order { id, order, stops }).is_ok();
         if !pushed && let Some(pending) = self.pending.remove(&id) {
             self.reply(&pending.caller, &Err(too_many()));
         }
@@ -175,12 +214,12 @@ impl Hub {
     }
 
     pub(super) fn reply(&mut self, to: &Caller, reply: &Result<Value, Failure>) {
-        let line = reply_line(&to.id, reply);
-        if commands(to.client) {
-            self.io.control.reply(to.client, line);
-        } else {
-            self.io.status.reply(to.client, &line);
-        }
+        self.port(to.client).reply(to.client, reply_line(&to.id, reply));
+    }
+
+    /// The socket of a client: those of the command socket have odd numbers.
+    pub(super) fn port(&self, client: u64) -> &Port {
+        if client % 2 == 1 { &self.io.control } else { &self.io.status }
     }
 
     pub(super) fn mode(&self) -> Mode {
@@ -190,11 +229,6 @@ impl Hub {
     pub(super) fn is_at_zero(&self) -> bool {
         self.last.as_ref().is_some_and(|t| t.counted.0 == [0; 3])
     }
-}
-
-/// True for clients of the command socket, whose numbers are odd.
-pub(super) fn commands(client: u64) -> bool {
-    client % 2 == 1
 }
 
 pub(super) fn too_many() -> Failure {

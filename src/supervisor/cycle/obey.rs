@@ -2,6 +2,7 @@
 
 use crate::control::follow::Pace;
 use crate::control::tick::Command;
+use crate::model::arc::Shape;
 use crate::model::transmission::Line;
 use crate::primitives::units::Steps;
 use crate::supervisor::cycle::order::{Order, Refusal};
@@ -87,7 +88,7 @@ impl Supervisor {
         Ok(())
     }
 
-    /// The tick limits a valid target further.
+    /// Refuses what the tip cannot reach; the tick limits a valid target further.
     fn check_target(&self, command: &Command) -> Result<(), Refusal> {
         let (bend, length_mm) = (command.bend.0, command.length.0);
         let limits = &self.config.tick.limits;
@@ -98,7 +99,11 @@ impl Supervisor {
         } else if !(limits.bellow_min_mm..=limits.bellow_max_mm).contains(&length_mm) {
             Err(Refusal::Length)
         } else {
-            Ok(())
+            let shape = Shape { bend: command.bend, length: command.length };
+            match limits.largest_share(&self.config.tick.geometry, self.state.lines(), &shape) {
+                share if share < 1.0 => Err(Refusal::Unreachable((bend.norm().to_degrees() * share * 10.0) as u16)),
+                _ => Ok(()),
+            }
         }
     }
 

@@ -50,6 +50,9 @@ pub enum Refusal {
     /// A stop is latched.
     #[error("stopped: `retroflex arm` first")]
     Stopped,
+    /// A later order made it obsolete before it was carried out.
+    #[error("a later command replaced it")]
+    Superseded,
     /// The tip is not straight, in tenths of a degree from the remembered attitude.
     #[error(
         "the tip hangs {}.{}° away from the remembered straight attitude: straighten it, or state that it is straight with `retroflex zero --straight`",
@@ -73,6 +76,9 @@ pub enum Refusal {
     /// The bend is too large.
     #[error("the bend must lie within ±135°")]
     TooFar,
+    /// The tip cannot bend so far in this direction; the largest bend there, in tenths of a degree.
+    #[error("the tip bends by at most {}.{}° in this direction, by the range of its bellows and pistons ([geometry] and [limits] of the board file)", .0 / 10, .0 % 10)]
+    Unreachable(u16),
     /// The length is outside the range of the bellows.
     #[error("the length must lie within the range of the bellows ([geometry] of the board file)")]
     Length,
@@ -88,6 +94,14 @@ pub enum Refusal {
     /// A motion has not ended, or the drivers are not energised yet.
     #[error("still braking or energising; try again in a moment")]
     Busy,
+}
+
+impl Refusal {
+    /// True if the order itself is invalid, in whatever state.
+    #[must_use]
+    pub fn is_invalid_order(&self) -> bool {
+        matches!(self, Self::NotANumber | Self::TooFar | Self::Unreachable(_) | Self::Length | Self::Speed | Self::Gains)
+    }
 }
 
 fn hint(mode: Mode) -> &'static str {

@@ -134,6 +134,11 @@ impl Supervisor {
         }
     }
 
+    /// The pistons may have moved since this state was remembered: the measured pose decides, also at zero.
+    pub fn check(&mut self, remembered: RestartState) {
+        self.position = Position::Unchecked(remembered);
+    }
+
     /// The remembered state is unusable: the supervisor asks for `zero` whatever the sensors measure.
     pub fn doubt(&mut self) {
         self.position = Position::Unchecked(RestartState { rest: None, ..self.state.keep(&self.sent) });
@@ -144,6 +149,11 @@ impl Supervisor {
         (self.stopped, self.unverified) = (from.stopped, from.unverified);
     }
 
+    /// Remembers over a restart that no measurement has confirmed the last zero.
+    pub fn set_unverified(&mut self) {
+        self.unverified = true;
+    }
+
     /// True if the position of the pistons is unknown, now or pending the check after a restart that cannot pass.
     #[must_use]
     pub fn is_lost(&self) -> bool {
@@ -152,6 +162,12 @@ impl Supervisor {
             Position::Unchecked(remembered) => remembered.rest.is_none(),
             Position::Adrift => true,
         }
+    }
+
+    /// True from a stop until the next accepted `arm`.
+    #[must_use]
+    pub fn is_stopped(&self) -> bool {
+        self.stopped
     }
 
     /// True if no measurement has confirmed the last zero.
