@@ -11,7 +11,7 @@ use parsers::PARSERS;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::primitives::units::{Seconds, Steps};
-use retroflex::service::{memory, store, tape};
+use retroflex::service::{memory, slot, tape};
 use std::path::PathBuf;
 
 /// Number of mutated inputs per parser.
@@ -186,17 +186,17 @@ fn full_memory() -> memory::Memory {
 #[test]
 fn memory_slots_do_not_panic() {
     let body = serde_json::to_string(&full_memory()).unwrap();
-    fuzz("memory", &corpus("memory", &[&store::seal(3, &body), &body, ""]));
+    fuzz("memory", &corpus("memory", &[&slot::seal(3, &body), &body, ""]));
 }
 
 /// After any change to a slot, only the original content passes the checksum.
 #[test]
 fn a_damaged_slot_never_passes_its_checksum() {
     let whole = full_memory();
-    let slot = store::seal(3, &serde_json::to_string(&whole).unwrap()).into_bytes();
+    let whole_slot = slot::seal(3, &serde_json::to_string(&whole).unwrap()).into_bytes();
     let mut dice = StdRng::seed_from_u64(4);
     for _ in 0..inputs() {
-        if let Ok(Some((_, read))) = store::parse(&mutate(&mut dice, std::slice::from_ref(&slot))) {
+        if let Ok(Some((_, read))) = slot::parse(&mutate(&mut dice, std::slice::from_ref(&whole_slot))) {
             assert_eq!(read, whole);
         }
     }

@@ -5,6 +5,7 @@ use crate::config::board::Board;
 use crate::config::pressure_bound::PressureBound;
 use crate::hardware::machine::Sensor;
 use crate::hardware::rt::{self, Grant, RtRequest};
+use crate::service::paths::Paths;
 use miette::Result;
 use serde::Serialize;
 use std::os::unix::fs::MetadataExt;

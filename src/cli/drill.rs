@@ -100,7 +100,8 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {
         let program = std::env::current_exe().into_diagnostic()?;
         let scratch = Scratch::new()?;
-        let process = process::rows(config, &program, &scratch.0, Repeats { kills: args.kills, tries: args.tries }, &selected).into_diagnostic()?;
+        let process =
+            process::rows(config, &program, &scratch.0, Repeats { kills: args.kills, tries: args.tries }, &selected).into_diagnostic()?;
         rows.extend(process);
     }
     Ok(rows)

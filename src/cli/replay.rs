@@ -1,6 +1,5 @@
 //! `retroflex replay LOG`: runs a recorded input through the present software and compares every decision bit for bit.
 
-use crate::log::table::GZIP_MAGIC;
 use crate::cli::CommandOutcome;
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
@@ -8,14 +7,15 @@ use crate::config::gains::Gains;
 use crate::config::source;
 use crate::config::supervisor::assemble;
 use crate::control::pi::{Dynamics, DynamicsPrior};
+use crate::log::table::GZIP_MAGIC;
 use crate::model::transmission::Line;
 use crate::service::record::tape_path;
 use crate::service::start::Start;
 use crate::service::tape::{Header, Reader, digest};
 use crate::supervisor::cycle::Supervisor;
 use crate::supervisor::machine::MachineInfo;
-use miette::{Result, miette};
 use flate2::read::MultiGzDecoder;
+use miette::{Result, miette};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 

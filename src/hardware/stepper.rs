@@ -225,7 +225,17 @@ impl<P: Pins + 'static> Stepper<P> {
             shell.run()
         })?;
         let status = receiver.recv().map_err(|_| StartError::Died)?;
-        Ok(Self { feeder, orders, reports, latest: None, status, pin_error_text, energised, started_ns: monotonic_ns(), thread: Some(thread) })
+        Ok(Self {
+            feeder,
+            orders,
+            reports,
+            latest: None,
+            status,
+            pin_error_text,
+            energised,
+            started_ns: monotonic_ns(),
+            thread: Some(thread),
+        })
     }
 
     /// Brakes within the limits, releases the drivers, ends the thread and returns its results and the

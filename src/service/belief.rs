@@ -22,7 +22,11 @@ impl Belief {
         match (recall.found, &recall.memory) {
             (Found::Absent, _) if simulated => Self::Certain,
             (Found::Intact, Some(memory)) if !memory.lost && (!memory.armed || memory.restart.is_some()) => {
-                if memory.armed { Self::Checked } else { Self::Certain }
+                if memory.armed {
+                    Self::Checked
+                } else {
+                    Self::Certain
+                }
             }
             _ => Self::Lost,
         }

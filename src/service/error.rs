@@ -1,6 +1,6 @@
 //! Errors of the service.
 
-use crate::service::store::MemoryError;
+use crate::service::memory::MemoryError;
 use crate::supervisor::machine::MachineError;
 use thiserror::Error;
 

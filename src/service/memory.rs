@@ -3,6 +3,7 @@
 use crate::control::tick::RestartState;
 use crate::model::transmission::Line;
 use serde::{Deserialize, Serialize};
+use std::io;
 
 /// Number of faults in the history.
 const FAULTS_MAX: usize = 64;
@@ -82,4 +83,29 @@ impl Memory {
         let excess = self.faults.len().saturating_sub(FAULTS_MAX);
         self.faults.drain(..excess);
     }
+}
+
+/// Why the memory cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum MemoryError {
+    /// The folder or a slot.
+    #[error("{path}: {source}; the service must be able to write to its state folder (StateDirectory= in the unit, or `--state`)")]
+    Io {
+        /// File or folder.
+        path: String,
+        /// The operating system's reason.
+        source: io::Error,
+    },
+    /// Another service holds the lock.
+    #[error("{path}: another retroflex uses this state folder; stop it first, or give `--state` another folder")]
+    InUse {
+        /// Folder.
+        path: String,
+    },
+    /// Reading it back would give something else.
+    #[error("the state contains a value that is not a finite number and was not written")]
+    NotFinite,
+    /// Larger than a slot.
+    #[error("a state of {0} bytes does not fit into its slot")]
+    TooLarge(usize),
 }

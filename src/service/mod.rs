@@ -28,6 +28,7 @@ pub mod record;
 pub mod rt_loop;
 pub mod server;
 pub mod shared;
+pub mod slot;
 pub mod start;
 pub mod state_writer;
 pub mod status;
@@ -37,11 +38,12 @@ pub mod tape;
 pub mod tape_code;
 
 use crate::config::service::ServiceSection;
-use crate::hardware::rt::{self, RtRequest};
+use crate::hardware::rt::{self, RtRequest, RtStatus};
 use crate::service::belief::Belief;
 use crate::service::error::ServiceError;
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::notify::Notifier;
+use crate::service::paths::Paths;
 use crate::service::port::Port;
 use crate::service::rt_loop::Loop;
 use crate::service::server::{Server, Waker};
@@ -51,11 +53,12 @@ use crate::service::state_writer::StateWriter;
 use crate::service::stop::StopCounter;
 use crate::service::store::{Found, Recall, Store};
 use crate::supervisor::cycle::runner::Runner;
-use crate::supervisor::machine::Machine;
+use crate::supervisor::machine::{Machine, MachineError};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 /// Longest silence of a client of the command socket that has no subscription.
@@ -80,8 +83,8 @@ impl Claim {
     /// # Errors
     /// [`ServiceError`].
     pub fn new(service: &ServiceSection) -> Result<Self, ServiceError> {
-        let (store, recall) = Store::open(&service.state_path())?;
-        let (control, status) = (service.control_path(), service.status_path());
+        let Paths { control, status, state } = Paths::of(service);
+        let (store, recall) = Store::open(&state)?;
         for folder in [&control, &status].into_iter().filter_map(|path| path.parent()) {
             let created = std::fs::DirBuilder::new().recursive(true).mode(0o755).create(folder);
             created.map_err(|source| ServiceError::Socket { path: folder.display().to_string(), source })?;
@@ -134,18 +137,8 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         heartbeat: HeartbeatMonitor::new(notifier.heartbeat()),
         stops: StopCounter::default(),
         watch: ThreadWatch::default(),
-        rest_since: 0,
     };
-    let wish = RtRequest { priority: config.service.priority, cpu: config.service.cpu };
-    let (report, reported) = channel();
-    let thread = std::thread::Builder::new().name("loop".into()).spawn(move || {
-        let (status, _guard) = rt::enter(&wish);
-        // the receiver is gone only if the service could not start
-        let _ = report.send(status);
-        rt_loop.run()
-    });
-    let thread = thread.map_err(ServiceError::system("the loop thread"))?;
-    let grants = reported.recv().map_err(|_| ServiceError::LoopPanicked)?;
+    let (thread, grants) = start_loop(rt_loop, RtRequest { priority: config.service.priority, cpu: config.service.cpu })?;
     let io = HubIo {
         control: start_port(control, Watched::Control, control_priority(&config.service), &shared)?,
         status: start_port(status, Watched::Status, 0, &shared)?,
@@ -165,6 +158,20 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     control.join();
     status.join();
     Ok(())
+}
+
+/// Starts the loop's thread; returns it with what the kernel has granted.
+fn start_loop(rt_loop: Loop, wish: RtRequest) -> Result<(JoinHandle<Result<(), MachineError>>, RtStatus), ServiceError> {
+    let (report, reported) = channel();
+    let thread = std::thread::Builder::new().name("loop".into()).spawn(move || {
+        let (status, _guard) = rt::enter(&wish);
+        // the receiver is gone only if the service could not start
+        let _ = report.send(status);
+        rt_loop.run()
+    });
+    let thread = thread.map_err(ServiceError::system("the loop thread"))?;
+    let grants = reported.recv().map_err(|_| ServiceError::LoopPanicked)?;
+    Ok((thread, grants))
 }
 
 /// Real-time priority of the command socket's thread: a busy computer delays no stop.

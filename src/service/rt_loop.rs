@@ -73,7 +73,7 @@ pub struct LoopRings {
 pub struct HubRings {
     /// Messages to the loop, all but set-points.
     pub orders: Producer<Message>,
-    /// `Order::Bend` and `Order::Stream`: a flood of them leaves the other ring free.
+    /// `Order::Bend` and `Order::Stream`: a flood of them leaves the other ring free, and delays it by this short one.
     pub setpoints: Producer<Message>,
     /// Answers to orders.
     pub answers: Consumer<Answer>,
@@ -134,8 +134,6 @@ pub struct Loop {
     pub stops: StopCounter,
     /// Ages of the other threads.
     pub watch: ThreadWatch,
-    /// Id of the last order that ended a motion: earlier set-points are obsolete.
-    pub rest_since: u64,
 }
 
 impl Loop {
@@ -208,16 +206,18 @@ impl Loop {
         Ok(())
     }
 
-    /// Takes one message; returns the order for this cycle with its id.
+    /// Takes the older of the next messages of both rings; returns its order with its id.
     fn next_order(&mut self) -> (Option<u64>, Option<Order>) {
-        match self.rings.orders.pop() {
+        let age = |ring: &Consumer<Message>| match ring.peek() {
+            Ok(Message::Order { id, .. }) => *id,
+            Ok(_) => 0,
+            Err(_) => u64::MAX,
+        };
+        let rings = &mut self.rings;
+        let ring = if age(&rings.setpoints) < age(&rings.orders) { &mut rings.setpoints } else { &mut rings.orders };
+        match ring.pop() {
             Ok(Message::Order { id, order, stops }) => match self.stops.admit(&order, stops) {
-                Ok(()) => {
-                    if matches!(order, Order::Disarm | Order::Hold | Order::Relax) {
-                        self.rest_since = id;
-                    }
-                    return (Some(id), Some(order));
-                }
+                Ok(()) => return (Some(id), Some(order)),
                 Err(refusal) => self.answer(id, Err(refusal)),
             },
             Ok(Message::Reload(mut config)) => {
@@ -229,18 +229,7 @@ impl Loop {
                 std::mem::swap(&mut self.runner.supervisor, &mut supervisor);
                 self.retire(Retired::Supervisor(supervisor));
             }
-            Err(_) => return self.next_setpoint(),
-        }
-        (None, None)
-    }
-
-    /// Takes one set-point, unless an order that came after it ends the motion.
-    fn next_setpoint(&mut self) -> (Option<u64>, Option<Order>) {
-        let Ok(Message::Order { id, order, stops }) = self.rings.setpoints.pop() else { return (None, None) };
-        match self.stops.admit(&order, stops) {
-            Ok(()) if id > self.rest_since => return (Some(id), Some(order)),
-            Ok(()) => self.answer(id, Err(Refusal::Superseded)),
-            Err(refusal) => self.answer(id, Err(refusal)),
+            Err(_) => {}
         }
         (None, None)
     }

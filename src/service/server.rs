@@ -7,8 +7,8 @@
 
 #![allow(unsafe_code)]
 
-use crate::service::error::ServiceError;
 use crate::service::connection::{Client, Line};
+use crate::service::error::ServiceError;
 use std::io::{Read, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
@@ -214,9 +214,7 @@ fn peer(stream: &UnixStream) -> Option<u32> {
     let mut who = libc::ucred { pid: 0, uid: 0, gid: 0 };
     let mut size = size_of::<libc::ucred>() as libc::socklen_t;
     // SAFETY: `who` and `size` are live and of the stated size
-    let result = unsafe {
-        libc::getsockopt(stream.as_raw_fd(), libc::SOL_SOCKET, libc::SO_PEERCRED, (&raw mut who).cast(), &raw mut size)
-    };
+    let result = unsafe { libc::getsockopt(stream.as_raw_fd(), libc::SOL_SOCKET, libc::SO_PEERCRED, (&raw mut who).cast(), &raw mut size) };
     (result == 0).then_some(who.uid)
 }
 
@@ -242,7 +240,13 @@ mod tests {
         let mut speaker = connect();
         speaker.write_all(b"one\n").unwrap();
         assert_eq!(rounds(&mut server).len(), 1);
-        let silent: Vec<_> = (0..2 * CLIENTS_MAX).map(|_| { let c = connect(); rounds(&mut server); c }).collect();
+        let silent: Vec<_> = (0..2 * CLIENTS_MAX)
+            .map(|_| {
+                let c = connect();
+                rounds(&mut server);
+                c
+            })
+            .collect();
         assert_eq!(server.clients(), CLIENTS_MAX);
         let mut late = connect();
         late.write_all(b"stop\n").unwrap();

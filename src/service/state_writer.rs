@@ -1,7 +1,7 @@
 //! The state writer: the only thread that writes the memory and waits for the disk.
 
-use crate::service::memory::Memory;
-use crate::service::store::{MemoryError, Store};
+use crate::service::memory::{Memory, MemoryError};
+use crate::service::store::Store;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};

@@ -1,7 +1,6 @@
 //! The state that survives `kill -9`, power loss and a full disk.
 //!
-//! Two slots of fixed size are written in turn: `magic version sequence length crc\n`, JSON, padding. A write overwrites
-//! the older slot in place, waits for the disk and reads the slot back. Slots are overwritten in place because a full disk
+//! Two slots of fixed size ([`slot`]) are written in turn. A write overwrites the older slot in place, waits for the disk and reads the slot back. Slots are overwritten in place because a full disk
 //! accepts no new file.
 //!
 //! The memory is written ahead: drivers are armed only once the slot that says so is on the disk. A slot that says
@@ -11,17 +10,12 @@
 //! in the first), one write apart. Otherwise the newest write may be missing, and the position is unknown. A damaged slot
 //! is renamed and reported.
 
-use crate::service::memory::Memory;
+use crate::service::memory::{Memory, MemoryError};
+use crate::service::slot::{self, SIZE};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
-/// Version of the format.
-const VERSION: u32 = 1;
-/// First word of a slot.
-const MAGIC: &str = "retroflex-memory";
-/// Size of a slot, bytes.
-const SLOT: usize = 32 * 1024;
 /// File names of the slots.
 const NAMES: [&str; 2] = ["memory.a", "memory.b"];
 
@@ -46,31 +40,6 @@ pub struct Recall {
     pub damaged: Vec<String>,
     /// State of the slots.
     pub found: Found,
-}
-
-/// Why the memory cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum MemoryError {
-    /// The folder or a slot.
-    #[error("{path}: {source}; the service must be able to write to its state folder (StateDirectory= in the unit, or `--state`)")]
-    Io {
-        /// File or folder.
-        path: String,
-        /// The operating system's reason.
-        source: io::Error,
-    },
-    /// Another service holds the lock.
-    #[error("{path}: another retroflex uses this state folder; stop it first, or give `--state` another folder")]
-    InUse {
-        /// Folder.
-        path: String,
-    },
-    /// Reading it back would give something else.
-    #[error("the state contains a value that is not a finite number and was not written")]
-    NotFinite,
-    /// Larger than a slot.
-    #[error("a state of {0} bytes does not fit into its slot")]
-    TooLarge(usize),
 }
 
 /// The two slots.
@@ -103,7 +72,7 @@ impl Store {
         let mut recall = Recall::default();
         let slots = NAMES.map(|name| {
             let path = folder.join(name);
-            read_slot(&path).unwrap_or_else(|reason| {
+            slot::read(&path).unwrap_or_else(|reason| {
                 recall.damaged.push(rename_damaged(&path, &reason));
                 None
             })
@@ -130,7 +99,7 @@ impl Store {
         for path in NAMES.map(|name| self.folder.join(name)) {
             if !path.exists() {
                 let mut file = File::create(&path)?;
-                file.write_all(&vec![b' '; SLOT])?;
+                file.write_all(&vec![b' '; SIZE])?;
                 file.sync_all()?;
             }
         }
@@ -154,13 +123,13 @@ impl Store {
     fn write_slot(&mut self, memory: &Memory) -> Result<u64, MemoryError> {
         let sequence = self.sequence + 1;
         let path = self.folder.join(NAMES[place(sequence)]);
-        let slot = compose(sequence, memory)?;
+        let slot = slot::compose(sequence, memory)?;
         let put = || -> io::Result<()> {
             let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path)?;
             file.write_all(&slot)?;
-            file.set_len(SLOT as u64)?;
+            file.set_len(SIZE as u64)?;
             file.sync_data()?;
-            let mut back = Vec::with_capacity(SLOT);
+            let mut back = Vec::with_capacity(SIZE);
             file.rewind()?;
             file.read_to_end(&mut back)?;
             if back == slot { Ok(()) } else { Err(io::Error::other("what was written reads back differently")) }
@@ -174,74 +143,6 @@ impl Store {
 /// Index of the slot of a write.
 fn place(sequence: u64) -> usize {
     usize::from(sequence % 2 == 0)
-}
-
-fn compose(sequence: u64, memory: &Memory) -> Result<Vec<u8>, MemoryError> {
-    let body = serde_json::to_string(memory).map_err(|_| MemoryError::NotFinite)?;
-    if serde_json::from_str::<Memory>(&body).ok().as_ref() != Some(memory) {
-        return Err(MemoryError::NotFinite);
-    }
-    let mut slot = seal(sequence, &body).into_bytes();
-    if slot.len() > SLOT {
-        return Err(MemoryError::TooLarge(slot.len()));
-    }
-    slot.resize(SLOT, b' ');
-    Ok(slot)
-}
-
-/// Puts the header before a body, as [`parse`] expects it.
-#[must_use]
-pub fn seal(sequence: u64, body: &str) -> String {
-    let head = format!("{MAGIC} {VERSION} {sequence} {} ", body.len());
-    format!("{head}{:08x}\n{body}", checksum(&head, body))
-}
-
-fn checksum(head: &str, body: &str) -> u32 {
-    let mut crc = flate2::Crc::new();
-    crc.update(head.as_bytes());
-    crc.update(body.as_bytes());
-    crc.sum()
-}
-
-/// Sequence number and content of a slot; `None` if there is no such file.
-fn read_slot(path: &Path) -> Result<Option<(u64, Memory)>, String> {
-    let mut text = Vec::new();
-    match File::open(path).and_then(|f| f.take(SLOT as u64 + 1).read_to_end(&mut text)) {
-        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(e) => return Err(e.to_string()),
-        Ok(SLOT) => {}
-        Ok(size) => return Err(format!("has {size} bytes or more instead of {SLOT}")),
-    }
-    parse(&text)?.map_or_else(|| Err("is empty".to_owned()), |slot| Ok(Some(slot)))
-}
-
-/// Parses a slot; `Ok(None)` for one that was never written.
-///
-/// # Errors
-/// What is wrong with it, as the end of a sentence.
-pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
-    let text = std::str::from_utf8(text).map_err(|_| "is not UTF-8 text".to_owned())?;
-    if text.trim().is_empty() {
-        return Ok(None);
-    }
-    let (header, body) = text.split_once('\n').ok_or("has no header line")?;
-    let fields: Vec<&str> = header.split(' ').collect();
-    let &[magic, version, sequence, length, crc] = fields.as_slice() else { return Err("has a damaged header".to_owned()) };
-    if magic != MAGIC {
-        return Err("is not a memory of retroflex".to_owned());
-    }
-    if version.parse() != Ok(VERSION) {
-        return Err(format!("has version {version}; this program reads version {VERSION}"));
-    }
-    let length: usize = length.parse().map_err(|_| "has a damaged header")?;
-    let body = body.get(..length).ok_or("is truncated")?;
-    let head = &header[..header.len() - crc.len()];
-    if u32::from_str_radix(crc, 16) != Ok(checksum(head, body)) {
-        return Err("does not match its checksum".to_owned());
-    }
-    let sequence = sequence.parse().map_err(|_| "has a damaged header")?;
-    let memory = serde_json::from_str(body).map_err(|e| format!("is not understood: {e}"))?;
-    Ok(Some((sequence, memory)))
 }
 
 /// Renames a damaged slot and returns a line for the report.
@@ -258,23 +159,7 @@ fn rename_damaged(path: &Path, reason: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::tick::RestartState;
-
-    fn memory(n: i32) -> Memory {
-        let restart = RestartState {
-            steps: crate::primitives::units::Steps([n, -n, 7]),
-            bend_rad: [0.1, 1.0 / 3.0],
-            play_output_mm: [0.1, 0.2, 0.3],
-            k_epsilon: [2.2; 3],
-            k_lambda_mm: [0.9; 3],
-            lag_s: 0.03,
-            delay_s: 0.01,
-            dynamics_uncertainty_s: 0.02,
-            caution: 1.0,
-            rest: None,
-        };
-        Memory { tip: "A".to_owned(), restart: Some(restart), ..Memory::default() }
-    }
+    use crate::service::slot::tests::memory;
 
     #[test]
     fn open_returns_the_newest_write() {
@@ -309,12 +194,26 @@ mod tests {
             let changes: [(&str, &dyn Fn(&Path)); 8] = [
                 ("has 0 bytes", &|f| write(f, b"")),
                 ("has 500 bytes", &|f| write(f, &old(f)[..500])),
-                ("header", &|f| write(f, &[0; SLOT])),
-                ("empty", &|f| write(f, &[b' '; SLOT])),
+                ("header", &|f| write(f, &[0; SIZE])),
+                ("empty", &|f| write(f, &[b' '; SIZE])),
                 ("belong together", &|f| std::fs::remove_file(f.join(name)).unwrap()),
-                ("checksum", &|f| write(f, &{ let mut t = old(f); t[100] ^= 1; t })),
-                ("belong together", &|f| { std::fs::copy(f.join(if name == a { b } else { a }), f.join(name)).unwrap(); }),
-                ("version 9", &|f| write(f, &{ let mut t = b"retroflex-memory 9 1 1 00000000\nx".to_vec(); t.resize(SLOT, b' '); t })),
+                ("checksum", &|f| {
+                    write(f, &{
+                        let mut t = old(f);
+                        t[100] ^= 1;
+                        t
+                    })
+                }),
+                ("belong together", &|f| {
+                    std::fs::copy(f.join(if name == a { b } else { a }), f.join(name)).unwrap();
+                }),
+                ("version 9", &|f| {
+                    write(f, &{
+                        let mut t = b"retroflex-memory 9 1 1 00000000\nx".to_vec();
+                        t.resize(SIZE, b' ');
+                        t
+                    })
+                }),
             ];
             for (part, change) in changes {
                 let recall = after(change);
@@ -334,7 +233,7 @@ mod tests {
     fn a_damaged_slot_is_renamed_and_the_next_write_fills_both() {
         let folder = tempfile::tempdir().unwrap();
         Store::open(folder.path()).unwrap().0.write(&memory(1)).unwrap();
-        std::fs::write(folder.path().join("memory.b"), [0; SLOT]).unwrap();
+        std::fs::write(folder.path().join("memory.b"), [0; SIZE]).unwrap();
         let (mut store, recall) = Store::open(folder.path()).unwrap();
         assert!(recall.found == Found::Damaged && folder.path().join("memory.b.damaged-1").exists());
         store.write(&memory(2)).unwrap();
@@ -344,28 +243,9 @@ mod tests {
     }
 
     #[test]
-    fn every_torn_write_fails_its_checksum() {
-        let (old, new) = (compose(1, &memory(1)).unwrap(), compose(3, &memory(-9)).unwrap());
-        for cut in 1..old.len().min(600) {
-            let torn: Vec<u8> = new[..cut].iter().chain(&old[cut..]).copied().collect();
-            match parse(&torn) {
-                Err(_) => {}
-                Ok(read) => assert!(torn == old || torn == new, "cut {cut}: {read:?}"),
-            }
-        }
-    }
-
-    #[test]
     fn a_folder_in_use_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (_one, _) = Store::open(folder.path()).unwrap();
         assert!(matches!(Store::open(folder.path()), Err(MemoryError::InUse { .. })));
-    }
-
-    #[test]
-    fn a_state_that_is_not_finite_is_not_written() {
-        let mut bad = memory(1);
-        bad.restart.as_mut().unwrap().lag_s = f64::NAN;
-        assert!(matches!(compose(1, &bad), Err(MemoryError::NotFinite)));
     }
 }

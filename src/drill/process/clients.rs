@@ -117,7 +117,13 @@ fn flood(daemon: &Daemon, baseline: &Cycles) -> io::Result<Row> {
         meanwhile.share * 100.0,
         baseline.share * 100.0
     );
-    let mut row = row(daemon, "client_flood", "others are answered within 0.5 s; the loop runs 0.9 of its cycles; no frame is lost", started, message)?;
+    let mut row = row(
+        daemon,
+        "client_flood",
+        "others are answered within 0.5 s; the loop runs 0.9 of its cycles; no frame is lost",
+        started,
+        message,
+    )?;
     row.require(waited_s < REPLY_MAX_S, |_| format!("others waited {waited_s:.2} s"));
     row.require(meanwhile.share > 0.9 * baseline.share, |_| "the loop lost cycles".to_owned());
     row.require(meanwhile.lost <= baseline.lost, |_| format!("{} frames were lost", meanwhile.lost));
@@ -134,7 +140,8 @@ fn half_open(daemon: &Daemon) -> io::Result<Row> {
     let dropped = stream.read_to_end(&mut Vec::new()).is_ok();
     let message =
         format!("disconnected after {:.1} s; others were answered within {:.0} ms", started.elapsed().as_secs_f64(), waited_s * 1e3);
-    let mut row = row(daemon, "client_half_open", "the client is disconnected within 8 s; others are answered within 0.5 s", started, message)?;
+    let mut row =
+        row(daemon, "client_half_open", "the client is disconnected within 8 s; others are answered within 0.5 s", started, message)?;
     row.require(dropped, |_| "not disconnected".to_owned());
     row.require(waited_s < REPLY_MAX_S, |_| format!("others waited {waited_s:.2} s"));
     Ok(row)
@@ -179,7 +186,13 @@ fn garbage(daemon: &Daemon) -> io::Result<Row> {
     let mut replies = String::new();
     // the service closes the connection after a line that is not UTF-8
     let _ = stream.read_to_string(&mut replies);
-    let mut row = row(daemon, "client_garbage", "the reply says what is wrong with each line", started, replies.lines().next().unwrap_or_default().to_owned())?;
+    let mut row = row(
+        daemon,
+        "client_garbage",
+        "the reply says what is wrong with each line",
+        started,
+        replies.lines().next().unwrap_or_default().to_owned(),
+    )?;
     row.require(replies.contains("not JSON") && replies.contains("UTF-8"), |_| format!("replied `{}`", replies.trim()));
     Ok(row)
 }
@@ -221,7 +234,13 @@ fn dead_man(daemon: &Daemon) -> io::Result<Row> {
     stream(75.0)?;
     let started = Instant::now();
     let status = daemon.until(3.0, "the stop", |s| s["mode"] == "holding")?;
-    let mut row = row(daemon, "stream_silent", "the tip stops within 1 s, before the last set-point", started, "the stream of set-points paused for too long: stopped".to_owned())?;
+    let mut row = row(
+        daemon,
+        "stream_silent",
+        "the tip stops within 1 s, before the last set-point",
+        started,
+        "the stream of set-points paused for too long: stopped".to_owned(),
+    )?;
     row.require(row.detected_s.is_some_and(|s| s < 1.0), |row| format!("stopped after {:?} s", row.detected_s));
     row.require(status["estimate"]["bend_deg"].as_f64().is_some_and(|b| b < 74.0), |_| "moved to the last set-point".to_owned());
     Ok(row)

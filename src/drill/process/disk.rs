@@ -139,7 +139,11 @@ fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<R
 
 /// Assesses the output of an exercise.
 fn assess(name: &str, text: &str, how: &str, took_s: f64) -> Row {
-    let mut row = Row { detected_s: Some(took_s), state: "disarmed".to_owned(), ..Row::new(name, "the last acknowledged write is recalled; drivers are armed only if the state could be written") };
+    let mut row = Row {
+        detected_s: Some(took_s),
+        state: "disarmed".to_owned(),
+        ..Row::new(name, "the last acknowledged write is recalled; drivers are armed only if the state could be written")
+    };
     let after: Vec<&str> = text.lines().skip_while(|l| !l.starts_with("harm:")).collect();
     row.require(!after.is_empty(), |_| format!("the fault was not injected: {text}"));
     let failed: Vec<&str> = after.iter().copied().filter(|l| l.starts_with("failed:")).collect();

@@ -3,8 +3,9 @@
 use crate::drill::bench::{Bench, BenchConfig, FaultyMachine};
 use crate::drill::row::Row;
 use crate::service::belief::Belief;
+use crate::service::slot;
 use crate::service::start::Start;
-use crate::service::store::{self, Found, Recall, Store};
+use crate::service::store::{Found, Recall, Store};
 use crate::supervisor::cycle::runner::Runner;
 use crate::supervisor::machine::{Machine, MachineError};
 use crate::supervisor::mode::Mode;
@@ -37,7 +38,9 @@ impl Damage {
 
     fn requires(self) -> &'static str {
         match self {
-            Self::None => "the last acknowledged write is recalled, or the memory counts as lost; no microstep; at most 1 mm of what is believed is false",
+            Self::None => {
+                "the last acknowledged write is recalled, or the memory counts as lost; no microstep; at most 1 mm of what is believed is false"
+            }
             _ => "the position is lost; no microstep",
         }
     }
@@ -136,7 +139,7 @@ fn start_at_rest(config: &BenchConfig, recall: &Recall, row: &mut Row, n: u32) -
 
 /// True if one newer write than the acknowledged one reached the disk before the kill.
 fn one_write_newer(folder: &Path, acknowledged: [i32; 3]) -> bool {
-    let read = |name: &str| std::fs::read(folder.join(name)).ok().and_then(|t| store::parse(&t).ok().flatten());
+    let read = |name: &str| std::fs::read(folder.join(name)).ok().and_then(|t| slot::parse(&t).ok().flatten());
     let slots: Vec<_> = SLOTS.into_iter().filter_map(read).collect();
     let Some(newest) = slots.iter().map(|(sequence, _)| *sequence).max() else { return false };
     slots.iter().any(|(sequence, m)| *sequence + 1 == newest && m.restart.is_some_and(|r| r.steps.0 == acknowledged))

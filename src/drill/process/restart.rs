@@ -60,7 +60,10 @@ pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
 /// A restart with a bent tip. If the tip is where it was, the service continues; if it was moved meanwhile, `zero` is
 /// required. In neither case does it move.
 pub fn while_bent(config: &BenchConfig) -> io::Result<Row> {
-    let mut row = Row { state: "disarmed".to_owned(), ..Row::new("restart_while_bent", "no microstep; an unmoved tip continues within 2.5°, a moved one is lost") };
+    let mut row = Row {
+        state: "disarmed".to_owned(),
+        ..Row::new("restart_while_bent", "no microstep; an unmoved tip continues within 2.5°, a moved one is lost")
+    };
     let mut restart_both = || -> Result<(), MachineError> {
         for moved in [false, true] {
             let mut bench = config.bench(0, 1)?;
@@ -141,7 +144,12 @@ fn refused_start(program: &Path, folder: &Path, name: &str, options: &[&str], te
     // the message without the frame that surrounds it on a terminal
     let stderr = String::from_utf8_lossy(&out.stderr);
     let message = stderr.split_whitespace().filter(|w| !w.chars().all(|c| "│╰╭─×·▶".contains(c))).collect::<Vec<_>>().join(" ");
-    let mut row = Row { detected_s, state: "refused".to_owned(), message, ..Row::new(name, "the start is refused with exit code 2 and a message that names the mend; no socket is created") };
+    let mut row = Row {
+        detected_s,
+        state: "refused".to_owned(),
+        message,
+        ..Row::new(name, "the start is refused with exit code 2 and a message that names the mend; no socket is created")
+    };
     row.require(out.status.code() == Some(2), |_| format!("ended with {}", out.status));
     row.require(!socket.exists(), |_| "the socket was created".to_owned());
     let complete = parts.iter().all(|p| row.message.contains(p));

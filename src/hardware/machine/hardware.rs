@@ -1,10 +1,10 @@
 //! [`Machine`] on hardware.
 
 use crate::estimation::fusion::health::ImuReading;
+use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::gauges::{GaugeConfig, GaugeWatch};
 use crate::hardware::machine::sensor::{Sensor, SensorConfig};
-use crate::hardware::lock::HardwareLock;
 use crate::hardware::pins::{self, Pins, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::{StartError, Stepper};

@@ -3,8 +3,8 @@
 use super::state::{Caller, Hub, RecordingState, Reply, unix_s};
 use crate::service::belief::Belief;
 use crate::service::calibrate::Session;
-use crate::service::protocol::{Failure, RecordAction};
 use crate::service::paths::Paths;
+use crate::service::protocol::{Failure, RecordAction};
 use crate::service::record::{Limits, Progress, Recording};
 use crate::service::rt_loop::Message;
 use crate::service::shared::Watched;

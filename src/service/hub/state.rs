@@ -2,8 +2,8 @@
 
 use crate::config::gains::Gains;
 use crate::hardware::rt::RtStatus;
-use crate::service::calibrate::Session;
 use crate::service::belief::Belief;
+use crate::service::calibrate::Session;
 use crate::service::memory::{LearnedGains, Memory};
 use crate::service::notify::Notifier;
 use crate::service::port::Port;

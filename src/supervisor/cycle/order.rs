@@ -50,9 +50,6 @@ pub enum Refusal {
     /// A stop is latched.
     #[error("stopped: `retroflex arm` first")]
     Stopped,
-    /// A later order made it obsolete before it was carried out.
-    #[error("a later command replaced it")]
-    Superseded,
     /// The tip is not straight, in tenths of a degree from the remembered attitude.
     #[error(
         "the tip hangs {}.{}° away from the remembered straight attitude: straighten it, or state that it is straight with `retroflex zero --straight`",

@@ -1,0 +1,129 @@
+//! One slot of the memory on the disk: `magic version sequence length crc\n`, JSON, padding up to a fixed size.
+
+use crate::service::memory::{Memory, MemoryError};
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Version of the format.
+const VERSION: u32 = 1;
+/// First word of a slot.
+const MAGIC: &str = "retroflex-memory";
+/// Size of a slot, bytes.
+pub const SIZE: usize = 32 * 1024;
+
+/// The slot of a write.
+///
+/// # Errors
+/// [`MemoryError::NotFinite`], [`MemoryError::TooLarge`].
+pub fn compose(sequence: u64, memory: &Memory) -> Result<Vec<u8>, MemoryError> {
+    let body = serde_json::to_string(memory).map_err(|_| MemoryError::NotFinite)?;
+    if serde_json::from_str::<Memory>(&body).ok().as_ref() != Some(memory) {
+        return Err(MemoryError::NotFinite);
+    }
+    let mut slot = seal(sequence, &body).into_bytes();
+    if slot.len() > SIZE {
+        return Err(MemoryError::TooLarge(slot.len()));
+    }
+    slot.resize(SIZE, b' ');
+    Ok(slot)
+}
+
+/// Puts the header before a body, as [`parse`] expects it.
+#[must_use]
+pub fn seal(sequence: u64, body: &str) -> String {
+    let head = format!("{MAGIC} {VERSION} {sequence} {} ", body.len());
+    format!("{head}{:08x}\n{body}", checksum(&head, body))
+}
+
+fn checksum(head: &str, body: &str) -> u32 {
+    let mut crc = flate2::Crc::new();
+    crc.update(head.as_bytes());
+    crc.update(body.as_bytes());
+    crc.sum()
+}
+
+/// Sequence number and content of a slot; `None` if there is no such file.
+///
+/// # Errors
+/// What is wrong with it, as the end of a sentence.
+pub fn read(path: &Path) -> Result<Option<(u64, Memory)>, String> {
+    let mut text = Vec::new();
+    match File::open(path).and_then(|f| f.take(SIZE as u64 + 1).read_to_end(&mut text)) {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(e) => return Err(e.to_string()),
+        Ok(SIZE) => {}
+        Ok(size) => return Err(format!("has {size} bytes or more instead of {SIZE}")),
+    }
+    parse(&text)?.map_or_else(|| Err("is empty".to_owned()), |slot| Ok(Some(slot)))
+}
+
+/// Parses a slot; `Ok(None)` for one that was never written.
+///
+/// # Errors
+/// What is wrong with it, as the end of a sentence.
+pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
+    let text = std::str::from_utf8(text).map_err(|_| "is not UTF-8 text".to_owned())?;
+    if text.trim().is_empty() {
+        return Ok(None);
+    }
+    let (header, body) = text.split_once('\n').ok_or("has no header line")?;
+    let fields: Vec<&str> = header.split(' ').collect();
+    let &[magic, version, sequence, length, crc] = fields.as_slice() else { return Err("has a damaged header".to_owned()) };
+    if magic != MAGIC {
+        return Err("is not a memory of retroflex".to_owned());
+    }
+    if version.parse() != Ok(VERSION) {
+        return Err(format!("has version {version}; this program reads version {VERSION}"));
+    }
+    let length: usize = length.parse().map_err(|_| "has a damaged header")?;
+    let body = body.get(..length).ok_or("is truncated")?;
+    let head = &header[..header.len() - crc.len()];
+    if u32::from_str_radix(crc, 16) != Ok(checksum(head, body)) {
+        return Err("does not match its checksum".to_owned());
+    }
+    let sequence = sequence.parse().map_err(|_| "has a damaged header")?;
+    let memory = serde_json::from_str(body).map_err(|e| format!("is not understood: {e}"))?;
+    Ok(Some((sequence, memory)))
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::control::tick::RestartState;
+
+    pub fn memory(n: i32) -> Memory {
+        let restart = RestartState {
+            steps: crate::primitives::units::Steps([n, -n, 7]),
+            bend_rad: [0.1, 1.0 / 3.0],
+            play_output_mm: [0.1, 0.2, 0.3],
+            k_epsilon: [2.2; 3],
+            k_lambda_mm: [0.9; 3],
+            lag_s: 0.03,
+            delay_s: 0.01,
+            dynamics_uncertainty_s: 0.02,
+            caution: 1.0,
+            rest: None,
+        };
+        Memory { tip: "A".to_owned(), restart: Some(restart), ..Memory::default() }
+    }
+
+    #[test]
+    fn every_torn_write_fails_its_checksum() {
+        let (old, new) = (compose(1, &memory(1)).unwrap(), compose(3, &memory(-9)).unwrap());
+        for cut in 1..old.len().min(600) {
+            let torn: Vec<u8> = new[..cut].iter().chain(&old[cut..]).copied().collect();
+            match parse(&torn) {
+                Err(_) => {}
+                Ok(read) => assert!(torn == old || torn == new, "cut {cut}: {read:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn a_state_that_is_not_finite_is_not_written() {
+        let mut bad = memory(1);
+        bad.restart.as_mut().unwrap().lag_s = f64::NAN;
+        assert!(matches!(compose(1, &bad), Err(MemoryError::NotFinite)));
+    }
+}
