@@ -33,11 +33,11 @@ fn assert_all(rows: &[Row]) {
 #[test]
 fn a_stop_is_answered_under_every_attack_and_nothing_moves_after_it() {
     let folder = tempfile::tempdir().unwrap();
-    assert_all(&process::attacks(&config(), program(), folder.path(), tries(10), &|_| true).unwrap());
+    assert_all(&process::attacks(&config(), program(), folder.path(), tries(4), &|_| true).unwrap());
 }
 
 #[test]
 fn a_memory_is_never_believed_falsely_after_a_kill() {
     let folder = tempfile::tempdir().unwrap();
-    assert_all(&process::kills(&config(), program(), folder.path(), tries(10) * 2, &|_| true).unwrap());
+    assert_all(&process::kills(&config(), program(), folder.path(), tries(4) * 5, &|_| true).unwrap());
 }

@@ -29,7 +29,7 @@ fn expect(socket: &Path, args: &[&str], code: i32, part: &str) {
 fn a_session_from_start_to_end() {
     let folder = tempfile::tempdir().unwrap();
     let daemon = Daemon::start(program(), folder.path()).unwrap();
-    let socket = daemon.socket().to_owned();
+    let socket = daemon.sockets()[0].clone();
     daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
 
     // it starts disarmed, and every refusal names the remedy

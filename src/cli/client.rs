@@ -71,7 +71,7 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
     match command {
         Client::Bend(args) => follow::bend(args),
         Client::Hold(p) => send(&p.at, &Request::Hold {}),
-        Client::Stop(p) => send(&p.at, &Request::Stop {}),
+        Client::Stop(p) => connection::stop(&p.at),
         Client::Relax(p) => send(&p.at, &Request::Relax {}),
         Client::Arm(p) => send(&p.at, &Request::Arm {}),
         Client::Disarm(p) => send(&p.at, &Request::Disarm {}),

@@ -1,5 +1,6 @@
 //! A client of the service, as the command line uses it.
 
+use crate::service::paths;
 use crate::service::protocol::{Failure, Request, request_line};
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Write};
@@ -9,6 +10,8 @@ use std::time::Duration;
 
 /// Longest wait for a reply.
 const TIMEOUT: Duration = Duration::from_secs(10);
+/// Longest wait for the answer of the socket of `stop`.
+const STOP_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// A connection to a service.
 #[derive(Debug)]
@@ -28,15 +31,29 @@ impl Client {
     /// # Errors
     /// [`Failure`] with code 3 if no service listens there.
     pub fn connect(path: &Path) -> Result<Self, Failure> {
+        Self::connect_for(path, TIMEOUT)
+    }
+
+    fn connect_for(path: &Path, timeout: Duration) -> Result<Self, Failure> {
         let connect = || -> std::io::Result<Self> {
             let writer = UnixStream::connect(path)?;
-            writer.set_read_timeout(Some(TIMEOUT))?;
-            writer.set_write_timeout(Some(TIMEOUT))?;
+            writer.set_read_timeout(Some(timeout))?;
+            writer.set_write_timeout(Some(timeout))?;
             Ok(Self { reader: BufReader::new(writer.try_clone()?), writer, next_id: 1 })
         };
         connect().map_err(|e| {
             unreachable(format!("{}: {e}; is `retroflex run` running, and are you in the group of the socket?", path.display()))
         })
+    }
+
+    /// Stops the tip of the service with this command socket: through the socket of `stop`, or if that does not answer,
+    /// through the command socket.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn stop(control: &Path) -> Result<Value, Failure> {
+        let direct = Self::connect_for(&paths::stop_socket(control), STOP_TIMEOUT).and_then(|mut client| result(&client.read()?));
+        direct.or_else(|_| Self::connect(control)?.request(&Request::Stop {}))
     }
 
     /// Sends a request and waits for its reply. Events that arrive in between are skipped.
@@ -52,11 +69,7 @@ impl Client {
             if value["id"] != id {
                 continue;
             }
-            if value["ok"] == true {
-                return Ok(value["result"].clone());
-            }
-            let code = value["code"].as_u64().and_then(|c| u8::try_from(c).ok()).unwrap_or(2);
-            return Err(Failure { code, message: value["error"].as_str().unwrap_or("no reason given").to_owned() });
+            return result(&value);
         }
     }
 
@@ -72,6 +85,15 @@ impl Client {
             Err(e) => Err(no_reply(&e)),
         }
     }
+}
+
+/// What a reply says.
+fn result(reply: &Value) -> Result<Value, Failure> {
+    if reply["ok"] == true {
+        return Ok(reply["result"].clone());
+    }
+    let code = reply["code"].as_u64().and_then(|c| u8::try_from(c).ok()).unwrap_or(2);
+    Err(Failure { code, message: reply["error"].as_str().unwrap_or("no reason given").to_owned() })
 }
 
 fn no_reply(e: &std::io::Error) -> Failure {

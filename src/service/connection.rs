@@ -25,11 +25,18 @@ pub struct Line {
     pub surplus: bool,
 }
 
+/// Who is at the other end of a connection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Peer {
+    pub(super) user: u32,
+    pub(super) process: i32,
+}
+
 /// A client.
 #[derive(Debug)]
 pub(super) struct Client {
     pub(super) number: u64,
-    pub(super) user: u32,
+    pub(super) peer: Peer,
     pub(super) stream: UnixStream,
     pub(super) input: Vec<u8>,
     line_started: Instant,
@@ -46,11 +53,11 @@ pub(super) struct Client {
 }
 
 impl Client {
-    pub(super) fn new(number: u64, user: u32, stream: UnixStream) -> Self {
+    pub(super) fn new(number: u64, peer: Peer, stream: UnixStream) -> Self {
         let now = Instant::now();
         Self {
             number,
-            user,
+            peer,
             stream,
             input: Vec::new(),
             line_started: now,

@@ -1,15 +1,16 @@
 //! The service: a real-time loop and ordinary threads around it.
 //!
 //! ```text
-//!  commands ═socket═ control ──stop (atomic)──▶ loop ──▶ machine
+//!      stop ═socket═ stop ────┐ (atomic counter)
+//!  commands ═socket═ control ─┴──stop──▶ loop ──▶ machine
 //!                      │ ▲                      ▲ │
 //!                      ▼ │                orders│ │answers, frames, restart notes   (wait-free rings)
 //!  readers ═socket═ status ══ hub ──────────────┘ ▼
 //!                        └──▶ state writer (disk), recording (disk), systemd (notify socket)
 //! ```
 //!
-//! The loop thread ([`rt_loop`]) uses no lock, no file and no allocator. Each socket has a thread ([`port`]); that of the
-//! command socket passes `stop` to the loop directly. The hub ([`hub`]) does everything else and writes no file. If it is
+//! The loop thread ([`rt_loop`]) uses no lock, no file and no allocator. Each socket has a thread ([`port`]); those of
+//! `stop` ([`stop_socket`]) and of the commands pass a stop to the loop directly. The hub ([`hub`]) does everything else and writes no file. If it is
 //! late, frames are lost and counted, and the loop is not affected. The loop watches the age of the other threads
 //! ([`shared`]).
 
@@ -19,6 +20,7 @@ pub mod client;
 pub mod connection;
 pub mod error;
 pub mod hub;
+pub mod listener;
 pub mod memory;
 pub mod notify;
 pub mod paths;
@@ -33,6 +35,7 @@ pub mod start;
 pub mod state_writer;
 pub mod status;
 pub mod stop;
+pub mod stop_socket;
 pub mod store;
 pub mod tape;
 pub mod tape_code;
@@ -42,11 +45,11 @@ use crate::hardware::rt::{self, RtRequest, RtStatus};
 use crate::service::belief::Belief;
 use crate::service::error::ServiceError;
 use crate::service::hub::{Facts, Hub, HubIo};
+use crate::service::listener::Listener;
 use crate::service::notify::Notifier;
 use crate::service::paths::Paths;
 use crate::service::port::Port;
 use crate::service::rt_loop::Loop;
-use crate::service::server::{Server, Waker};
 use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};
 use crate::service::start::{RunConfig, Start};
 use crate::service::state_writer::StateWriter;
@@ -59,13 +62,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::thread::JoinHandle;
-use std::time::Duration;
 
-/// Longest silence of a client of the command socket that has no subscription.
-const CONTROL_IDLE_MAX: Duration = Duration::from_secs(3600);
-/// The same on the status socket.
-const STATUS_IDLE_MAX: Duration = Duration::from_secs(60);
-/// The thread of the command socket has a real-time priority this far below that of the loop.
+/// The threads of the command socket and of `stop` have a real-time priority this far below that of the loop.
 const CONTROL_BELOW: i32 = 20;
 
 /// Exclusive use of the state folder and the sockets. It is taken before any device is opened, so that a second service
@@ -73,8 +71,9 @@ const CONTROL_BELOW: i32 = 20;
 pub struct Claim {
     store: Store,
     recall: Recall,
-    control: (Server, Waker),
-    status: (Server, Waker),
+    control: Listener,
+    status: Listener,
+    stop: Listener,
 }
 
 impl Claim {
@@ -89,9 +88,10 @@ impl Claim {
             let created = std::fs::DirBuilder::new().recursive(true).mode(0o755).create(folder);
             created.map_err(|source| ServiceError::Socket { path: folder.display().to_string(), source })?;
         }
-        let control = Server::bind(&control, service.socket_mode, 1, CONTROL_IDLE_MAX)?;
-        let status = Server::bind(&status, service.status_mode, 2, STATUS_IDLE_MAX)?;
-        Ok(Self { store, recall, control, status })
+        let stop = Listener::bind(&paths::stop_socket(&control), service.socket_mode)?;
+        let control = Listener::bind(&control, service.socket_mode)?;
+        let status = Listener::bind(&status, service.status_mode)?;
+        Ok(Self { store, recall, control, status, stop })
     }
 }
 
@@ -113,7 +113,7 @@ pub struct Setup {
 /// [`ServiceError`].
 pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     let Setup { machine, mut config, fast, record } = setup;
-    let Claim { mut store, recall, control, status } = claim;
+    let Claim { mut store, recall, control, status, stop } = claim;
     let belief = Belief::in_recall(&recall, machine.is_simulated());
     log_recall(&recall, belief);
     let mut memory = recall.memory.unwrap_or_default();
@@ -139,9 +139,12 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         watch: ThreadWatch::default(),
     };
     let (thread, grants) = start_loop(rt_loop, RtRequest { priority: config.service.priority, cpu: config.service.cpu })?;
+    let urgent = RtRequest { priority: control_priority(&config.service), cpu: None };
+    let stop = stop_socket::start(stop, Arc::clone(&shared), urgent).map_err(ServiceError::system("the thread of stop"))?;
+    let start_port = |socket, which, wish| Port::start(socket, Arc::clone(&shared), which, wish).map_err(ServiceError::system("a socket"));
     let io = HubIo {
-        control: start_port(control, Watched::Control, control_priority(&config.service), &shared)?,
-        status: start_port(status, Watched::Status, 0, &shared)?,
+        control: start_port(control, Watched::Control, urgent)?,
+        status: start_port(status, Watched::Status, RtRequest { priority: 0, cpu: None })?,
         notifier,
         state_writer: StateWriter::start(store).map_err(ServiceError::system("the state writer"))?,
         rings,
@@ -154,9 +157,9 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         Ok(result) => result?,
         Err(_) => return Err(ServiceError::LoopPanicked),
     }
-    let [control, status] = ended?;
-    control.join();
-    status.join();
+    ended?.into_iter().for_each(Port::join);
+    // a thread that panicked has nothing left to do
+    let _ = stop.join();
     Ok(())
 }
 
@@ -174,14 +177,9 @@ fn start_loop(rt_loop: Loop, wish: RtRequest) -> Result<(JoinHandle<Result<(), M
     Ok((thread, grants))
 }
 
-/// Real-time priority of the command socket's thread: a busy computer delays no stop.
+/// Real-time priority of the threads that receive a stop: a busy computer delays no stop.
 fn control_priority(service: &ServiceSection) -> i32 {
     if service.priority > 0 { (service.priority - CONTROL_BELOW).max(1) } else { 0 }
-}
-
-fn start_port((server, waker): (Server, Waker), which: Watched, priority: i32, shared: &Arc<Shared>) -> Result<Port, ServiceError> {
-    let wish = RtRequest { priority, cpu: None };
-    Port::start(server, waker, Arc::clone(shared), which, wish).map_err(ServiceError::system(which.name()))
 }
 
 fn log_recall(recall: &Recall, belief: Belief) {

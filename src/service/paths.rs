@@ -2,7 +2,7 @@
 
 use crate::config::service::ServiceSection;
 use std::os::unix::fs::MetadataExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The paths of a service.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -23,6 +23,12 @@ impl Paths {
         let status = service.status_socket.clone().unwrap_or_else(|| control.with_file_name("status.sock"));
         Self { control, status, state: service.state.clone().unwrap_or_else(state_folder) }
     }
+}
+
+/// The socket of `stop` that belongs to a command socket.
+#[must_use]
+pub fn stop_socket(control: &Path) -> PathBuf {
+    control.with_extension("stop.sock")
 }
 
 /// The command socket to connect to, where none is named: that of this user's service if there is one, else the system's.

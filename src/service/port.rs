@@ -7,10 +7,11 @@
 
 use crate::hardware::rt::{self, RtRequest};
 use crate::service::connection::Line;
+use crate::service::listener::Listener;
 use crate::service::protocol::{Failure, Request, parse, reply_line};
 use crate::service::server::{Server, Waker};
 use crate::service::shared::{Shared, Watched};
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
@@ -49,6 +50,10 @@ enum Outgoing {
     Close(u64),
 }
 
+/// Longest silence of a client of the command socket that has no subscription.
+const CONTROL_IDLE_MAX: Duration = Duration::from_secs(3600);
+/// The same on the status socket.
+const STATUS_IDLE_MAX: Duration = Duration::from_secs(60);
 /// Longest wait of a round. Input and the hub's replies end it early.
 const ROUND: Duration = Duration::from_millis(50);
 /// Least wait after each round, beyond the time that it took, and the longest.
@@ -56,8 +61,6 @@ const PACE: Duration = Duration::from_micros(500);
 const PACE_MAX: Duration = Duration::from_millis(5);
 /// Wait of a round while a stop is under way.
 const STOP_ROUND: Duration = Duration::from_micros(500);
-/// The loop must carry out a stop within this time.
-const STOP_MAX: Duration = Duration::from_millis(150);
 /// Events that wait for the thread; further ones are discarded.
 const EVENTS_MAX: usize = 1024;
 
@@ -74,12 +77,14 @@ pub struct Port {
 }
 
 impl Port {
-    /// Starts the thread of the command socket (`Watched::Control`) or of the status socket. It ends with
-    /// [`Shared::quit`].
+    /// Starts the thread of the command socket (`Watched::Control`), whose clients have odd numbers, or of the status socket. It
+    /// ends with [`Shared::quit`].
     ///
     /// # Errors
     /// The operating system's.
-    pub fn start(server: Server, waker: Waker, shared: Arc<Shared>, which: Watched, wish: RtRequest) -> std::io::Result<Self> {
+    pub fn start(socket: Listener, shared: Arc<Shared>, which: Watched, wish: RtRequest) -> std::io::Result<Self> {
+        let (first, idle_max) = if which == Watched::Control { (1, CONTROL_IDLE_MAX) } else { (2, STATUS_IDLE_MAX) };
+        let (server, waker) = Server::new(socket, first, idle_max)?;
         let (messages_in, messages) = channel();
         let (replies, replies_out) = channel();
         let (events, events_out) = sync_channel(EVENTS_MAX);
@@ -210,18 +215,13 @@ impl PortThread {
     }
 
     fn answer_stops(&mut self) {
-        let completed = self.shared.stop.completed();
-        let server = &mut self.server;
-        self.stops.retain(|stop| {
-            let reply = if stop.number <= completed {
-                Ok(json!({}))
-            } else if stop.since.elapsed() > STOP_MAX {
-                Err(Failure { code: 3, message: "the loop does not respond".to_owned() })
-            } else {
-                return true;
-            };
-            server.reply(stop.client, &reply_line(&stop.id, &reply));
-            false
+        let (server, signal) = (&mut self.server, &self.shared.stop);
+        self.stops.retain(|stop| match signal.answer(stop.number, stop.since) {
+            Some(answer) => {
+                server.reply(stop.client, &reply_line(&stop.id, &answer));
+                false
+            }
+            None => true,
         });
     }
 }

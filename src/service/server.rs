@@ -2,18 +2,17 @@
 //!
 //! Every operation is non-blocking and every resource is bounded: the connections accepted per round, the number of
 //! clients, the length of a line, the lines of one client per round, its unanswered requests and the bytes queued for it.
-//! A new connection always finds a place: when all are taken, the user who has the most loses the connection that has
-//! been silent for longest. A client that does not read, does not end its line or is idle for too long is disconnected.
+//! A new connection always finds a place: when all are taken, the user who has the most, and of his processes the one that
+//! has the most, loses the connection that has been silent for longest. A client that does not read, does not end its line or is idle for too long is disconnected.
 
 #![allow(unsafe_code)]
 
-use crate::service::connection::{Client, Line};
-use crate::service::error::ServiceError;
+use crate::service::connection::{Client, Line, Peer};
+use crate::service::listener::{self, Listener};
+use std::cmp::Reverse;
 use std::io::{Read, Write};
 use std::os::fd::AsRawFd;
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
-use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::{Path, PathBuf};
+use std::os::unix::net::UnixStream;
 use std::time::Duration;
 
 /// Clients at a time on one socket.
@@ -21,8 +20,6 @@ pub const CLIENTS_MAX: usize = 32;
 /// Lines accepted per round, shared by the clients that send; each of them is granted the smaller number.
 const LINES_PER_ROUND: usize = 64;
 const LINES_MIN: usize = 2;
-/// Connections that wait to be accepted: no longer than two rounds.
-const BACKLOG: i32 = 64;
 /// Connections accepted per round, so that a flood of them does not keep clients from being read.
 const ACCEPTED_PER_ROUND: usize = CLIENTS_MAX;
 /// Ends the wait of a [`Server::round`] from another thread.
@@ -39,10 +36,7 @@ impl Waker {
 /// A listening socket and its clients.
 #[derive(Debug)]
 pub struct Server {
-    listener: UnixListener,
-    path: PathBuf,
-    /// Device and inode of the socket file: a file that another service has put there is left alone.
-    inode: (u64, u64),
+    listener: Listener,
     wake: UnixStream,
     clients: Vec<Client>,
     next: u64,
@@ -53,36 +47,15 @@ pub struct Server {
 }
 
 impl Server {
-    /// Creates the socket with the given permission bits. A stale socket file is replaced; a live one is an error.
-    /// Clients are numbered `first`, `first` + 2, …, so that two servers never share a number.
+    /// A server of this socket. Clients are numbered `first`, `first` + 2, …, so that two servers never share a number.
     ///
     /// # Errors
-    /// [`ServiceError::Socket`].
-    pub fn bind(path: &Path, mode: u32, first: u64, idle_max: Duration) -> Result<(Self, Waker), ServiceError> {
-        let fail = |source| ServiceError::Socket { path: path.display().to_string(), source };
-        if path.exists() {
-            if UnixStream::connect(path).is_ok() {
-                return Err(fail(std::io::Error::other("another service already answers on this socket")));
-            }
-            std::fs::remove_file(path).map_err(fail)?;
-        }
-        // nobody but the owner may connect before the permissions are set
-        // SAFETY: umask takes and returns an integer; no other thread creates files at this time
-        let umask = unsafe { libc::umask(0o177) };
-        let bound = UnixListener::bind(path);
-        // SAFETY: as above
-        unsafe { libc::umask(umask) };
-        let listener = bound.map_err(fail)?;
-        // SAFETY: the descriptor is a bound socket; a second listen(2) changes the length of its queue
-        unsafe { libc::listen(listener.as_raw_fd(), BACKLOG) };
-        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).map_err(fail)?;
-        let inode = inode(path).map_err(fail)?;
-        listener.set_nonblocking(true).map_err(fail)?;
-        let (wake, waker) = UnixStream::pair().map_err(fail)?;
-        wake.set_nonblocking(true).map_err(fail)?;
-        waker.set_nonblocking(true).map_err(fail)?;
-        let server = Self { listener, path: path.to_owned(), inode, wake, clients: Vec::new(), next: first, idle_max, gone: Vec::new() };
-        Ok((server, Waker(waker)))
+    /// The operating system's.
+    pub fn new(listener: Listener, first: u64, idle_max: Duration) -> std::io::Result<(Self, Waker)> {
+        let (wake, waker) = UnixStream::pair()?;
+        wake.set_nonblocking(true)?;
+        waker.set_nonblocking(true)?;
+        Ok((Self { listener, wake, clients: Vec::new(), next: first, idle_max, gone: Vec::new() }, Waker(waker)))
     }
 
     /// Number of connected clients.
@@ -145,27 +118,25 @@ impl Server {
 
     fn poll(&mut self, wait: Duration) {
         let entry = |fd, events| libc::pollfd { fd, events, revents: 0 };
-        let mut set = vec![entry(self.listener.as_raw_fd(), libc::POLLIN), entry(self.wake.as_raw_fd(), libc::POLLIN)];
+        let mut set = vec![self.listener.entry(), entry(self.wake.as_raw_fd(), libc::POLLIN)];
         for c in &self.clients {
             let reads = if c.wants_input() { libc::POLLIN } else { 0 };
             let writes = if c.output.is_empty() { 0 } else { libc::POLLOUT };
             set.push(entry(c.stream.as_raw_fd(), reads | writes));
         }
-        let ms = i32::try_from(wait.as_millis()).unwrap_or(i32::MAX);
-        // SAFETY: `set` is a live array of the given length; after a failure the round merely starts early
-        unsafe { libc::poll(set.as_mut_ptr(), set.len() as libc::nfds_t, ms) };
+        listener::wait(&mut set, wait);
         while self.wake.read(&mut [0; 64]).is_ok_and(|n| n > 0) {}
     }
 
     /// Accepts connections and reads their first lines at once: what a new client has sent is not lost with its place.
     fn accept(&mut self, lines: &mut Vec<Line>) {
         for _ in 0..ACCEPTED_PER_ROUND {
-            let Ok((stream, _)) = self.listener.accept() else { return };
-            let (Ok(()), Some(user)) = (stream.set_nonblocking(true), peer(&stream)) else { continue };
+            let Some(stream) = self.listener.accept() else { return };
+            let Some(peer) = peer(&stream) else { continue };
             if self.clients.len() >= CLIENTS_MAX && !self.make_room() {
                 continue;
             }
-            let mut client = Client::new(self.next, user, stream);
+            let mut client = Client::new(self.next, peer, stream);
             client.read();
             client.take_lines(lines, 1);
             self.clients.push(client);
@@ -180,14 +151,16 @@ impl Server {
         }
     }
 
-    /// Disconnects, of the user with the most clients, the one whose last line is oldest; clients that wait for an answer go
-    /// last, and protected ones stay. False if nobody could be disconnected.
+    /// Disconnects, of the user with the most clients, and of his processes of the one with the most, the client whose last line
+    /// is oldest; clients that wait for an answer go last, and protected ones stay. False if nobody could be disconnected.
     fn make_room(&mut self) -> bool {
-        let share = |user: u32| self.clients.iter().filter(|c| c.user == user).count();
-        let most = self.clients.iter().map(|c| share(c.user)).max().unwrap_or(0);
-        let of_user = self.clients.iter().enumerate().filter(|(_, c)| share(c.user) == most);
-        let candidates = of_user.filter(|(_, c)| !c.protected);
-        let Some((n, _)) = candidates.min_by_key(|(_, c)| (c.unanswered > 0, c.last_line)) else { return false };
+        let share = |same: &dyn Fn(&Peer) -> bool| self.clients.iter().filter(|c| same(&c.peer)).count();
+        let key = |c: &Client| {
+            let (of_user, of_process) = (share(&|p| p.user == c.peer.user), share(&|p| *p == c.peer));
+            (Reverse((of_user, of_process)), c.unanswered > 0, c.last_line)
+        };
+        let candidates = self.clients.iter().enumerate().filter(|(_, c)| !c.protected);
+        let Some((n, _)) = candidates.min_by_key(|(_, c)| key(c)) else { return false };
         let client = self.clients.remove(n);
         if client.spoke {
             self.gone.push((client.number, "its place was needed"));
@@ -196,35 +169,23 @@ impl Server {
     }
 }
 
-impl Drop for Server {
-    fn drop(&mut self) {
-        if inode(&self.path).is_ok_and(|there| there == self.inode) {
-            // the file may be gone already
-            let _ = std::fs::remove_file(&self.path);
-        }
-    }
-}
-
-fn inode(path: &Path) -> std::io::Result<(u64, u64)> {
-    std::fs::symlink_metadata(path).map(|m| (m.dev(), m.ino()))
-}
-
-/// The user at the other end of a connection.
-fn peer(stream: &UnixStream) -> Option<u32> {
+/// Who is at the other end of a connection.
+fn peer(stream: &UnixStream) -> Option<Peer> {
     let mut who = libc::ucred { pid: 0, uid: 0, gid: 0 };
     let mut size = size_of::<libc::ucred>() as libc::socklen_t;
     // SAFETY: `who` and `size` are live and of the stated size
     let result = unsafe { libc::getsockopt(stream.as_raw_fd(), libc::SOL_SOCKET, libc::SO_PEERCRED, (&raw mut who).cast(), &raw mut size) };
-    (result == 0).then_some(who.uid)
+    (result == 0).then_some(Peer { user: who.uid, process: who.pid })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::service::connection::UNANSWERED_MAX;
+    use std::path::Path;
 
     fn server(folder: &Path, idle_max: Duration) -> Server {
-        Server::bind(&folder.join("socket"), 0o600, 1, idle_max).unwrap().0
+        Server::new(Listener::bind(&folder.join("socket"), 0o600).unwrap(), 1, idle_max).unwrap().0
     }
 
     /// Rounds until nothing is left to accept or to read.
@@ -273,19 +234,5 @@ mod tests {
         std::thread::sleep(Duration::from_millis(60));
         rounds(&mut server);
         assert_eq!((server.clients(), server.gone.as_slice()), (0, [(1, "it was idle")].as_slice()));
-    }
-
-    #[test]
-    fn a_socket_that_another_service_has_replaced_is_left_alone() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("socket");
-        let first = server(folder.path(), Duration::from_secs(60));
-        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
-        std::fs::remove_file(&path).unwrap();
-        let second = server(folder.path(), Duration::from_secs(60));
-        drop(first);
-        assert!(path.exists());
-        drop(second);
-        assert!(!path.exists());
     }
 }

@@ -16,18 +16,20 @@ pub enum Watched {
     Control,
     /// The status socket.
     Status,
+    /// The socket of `stop`.
+    Stop,
     /// The hub.
     Hub,
 }
 
 impl Watched {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Control, Self::Status, Self::Hub];
+    pub const ALL: [Self; 4] = [Self::Control, Self::Status, Self::Stop, Self::Hub];
 
     /// Name of the thread.
     #[must_use]
     pub fn name(self) -> &'static str {
-        ["control", "status", "hub"][self as usize]
+        ["control", "status", "stop", "hub"][self as usize]
     }
 }
 
@@ -35,8 +37,8 @@ impl Watched {
 #[derive(Debug, Default)]
 pub struct Shared {
     quit: AtomicBool,
-    rounds: [AtomicU64; 3],
-    ages_ms: [AtomicU64; 3],
+    rounds: [AtomicU64; 4],
+    ages_ms: [AtomicU64; 4],
     /// Requests and completed stops.
     pub stop: StopSignal,
     /// Cycles of the loop.
@@ -76,8 +78,8 @@ impl Shared {
 /// How long ago each thread last made progress.
 #[derive(Debug, Default)]
 pub struct ThreadWatch {
-    rounds: [u64; 3],
-    ages_s: [f64; 3],
+    rounds: [u64; 4],
+    ages_s: [f64; 4],
 }
 
 impl ThreadWatch {

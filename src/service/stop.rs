@@ -1,14 +1,20 @@
-//! The path of `stop` from the command thread to the loop.
+//! The path of `stop` from the threads of the sockets to the loop.
 //!
-//! A stop shares no queue with other orders. The command thread increments an atomic counter; the loop compares it in
+//! A stop shares no queue with other orders. The thread that receives it increments an atomic counter; the loop compares it in
 //! every cycle before it takes a message, hands [`Order::Stop`] to the supervisor, and stores the number of the stop that
 //! it has carried out. The latch itself is part of the supervisor; [`StopCounter`] adds that an order which was received
 //! before the stop cannot release it.
 
+use crate::service::protocol::Failure;
 use crate::supervisor::cycle::order::{Order, Refusal};
+use serde_json::{Value, json};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
-/// Counters shared by the command thread and the loop.
+/// The loop must carry out a stop within this time.
+const ANSWER_MAX: Duration = Duration::from_millis(150);
+
+/// Counters shared by the threads of the sockets and the loop.
 #[derive(Debug, Default)]
 pub struct StopSignal {
     requested: AtomicU64,
@@ -31,6 +37,16 @@ impl StopSignal {
     #[must_use]
     pub fn completed(&self) -> u64 {
         self.completed.load(Ordering::Acquire)
+    }
+
+    /// The answer to a stop that was requested at this instant; `None` while the loop still has time to carry it out.
+    #[must_use]
+    pub fn answer(&self, number: u64, since: Instant) -> Option<Result<Value, Failure>> {
+        if self.completed() >= number {
+            Some(Ok(json!({})))
+        } else {
+            (since.elapsed() > ANSWER_MAX).then(|| Err(Failure { code: 3, message: "the loop does not respond".to_owned() }))
+        }
     }
 
     /// Reports that the loop has carried out a stop.

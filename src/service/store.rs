@@ -40,6 +40,8 @@ pub struct Recall {
     pub damaged: Vec<String>,
     /// State of the slots.
     pub found: Found,
+    /// Sequence number of that slot.
+    pub sequence: u64,
 }
 
 /// The two slots.
@@ -87,9 +89,8 @@ impl Store {
             recall.damaged.push(format!("{}: the writes {sequences:?} of the two slots do not belong together", folder.display()));
         }
         let newest = slots.into_iter().flatten().max_by_key(|(sequence, _)| *sequence);
-        let (sequence, memory) = newest.map_or((0, None), |(sequence, memory)| (sequence, Some(memory)));
-        recall.memory = memory;
-        let store = Self { folder: folder.to_owned(), sequence, whole: recall.found == Found::Intact, _lock: lock };
+        (recall.sequence, recall.memory) = newest.map_or((0, None), |(sequence, memory)| (sequence, Some(memory)));
+        let store = Self { folder: folder.to_owned(), sequence: recall.sequence, whole: recall.found == Found::Intact, _lock: lock };
         store.reserve().map_err(|e| fail(folder, e))?;
         Ok((store, recall))
     }

@@ -31,9 +31,18 @@ pub(super) fn connect(at: &At) -> Result<Connection> {
     Connection::connect(&at.socket).map_err(report)
 }
 
+/// Stops the tip.
+pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
+    Ok(printed(answer(Connection::stop(&at.socket))?))
+}
+
 /// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
 pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Option<Value>> {
-    match connection.request(request) {
+    answer(connection.request(request))
+}
+
+fn answer(result: Result<Value, Failure>) -> Result<Option<Value>> {
+    match result {
         Ok(value) => Ok(Some(value)),
         Err(f) if f.code == 1 => {
             eprintln!("refused: {}", f.message);
@@ -45,12 +54,16 @@ pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Opti
 
 /// Sends a request and prints its result, unless that is empty.
 pub(super) fn ask_and_print(connection: &mut Connection, request: &Request) -> Result<CommandOutcome> {
-    let Some(value) = ask(connection, request)? else { return Ok(CommandOutcome::NotGoodEnough) };
+    Ok(printed(ask(connection, request)?))
+}
+
+fn printed(result: Option<Value>) -> CommandOutcome {
+    let Some(value) = result else { return CommandOutcome::NotGoodEnough };
     if let Some(remark) = value["remark"].as_str() {
         eprintln!("note: {remark}");
     }
     if value.as_object().is_some_and(|map| !map.is_empty()) {
         print(&format!("{value}\n"));
     }
-    Ok(CommandOutcome::Good)
+    CommandOutcome::Good
 }

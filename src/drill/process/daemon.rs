@@ -1,6 +1,7 @@
 //! A service as a child process, with the test in the place of the service manager.
 
 use crate::service::client::Client;
+use crate::service::paths;
 use crate::service::protocol::Request;
 use serde_json::Value;
 use std::io;
@@ -13,7 +14,9 @@ use std::time::{Duration, Instant};
 pub struct Daemon {
     child: Child,
     notify: UnixDatagram,
-    socket: PathBuf,
+    program: PathBuf,
+    /// The command socket, the status socket and the socket of `stop`.
+    sockets: [PathBuf; 3],
 }
 
 /// Time-out of the watchdog, s.
@@ -34,6 +37,7 @@ impl Daemon {
         let notify = UnixDatagram::bind(&notify_path)?;
         notify.set_read_timeout(Some(Duration::from_millis(50)))?;
         let socket = folder.join("control.sock");
+        let sockets = [socket.clone(), folder.join("status.sock"), paths::stop_socket(&socket)];
         let child = Command::new(program)
             .args(["run", "--socket"])
             .arg(&socket)
@@ -47,7 +51,7 @@ impl Daemon {
             .stdout(Stdio::null())
             .stderr(std::fs::File::create(folder.join("log"))?)
             .spawn()?;
-        let mut daemon = Self { child, notify, socket };
+        let mut daemon = Self { child, notify, program: program.to_owned(), sockets };
         let started = Instant::now();
         while started.elapsed().as_secs_f64() < START_MAX_S {
             if daemon.notification().is_some_and(|text| text.contains("READY=1")) {
@@ -73,7 +77,7 @@ impl Daemon {
     /// # Errors
     /// A service that does not answer.
     pub fn client(&self) -> io::Result<Client> {
-        Client::connect(&self.socket).map_err(|f| io::Error::other(f.message))
+        Client::connect(&self.sockets[0]).map_err(|f| io::Error::other(f.message))
     }
 
     /// Number of its process.
@@ -82,10 +86,19 @@ impl Daemon {
         self.child.id()
     }
 
-    /// Path of its command socket.
+    /// Paths of its command socket, its status socket and its socket of `stop`.
     #[must_use]
-    pub fn socket(&self) -> &Path {
-        &self.socket
+    pub fn sockets(&self) -> &[PathBuf; 3] {
+        &self.sockets
+    }
+
+    /// Runs a command of the command line.
+    ///
+    /// # Errors
+    /// An exit code other than 0.
+    pub fn command(&self, name: &str) -> io::Result<()> {
+        let out = Command::new(&self.program).args([name, "--socket"]).arg(&self.sockets[0]).stdin(Stdio::null()).output()?;
+        if out.status.success() { Ok(()) } else { Err(io::Error::other(String::from_utf8_lossy(&out.stderr).trim().to_owned())) }
     }
 
     /// Polls the status until `holds`, at most for a time, s. `what` names the condition in the error.

@@ -24,7 +24,7 @@ pub enum Harm {
 }
 
 /// The work of a service with its memory, at full speed: align, arm with the write ahead, bend with checkpoints, relax,
-/// disarm, and again. Every acknowledged write prints one line, `armed a b c .`
+/// disarm, and again. Every acknowledged write prints its number.
 ///
 /// # Errors
 /// Any error except the injected one.
@@ -64,10 +64,7 @@ fn write(store: &mut Store, armed: bool, restart: RestartState) -> io::Result<bo
     let written = store.write(&Memory { armed, restart: Some(restart), ..Memory::default() });
     let mut out = io::stdout().lock();
     match &written {
-        Ok(_) => {
-            let [a, b, c] = restart.steps.0;
-            writeln!(out, "{} {a} {b} {c} .", i32::from(armed))?;
-        }
+        Ok(sequence) => writeln!(out, "{sequence} .")?,
         Err(e) => writeln!(out, "failed: {e}")?,
     }
     out.flush()?;

@@ -1,9 +1,9 @@
 //! `kill -9` at random instants while a child works with the memory, and damage to the memory afterwards.
 
+use super::restart::distance;
 use crate::drill::bench::{Bench, BenchConfig, FaultyMachine};
 use crate::drill::row::Row;
 use crate::service::belief::Belief;
-use crate::service::slot;
 use crate::service::start::Start;
 use crate::service::store::{Found, Recall, Store};
 use crate::supervisor::cycle::runner::Runner;
@@ -45,71 +45,64 @@ impl Damage {
         }
     }
 
-    fn apply(self, folder: &Path, slot: usize) -> io::Result<()> {
-        let [one, other] = [slot % 2, 1 - slot % 2].map(|n| folder.join(SLOTS[n]));
+    /// The slots after the damage, which concerns one of them or exchanges both.
+    fn apply(self, mut slots: [Vec<u8>; 2], one: usize) -> [Vec<u8>; 2] {
+        let size = slots[one].len();
         match self {
-            Self::None => Ok(()),
-            Self::Truncated => {
-                let text = std::fs::read(&one)?;
-                std::fs::write(&one, &text[..text.len() / 3])
-            }
-            Self::Zeroed => std::fs::write(&one, vec![0; std::fs::read(&one)?.len()]),
-            Self::Swapped => {
-                let (first, second) = (std::fs::read(&one)?, std::fs::read(&other)?);
-                std::fs::write(&one, second)?;
-                std::fs::write(&other, first)
-            }
+            Self::None => {}
+            Self::Truncated => slots[one].truncate(size / 3),
+            Self::Zeroed => slots[one] = vec![0; size],
+            Self::Swapped => slots.swap(0, 1),
         }
+        slots
     }
 }
 
-/// One row for each damage; `kills` in all.
+/// One row for each damage, which is done to a copy of the memory after each of the kills.
 pub fn rows(config: &BenchConfig, program: &Path, folder: &Path, kills: u32, selected: &dyn Fn(&str) -> bool) -> io::Result<Vec<Row>> {
+    let chosen = Damage::ALL.into_iter().filter(|(_, name)| selected(name));
+    let mut rows: Vec<(Damage, Row, [u32; 3])> =
+        chosen.map(|(damage, name)| (damage, Row { state: "lost".to_owned(), ..Row::new(name, damage.requires()) }, [0; 3])).collect();
     // xorshift (Marsaglia 2003)
     let mut random = 0x2545_f491_4f6c_dd1du64;
-    let mut rows = Vec::new();
-    for (damage, name) in Damage::ALL.into_iter().filter(|(_, name)| selected(name)) {
-        let mut row = Row { state: "lost".to_owned(), ..Row::new(name, damage.requires()) };
-        let mut count = [0; 3];
-        for n in 0..kills.div_ceil(4) {
-            random ^= random << 13;
-            random ^= random >> 7;
-            random ^= random << 17;
-            let acknowledged = kill_after(program, folder, Duration::from_micros(random % 40_000))?;
-            damage.apply(folder, n as usize)?;
+    for n in 0..if rows.is_empty() { 0 } else { kills } {
+        random ^= random << 13;
+        random ^= random >> 7;
+        random ^= random << 17;
+        let acknowledged = kill_after(program, folder, Duration::from_micros(random % 40_000))?;
+        let slots = [std::fs::read(folder.join(SLOTS[0]))?, std::fs::read(folder.join(SLOTS[1]))?];
+        for (damage, row, count) in &mut rows {
+            for (name, slot) in SLOTS.iter().zip(damage.apply(slots.clone(), n as usize % 2)) {
+                std::fs::write(folder.join(name), slot)?;
+            }
             let started = Instant::now();
             let (store, recall) = Store::open(folder).map_err(io::Error::other)?;
             drop(store);
-            let took_s = started.elapsed().as_secs_f64();
-            row.detected_s = Some(row.detected_s.unwrap_or(0.0).max(took_s));
-            if damage == Damage::None {
-                check_recall(&mut row, n, folder, &recall, acknowledged);
+            row.detected_s = Some(row.detected_s.unwrap_or(0.0).max(started.elapsed().as_secs_f64()));
+            if *damage == Damage::None {
+                // the kill may have torn a write, or cut its acknowledgement
+                let newest = (acknowledged..=acknowledged + 1).contains(&recall.sequence);
+                row.require(recall.found == Found::Damaged || newest, |_| {
+                    format!("kill {n}: recalled {} after {acknowledged}", recall.sequence)
+                });
             } else {
                 row.require(Belief::in_recall(&recall, true) == Belief::Lost, |_| format!("kill {n}: a damaged memory is believed"));
             }
-            let state = start_at_rest(config, &recall, &mut row, n).map_err(io::Error::other)?;
-            count[match state {
+            count[match start_at_rest(config, &recall, row, n).map_err(io::Error::other)? {
                 Mode::Disarmed => 0,
                 Mode::Lost => 1,
                 _ => 2,
             }] += 1;
         }
-        row.require(count[2] == 0, |_| format!("{} starts came to no decision", count[2]));
-        row.message = format!("believed after {} kills, lost after {}", count[0], count[1]);
-        rows.push(row);
     }
-    Ok(rows)
-}
-
-/// An undamaged memory holds the last acknowledged write, unless the kill tore one.
-fn check_recall(row: &mut Row, n: u32, folder: &Path, recall: &Recall, acknowledged: Option<([i32; 3], bool)>) {
-    if recall.found == Found::Damaged {
-        return;
-    }
-    let remembered = recall.memory.as_ref().and_then(|m| Some((m.restart?.steps.0, m.armed)));
-    let Some(acknowledged) = acknowledged else { return };
-    let recalled = remembered == Some(acknowledged) || one_write_newer(folder, acknowledged.0);
-    row.require(recalled, |_| format!("kill {n}: {acknowledged:?} was acknowledged, {remembered:?} was recalled"));
+    Ok(rows
+        .into_iter()
+        .map(|(_, mut row, [believed, lost, undecided])| {
+            row.require(undecided == 0, |_| format!("{undecided} starts came to no decision"));
+            row.message = format!("believed after {believed} kills, lost after {lost}");
+            row
+        })
+        .collect())
 }
 
 /// Starts a supervisor from the memory on a machine whose pistons are at rest. It must not move, and what it believes must
@@ -124,8 +117,7 @@ fn start_at_rest(config: &BenchConfig, recall: &Recall, row: &mut Row, n: u32) -
     let output = bench.run(3.0)?;
     let recounted = bench.runner.supervisor.keep();
     // the remembered counts are declared, not driven
-    let remembered = memory.restart.map_or([0; 3], |r| r.steps.0);
-    let steps: i64 = (0..3).map(|i| i64::from((output.counted.0[i] - remembered[i]).abs())).sum();
+    let steps = distance(&output.counted.0, &memory.restart.map_or([0; 3], |r| r.steps.0));
     row.steps_after += steps;
     row.require(steps == 0, |_| format!("kill {n}: moved by {steps} microsteps at the restart"));
     if output.mode == Mode::Disarmed {
@@ -137,16 +129,8 @@ fn start_at_rest(config: &BenchConfig, recall: &Recall, row: &mut Row, n: u32) -
     Ok(output.mode)
 }
 
-/// True if one newer write than the acknowledged one reached the disk before the kill.
-fn one_write_newer(folder: &Path, acknowledged: [i32; 3]) -> bool {
-    let read = |name: &str| std::fs::read(folder.join(name)).ok().and_then(|t| slot::parse(&t).ok().flatten());
-    let slots: Vec<_> = SLOTS.into_iter().filter_map(read).collect();
-    let Some(newest) = slots.iter().map(|(sequence, _)| *sequence).max() else { return false };
-    slots.iter().any(|(sequence, m)| *sequence + 1 == newest && m.restart.is_some_and(|r| r.steps.0 == acknowledged))
-}
-
-/// Kills an exercise after a time. Returns the last acknowledged write: position and armed.
-fn kill_after(program: &Path, folder: &Path, after: Duration) -> io::Result<Option<([i32; 3], bool)>> {
+/// Kills an exercise after a time. Returns the sequence number of the last acknowledged write.
+fn kill_after(program: &Path, folder: &Path, after: Duration) -> io::Result<u64> {
     std::fs::create_dir_all(folder)?;
     let mut child = Command::new(program)
         .args(["drill", "--exercise"])
@@ -158,15 +142,11 @@ fn kill_after(program: &Path, folder: &Path, after: Duration) -> io::Result<Opti
     let pipe = child.stdout.take().ok_or_else(|| io::Error::other("no pipe"))?;
     let mut lines = BufReader::new(pipe).lines();
     // the time counts from the first write, so that short times do not end before it
-    let mut last = lines.next().transpose()?;
+    let first = lines.next().transpose()?;
     std::thread::sleep(after);
     child.kill()?;
     child.wait()?;
     // a line without its end was cut by the kill and is not an acknowledgement
-    last = lines.map_while(Result::ok).filter(|line| line.ends_with('.')).last().or(last);
-    let numbers: Vec<i32> = last.unwrap_or_default().trim_end_matches('.').split(' ').filter_map(|w| w.parse().ok()).collect();
-    Ok(match numbers[..] {
-        [armed, a, b, c] => Some(([a, b, c], armed == 1)),
-        _ => None,
-    })
+    let last = lines.map_while(Result::ok).filter_map(|line| line.strip_suffix(" .")?.parse().ok()).last();
+    last.or_else(|| first?.strip_suffix(" .")?.parse().ok()).ok_or_else(|| io::Error::other("the exercise wrote nothing"))
 }

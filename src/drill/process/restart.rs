@@ -16,7 +16,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 /// Microsteps between two positions, all channels.
-fn distance(a: &[i32; 3], b: &[i32; 3]) -> i64 {
+pub fn distance(a: &[i32; 3], b: &[i32; 3]) -> i64 {
     a.iter().zip(b).map(|(a, b)| i64::from((a - b).abs())).sum()
 }
 

@@ -1,0 +1,102 @@
+//! A listening socket in the file system.
+
+#![allow(unsafe_code)]
+
+use crate::service::error::ServiceError;
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Connections that wait to be accepted: no longer than two rounds.
+const BACKLOG: i32 = 64;
+
+/// A socket that accepts without waiting. Its file is removed with it.
+#[derive(Debug)]
+pub struct Listener {
+    socket: UnixListener,
+    path: PathBuf,
+    /// Device and inode of the socket file: a file that another service has put there is left alone.
+    inode: (u64, u64),
+}
+
+impl Listener {
+    /// Creates the socket with the given permission bits. A stale socket file is replaced; a live one is an error.
+    ///
+    /// # Errors
+    /// [`ServiceError::Socket`].
+    pub fn bind(path: &Path, mode: u32) -> Result<Self, ServiceError> {
+        let fail = |source| ServiceError::Socket { path: path.display().to_string(), source };
+        if path.exists() {
+            if UnixStream::connect(path).is_ok() {
+                return Err(fail(std::io::Error::other("another service already answers on this socket")));
+            }
+            std::fs::remove_file(path).map_err(fail)?;
+        }
+        // nobody but the owner may connect before the permissions are set
+        // SAFETY: umask takes and returns an integer; no other thread creates files at this time
+        let umask = unsafe { libc::umask(0o177) };
+        let bound = UnixListener::bind(path);
+        // SAFETY: as above
+        unsafe { libc::umask(umask) };
+        let socket = bound.map_err(fail)?;
+        // SAFETY: the descriptor is a bound socket; a second listen(2) changes the length of its queue
+        unsafe { libc::listen(socket.as_raw_fd(), BACKLOG) };
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).map_err(fail)?;
+        let inode = inode(path).map_err(fail)?;
+        socket.set_nonblocking(true).map_err(fail)?;
+        Ok(Self { socket, path: path.to_owned(), inode })
+    }
+
+    /// The next connection that waits, as one that does not block.
+    pub fn accept(&self) -> Option<UnixStream> {
+        let (stream, _) = self.socket.accept().ok()?;
+        stream.set_nonblocking(true).ok().map(|()| stream)
+    }
+
+    /// An entry for [`wait`].
+    #[must_use]
+    pub fn entry(&self) -> libc::pollfd {
+        libc::pollfd { fd: self.socket.as_raw_fd(), events: libc::POLLIN, revents: 0 }
+    }
+}
+
+impl Drop for Listener {
+    fn drop(&mut self) {
+        if inode(&self.path).is_ok_and(|there| there == self.inode) {
+            // the file may be gone already
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+/// Waits until one of the descriptors is ready, at most for this time.
+pub fn wait(set: &mut [libc::pollfd], time: Duration) {
+    let ms = i32::try_from(time.as_millis()).unwrap_or(i32::MAX);
+    // SAFETY: `set` is a live array of the given length; after a failure the round merely starts early
+    unsafe { libc::poll(set.as_mut_ptr(), set.len() as libc::nfds_t, ms) };
+}
+
+fn inode(path: &Path) -> std::io::Result<(u64, u64)> {
+    std::fs::symlink_metadata(path).map(|m| (m.dev(), m.ino()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_socket_that_another_service_has_replaced_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("socket");
+        let first = Listener::bind(&path, 0o600).unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        std::fs::remove_file(&path).unwrap();
+        let second = Listener::bind(&path, 0o600).unwrap();
+        drop(first);
+        assert!(path.exists());
+        drop(second);
+        assert!(!path.exists());
+    }
+}
