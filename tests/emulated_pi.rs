@@ -252,6 +252,9 @@ fn the_service_closes_its_loop_through_the_device_files() {
     on_a_pi(world("linux-gpiochip"), |rig| {
         let board = repo("boards/linux-gpiochip.toml").to_str().unwrap().to_owned();
         let mut service = Service::start(rig, &board);
+        // a machine without a memory does not know where its pistons are
+        service.until("lost", 20.0, |s| s["mode"] == "lost");
+        service.ask(&Request::Zero { straight: true });
         service.until("aligned", 20.0, |s| s["mode"] == "disarmed");
         service.ask(&Request::Arm {});
         service.arrived();

@@ -154,3 +154,51 @@ fn an_ordinary_user_needs_no_flags_and_damaged_memory_is_lost() {
         child.wait().unwrap();
     }
 }
+
+/// A recording ends at its limit and says so; an armed tip that nobody commands returns to rest after `hold_max_s`.
+#[test]
+fn limits_end_a_hold_and_a_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let (board, socket) = (folder.path().join("board.toml"), folder.path().join("control.sock"));
+    std::fs::write(&board, "base = \"sim\"\n[service]\nhold_max_s = 4.0\nrecord_max_s = 1.5\n").unwrap();
+    let mut child = Command::new(program())
+        .args(["run", "--board"])
+        .arg(&board)
+        .arg("--socket")
+        .arg(&socket)
+        .arg("--state")
+        .arg(folder.path().join("state"))
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let until = |what: &str, holds: &dyn Fn(&serde_json::Value) -> bool| {
+        let since = Instant::now();
+        loop {
+            let (_, text) = cli(&socket, &["status", "--json"]);
+            let status = serde_json::from_str(&text).unwrap_or_default();
+            if holds(&status) {
+                return status;
+            }
+            assert!(since.elapsed() < Duration::from_secs(20), "{what}: {text}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    until("alignment", &|s| s["mode"] == "disarmed");
+    expect(&socket, &["record", "start", "x"], 0, "");
+    let status = until("the limit", &|s| s["recording"].is_null());
+    assert!(status["recording_ended"].as_str().unwrap().contains("record_max_s"), "{status}");
+    let mut log = String::new();
+    let file = std::fs::File::open(folder.path().join("state/recordings/x.csv.gz")).unwrap();
+    flate2::read::GzDecoder::new(file).read_to_string(&mut log).unwrap();
+    let width = |line: &str| line.split(',').count();
+    let (header, rows) = log.split_once('\n').unwrap();
+    assert!(header.ends_with("temp_c,pressure1_kpa,pressure2_kpa,pressure3_kpa"), "{header}");
+    assert!(rows.lines().count() > 100 && rows.lines().all(|row| width(row) == width(header)));
+
+    until("alignment", &|s| s["mode"] == "disarmed");
+    expect(&socket, &["arm"], 0, "");
+    expect(&socket, &["bend", "20", "--wait"], 0, "settled");
+    until("rest", &|s| s["mode"] == "disarmed" && s["energised"] == false);
+    child.kill().unwrap();
+    child.wait().unwrap();
+}

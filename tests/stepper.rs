@@ -8,7 +8,7 @@ use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::hardware::pins::map::LineMap;
 use retroflex::hardware::pins::mock::{Edge, LineName, edges};
-use retroflex::hardware::pins::{InputPin, MockPins, PinsConfig, Pull};
+use retroflex::hardware::pins::{InputPin, MockPins, PinError, Pins, PinsConfig, Pull};
 use retroflex::hardware::stepper::Stepper;
 use retroflex::motion::lines::{EmergencyStop, Inputs, Levels, PulseTiming};
 use retroflex::motion::pulse::{PulseAction, StepCore};
@@ -17,6 +17,8 @@ use retroflex::motion::report::{StepperFault, StepperMode, StepperOrder};
 use retroflex::motion::{ChannelSegment, Motion, MotionConfig, MotionLimits, MotionState, Segment, StepGenerator, StepperConfig};
 use retroflex::primitives::units::Steps;
 use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 const STEP_MM: f64 = 0.029_452;
 const TICK_NS: u64 = 2_000_000;
@@ -627,6 +629,44 @@ fn the_thread_stops_for_the_emergency_stop_and_reports_it() {
     assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), SyncStatus::Faulted(StepperFault::EmergencyStop));
     let (summary, pins) = stepper.finish().unwrap();
     assert!(!pins.levels().enable && summary.report.inputs.emergency_stop);
+}
+
+/// Pins whose inputs cannot be read for as long as the flag is set: the call does not return.
+struct Hanging(MockPins, Arc<AtomicBool>);
+
+impl Pins for Hanging {
+    fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
+        self.0.write(levels)
+    }
+    fn read(&mut self) -> Result<Inputs, PinError> {
+        while self.1.load(Relaxed) {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        self.0.read()
+    }
+}
+
+/// The thread that polls the emergency stop is watched itself: when a pin hangs, the loop learns it from the age of the
+/// last report.
+#[test]
+fn a_thread_that_hangs_in_a_pin_is_silent_until_it_goes_on() {
+    let hangs = Arc::new(AtomicBool::new(false));
+    let button = Some(InputPin { pin: 26, active_low: false, pull: Pull::Down });
+    let pins = Hanging(mock(button), hangs.clone());
+    let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
+    let mut becomes = |silent: bool| {
+        let begun = std::time::Instant::now();
+        while (stepper.sync(retroflex::hardware::rt::monotonic_ns()) == SyncStatus::Silent) != silent {
+            assert!(begun.elapsed().as_secs() < 30, "silent: {}", !silent);
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+    };
+    becomes(false);
+    hangs.store(true, Relaxed);
+    becomes(true);
+    hangs.store(false, Relaxed);
+    becomes(false);
+    assert!(stepper.finish().is_some());
 }
 
 #[test]

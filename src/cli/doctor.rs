@@ -3,6 +3,7 @@
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::board::Board;
 use crate::config::pressure_bound::PressureBound;
+use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::Sensor;
 use crate::hardware::rt::{self, Grant, RtRequest};
 use crate::service::paths::Paths;
@@ -146,6 +147,14 @@ fn devices(board: &Board) -> Vec<Finding> {
         findings.push(device("pins", Path::new(&pins.chip), remedy));
     }
     let Some(machine) = board.hardware() else { return findings };
+    let _lock = match HardwareLock::take() {
+        Ok(lock) => lock,
+        Err(path) => {
+            let remedy = "a running service (`retroflex status` shows its sensors) or another command uses the hardware: the sensors are not touched";
+            findings.push(Finding::warn("sensors", format!("{} is locked", path.display()), remedy));
+            return findings;
+        }
+    };
     for (what, sensor) in [("tip IMU", &machine.imu), ("base IMU", &machine.base_imu)] {
         let Some(config) = sensor else { continue };
         findings.push(match Sensor::start(config) {

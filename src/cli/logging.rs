@@ -1,12 +1,16 @@
 //! Destination of log events: the journal, with structured fields, under systemd; standard error otherwise.
 
-use std::io::IsTerminal;
+use std::io::{self, IsTerminal, Write};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::time::{Duration, Instant};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// Starts logging. The environment variable `RETROFLEX_LOG` sets the filter; the default is `info`.
-pub fn start() {
+/// Starts logging for as long as the result lives. The environment variable `RETROFLEX_LOG` sets the filter; the default is `info`.
+#[must_use]
+pub fn start() -> Logging {
     let filter = EnvFilter::try_from_env("RETROFLEX_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
     let registry = tracing_subscriber::registry().with(filter);
     // systemd sets this variable if standard error is connected to the journal
@@ -15,12 +19,66 @@ pub fn start() {
         Some(journal) => registry.with(journal.with_field_prefix(Some("RETROFLEX".to_owned()))).try_init(),
         None => {
             let colours = std::io::stderr().is_terminal();
-            let people = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_target(false).with_ansi(colours);
+            let people = tracing_subscriber::fmt::layer().with_writer(Lines::start()).with_target(false).with_ansi(colours);
             registry.with(people).try_init()
         }
     };
     if started.is_err() {
         // events go to the subscriber that is already installed, as in tests
         tracing::debug!("logging has already been started");
+    }
+    Logging
+}
+
+/// Lines that may wait for a reader of standard error. Further ones are lost.
+const WAITING_MAX: usize = 1024;
+/// Longest wait for that reader at the end of the program.
+const END_MAX: Duration = Duration::from_millis(200);
+/// Lines that wait now.
+static WAITING: AtomicUsize = AtomicUsize::new(0);
+
+/// Hands lines to a thread that writes them, so that a terminal or a pipe that nobody reads blocks no other thread.
+#[derive(Clone)]
+struct Lines(SyncSender<Vec<u8>>);
+
+impl Lines {
+    /// Starts the thread and returns what makes the writer of a line.
+    fn start() -> impl Fn() -> Self {
+        let (lines, waiting) = sync_channel::<Vec<u8>>(WAITING_MAX);
+        // without a thread the service runs without a log
+        let _ = std::thread::Builder::new().name("log".into()).spawn(move || {
+            for line in waiting {
+                // whoever has closed standard error wants no log
+                let _ = io::stderr().write_all(&line);
+                WAITING.fetch_sub(1, Relaxed);
+            }
+        });
+        move || Self(lines.clone())
+    }
+}
+
+impl Write for Lines {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        WAITING.fetch_add(1, Relaxed);
+        if self.0.try_send(line.to_vec()).is_err() {
+            WAITING.fetch_sub(1, Relaxed);
+        }
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Waits at its end until the lines are written, but not for a reader that does not read.
+pub struct Logging;
+
+impl Drop for Logging {
+    fn drop(&mut self) {
+        let since = Instant::now();
+        while WAITING.load(Relaxed) > 0 && since.elapsed() < END_MAX {
+            std::thread::sleep(Duration::from_millis(1));
+        }
     }
 }

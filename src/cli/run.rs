@@ -60,7 +60,7 @@ pub struct Args {
 /// # Errors
 /// A report about the input, the machine or the system.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    logging::start();
+    let _logging = logging::start();
     let mut board = inputs::board(args.board.as_deref())?;
     let gains = inputs::gains(args.gains.as_deref())?;
     let calibration = inputs::calibration(args.calib.as_deref())?;

@@ -29,6 +29,9 @@ parameters! {
         /// A client that is still connected for this long after it commanded a motion attends it: if it disconnects before the
         /// motion has ended, the tip holds. A larger value lets more clients leave a motion to itself.
         attended_s: f64 = 0.25, "s", 0.0..=1e6, "longer than a command that only sends and ends";
+        /// An armed tip that has held its pose for this long without a command returns to rest and is disarmed; left out, it holds
+        /// for as long as it is armed. A larger value lets the drivers and what the tip touches wait longer.
+        hold_max_s: Option<f64> = None, "s", 1.0..=1e6, "longer than any procedure holds one pose";
         /// Longest recording.
         record_max_s: f64 = 3600.0, "s", 1.0..=1e6, "an hour";
         /// Largest recording, log and tape together. A larger value fills more of the disk.

@@ -61,6 +61,7 @@ impl FaultyMachine {
     pub fn clear_faults(&mut self) {
         self.inner.world.plant_mut().clear();
         (self.bus, self.stamp_offset_s, self.emergency_stop) = (None, 0.0, false);
+        self.alarm = self.alarm.filter(Alarm::is_of_steps);
     }
 }
 
@@ -69,7 +70,7 @@ impl Machine for FaultyMachine {
         self.inner.info()
     }
     fn turn(&mut self, now: Seconds, wanted: &Steps) -> Result<Sensed, MachineError> {
-        if self.alarm.is_some() {
+        if self.alarm.is_some_and(|alarm| alarm.is_of_steps()) {
             self.inner.fail();
         }
         self.inner.inputs = Inputs { emergency_stop: self.emergency_stop, ..Inputs::default() };

@@ -95,16 +95,19 @@ fn order_faults() -> Vec<Spec> {
     let far = Injection::Order(to(Bend::from_deg(170.0, 0.0)));
     let contradictory = Injection::Orders(Order::Relax, bend(40.0, 0.0));
     let stop = Detector::Trip(&[TripCause::EmergencyStop]);
-    let underrun = Injection::Alarm(Alarm::Underrun);
-    let silent = Injection::Alarm(Alarm::Silent);
+    let alarm = |name, alarm, cause, bound| Spec::new(name, Injection::Alarm(alarm), Detector::Trip(cause), bound, FAULTED).within(0.002);
+    let (steps, pressure): (&[TripCause], &[TripCause]) = (&[TripCause::StepGenerator], &[TripCause::Pressure]);
     let unreachable = Injection::Order(to(Bend::from_deg(110.0, 0.0)));
     vec![
         refused("command_nan", nan, |r| r == Refusal::NotANumber, Bound::Continues, MOVING),
         refused("command_out_of_range", far, |r| r == Refusal::TooFar, Bound::Continues, MOVING),
         refused("command_contradictory", contradictory, |r| matches!(r, Refusal::Mode(_)), Bound::Copes, &["relaxing", "disarmed"]),
         Spec::new("emergency_stop", Injection::EmergencyStop, stop, Bound::Freezes, FAULTED).then_zero(),
-        Spec::new("step_thread_underrun", underrun, Detector::Trip(&[TripCause::StepGenerator]), Bound::Holds, FAULTED),
-        Spec::new("step_thread_silent", silent, Detector::Trip(&[TripCause::StepGenerator]), Bound::Holds, FAULTED).within(0.002),
+        alarm("step_thread_underrun", Alarm::Underrun, steps, Bound::Holds),
+        alarm("step_thread_silent", Alarm::Silent, steps, Bound::Holds),
+        alarm("line_overpressure", Alarm::Pressure { kpa: 45.0 }, pressure, Bound::Copes),
+        alarm("pressure_sensor_silent", Alarm::Pressure { kpa: f64::NAN }, pressure, Bound::Copes),
+        alarm("tip_hot", Alarm::Hot { temp_c: 42.0 }, &[TripCause::Temperature], Bound::Holds),
         refused("command_unreachable", unreachable, |r| matches!(r, Refusal::Unreachable(_)), Bound::Continues, MOVING).within(0.002),
     ]
 }

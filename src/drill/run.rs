@@ -199,7 +199,7 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, Machine
     }
     let mut stays = !spec.zero && bench.runner.supervisor.mode().moves();
     let mut zero = spec.zero;
-    if stays || matches!(spec.injection, Injection::EmergencyStop | Injection::Bus(..) | Injection::ClockJump(..)) {
+    if stays || matches!(spec.injection, Injection::EmergencyStop | Injection::Alarm(_) | Injection::Bus(..) | Injection::ClockJump(..)) {
         bench.runner.machine.clear_faults();
         // a tip that is released jumps, which can look like a moved base: then a new alignment is needed
         bench.until(20.0, |t| t.frame.senses.in_force.is_empty())?;

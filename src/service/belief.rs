@@ -40,7 +40,8 @@ mod tests {
 
     #[test]
     fn only_an_intact_memory_is_believed() {
-        let recall = |found, armed, lost| Recall { memory: Some(Memory { armed, lost, ..Memory::default() }), damaged: vec![], found };
+        let recall =
+            |found, armed, lost| Recall { memory: Some(Memory { armed, lost, ..Memory::default() }), damaged: vec![], found, sequence: 1 };
         assert_eq!(Belief::in_recall(&Recall::default(), true), Belief::Certain, "a plant that begins with the service");
         assert_eq!(Belief::in_recall(&Recall::default(), false), Belief::Lost, "a real machine without a memory");
         for simulated in [true, false] {

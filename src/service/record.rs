@@ -22,7 +22,8 @@ use std::time::{Duration, Instant};
 
 /// Columns, as in every bend log.
 const HEADER: &str = "time_s,cmd_bend_deg,cmd_dir_deg,cmd_len_mm,piston1_mm,piston2_mm,piston3_mm,\
-acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s,mag_x_ut,mag_y_ut,mag_z_ut\n";
+acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s,mag_x_ut,mag_y_ut,mag_z_ut,temp_c,\
+pressure1_kpa,pressure2_kpa,pressure3_kpa\n";
 
 /// Time of the first row, s.
 const FIRST_ROW_S: f64 = 1e-3;
@@ -188,11 +189,12 @@ impl Recording {
         let [p1, p2, p3] = output.counted.0.map(|n| f64::from(n) * self.step_mm);
         let (a, g, length) = (sample.acc_m_s2, sample.gyro_rad_s, target.length.0);
         let fields = format_args!("{t:.6},{bend},{dir},{length},{p1},{p2},{p3},{},{},{},{},{},{}", a.x, a.y, a.z, g.x, g.y, g.z);
+        let gauges = &output.sensed.gauges;
+        let measured = [sample.mag_ut.map(|m| [m.x, m.y, m.z]), gauges.pressure_kpa];
+        let [mag, pressure] = measured.map(|all| all.map_or([const { String::new() }; 3], |all| all.map(optional)).join(","));
+        let temp = gauges.tip_c.map_or_else(String::new, optional);
         // writing to memory does not fail
-        let _ = match sample.mag_ut {
-            Some(m) => writeln!(self.log, "{fields},{},{},{}", m.x, m.y, m.z),
-            None => writeln!(self.log, "{fields},,,"),
-        };
+        let _ = writeln!(self.log, "{fields},{mag},{temp},{pressure}");
     }
 
     fn hand_over(&mut self) {
@@ -233,6 +235,11 @@ impl Recording {
     }
 }
 
+/// A field that is empty without a number.
+fn optional(value: f64) -> String {
+    if value.is_finite() { value.to_string() } else { String::new() }
+}
+
 /// The thread: returns the reason if a limit ended the recording.
 fn write(
     path: &Path,
@@ -271,40 +278,33 @@ fn write(
     Ok(reason)
 }
 
-/// A file, compressed or not.
-enum Output {
-    Plain(BufWriter<File>),
-    Gzip(GzEncoder<BufWriter<File>>),
+/// A file that is being written.
+struct Output {
+    path: PathBuf,
+    file: Box<dyn Write>,
 }
 
 impl Output {
     fn create(path: &Path, compressed: bool) -> io::Result<Self> {
         let file = BufWriter::new(File::create_new(path)?);
-        Ok(if compressed { Self::Gzip(GzEncoder::new(file, Compression::fast())) } else { Self::Plain(file) })
+        let file: Box<dyn Write> = if compressed { Box::new(GzEncoder::new(file, Compression::fast())) } else { Box::new(file) };
+        Ok(Self { path: path.to_owned(), file })
     }
 
     /// Writes and flushes, so that a killed service leaves what it has handed over.
     fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
-        match self {
-            Self::Plain(file) => file.write_all(bytes).and_then(|()| file.flush()),
-            Self::Gzip(file) => file.write_all(bytes).and_then(|()| file.flush()),
-        }
+        self.file.write_all(bytes)?;
+        self.file.flush()
     }
 
     fn size(&self) -> io::Result<u64> {
-        let file = match self {
-            Self::Plain(file) => file.get_ref(),
-            Self::Gzip(file) => file.get_ref().get_ref(),
-        };
-        Ok(file.metadata()?.len())
+        Ok(std::fs::metadata(&self.path)?.len())
     }
 
     fn finish(self) -> io::Result<()> {
-        let file = match self {
-            Self::Plain(file) => file,
-            Self::Gzip(file) => file.finish()?,
-        };
-        file.into_inner()?.sync_all()
+        // everything is flushed; this writes the end of a compressed file
+        drop(self.file);
+        File::open(self.path)?.sync_all()
     }
 }
 

@@ -14,6 +14,9 @@ pub fn service(scene: &mut Scene) {
         kind == ("notify".into(), "active".into(), "retroflex".into()),
         &format!("{kind:?}"),
     );
+    scene.reaches("a machine without a memory does not know where its pistons are", "lost", 120.0);
+    let stated = scene.retroflex("zero --straight");
+    scene.verdicts.hold("the operator states that the tip is straight", stated.code == 0, &stated.flat());
     scene.reaches("rest is found", "disarmed", 120.0);
     let text = scene.show("StatusText");
     scene.verdicts.says("STATUS= is shown", &text, &["disarmed"]);

@@ -7,6 +7,7 @@ use crate::service::protocol::Failure;
 use crate::service::status;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
+use crate::supervisor::mode::Mode;
 use serde_json::json;
 use std::time::{Duration, Instant};
 
@@ -78,6 +79,21 @@ impl Hub {
         }
         self.send_frames(output);
         self.advance_calibration(output);
+        self.end_long_hold(output);
+    }
+
+    /// Returns a tip to rest that has held its pose for `service.hold_max_s`.
+    fn end_long_hold(&mut self, output: &CycleOutput) {
+        let holds = output.mode == Mode::Holding && !output.stopped && output.order.is_none();
+        let t = output.sensed.t.0;
+        self.held_since_s = holds.then(|| self.held_since_s.unwrap_or(t));
+        if let (Some(since), Some(most)) = (self.held_since_s, self.config.service.hold_max_s)
+            && t - since > most
+        {
+            tracing::warn!(event = "hold_max", config = %self.config.config_hash, "the tip has held its pose for {most} s: returning to rest");
+            self.held_since_s = None;
+            self.own_order(Order::Relax);
+        }
     }
 
     fn send_frames(&mut self, output: &CycleOutput) {

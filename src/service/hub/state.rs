@@ -111,6 +111,8 @@ pub struct Hub {
     /// Why the last recording ended, unless a client ended it.
     pub(super) recording_ended: Option<String>,
     pub(super) mover: Option<Mover>,
+    /// Since when the tip has held its pose without a stop, by the loop's clock, s.
+    pub(super) held_since_s: Option<f64>,
     /// Reads of the gains file under way, with their results.
     pub(super) reloads: (Sender<Reload>, Receiver<Reload>),
     /// The status of this round, once a client has asked for it.
@@ -174,6 +176,7 @@ impl Hub {
             recording: None,
             recording_ended: None,
             mover: None,
+            held_since_s: None,
             reloads: channel(),
             status_cache: None,
             calibration: None,
