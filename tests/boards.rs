@@ -183,7 +183,7 @@ fn contradictions_are_refused_with_their_place() {
         ("lead_ms = 4.0", 0, "lead_ms = 1.0", &["stepper.lead_ms", "less than one turn of the loop, 2 ms"]),
         ("address = 104", 0, "address = 0x42", &["imu.chip.address", "66 is not 104 or 105", "104 (0x68) or 105 (0x69)"]),
         ("part = \"icm20948\"", 0, "part = \"bno055\"", &["bno055", "icm20948"]),
-        ("microsteps = 16", 0, "microstep = 16", &["unknown field `microstep`", "microsteps"]),
+        ("microsteps = 16", 0, "microstep = 16", &["`drive.microstep` is not a known key", "microsteps"]),
         ("pulse_high_us = 2.0", 0, "pulse_high_us = 0.5", &["stepper.pulse_high_us", "0.5", "1 to 1000 µs"]),
     ];
     for (old, nth, new, words) in cases {

@@ -5,9 +5,11 @@ use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::pressure_bound::PressureBound;
+use crate::config::sections::Header;
 use crate::config::{shipped, show};
 use crate::primitives::parameters::{Check, Parameters};
-use miette::Result;
+use crate::report::wiring::{self, Device, Wire};
+use miette::{Result, miette};
 use serde::de::DeserializeOwned;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,6 +19,8 @@ use std::path::{Path, PathBuf};
 pub enum BoardCommand {
     /// Print a whole file as TOML, with the meaning, unit, default and range of every key.
     Show(ShowArgs),
+    /// Draw the wiring of a board as SVG.
+    Draw(DrawArgs),
     /// Check a board: its file, and that the pressure stays bounded if the program fails.
     Check(CheckArgs),
 }
@@ -26,6 +30,16 @@ pub enum BoardCommand {
 pub struct CheckArgs {
     /// Board file, or the name of a board that comes with the program.
     board: PathBuf,
+}
+
+/// Arguments of `board draw`.
+#[derive(Debug, clap::Args)]
+pub struct DrawArgs {
+    /// Board file, or the name of a board that comes with the program.
+    board: PathBuf,
+    /// File of the drawing (`-`: standard output).
+    #[arg(long, value_name = "FILE", default_value = "-")]
+    svg: PathBuf,
 }
 
 /// Arguments of `board show`.
@@ -49,6 +63,7 @@ pub fn run(command: &BoardCommand) -> Result<CommandOutcome> {
     let args = match command {
         BoardCommand::Show(args) => args,
         BoardCommand::Check(args) => return check(&args.board),
+        BoardCommand::Draw(args) => return draw(args),
     };
     let file = args.file.as_deref();
     let text = if args.gains {
@@ -57,6 +72,7 @@ pub fn run(command: &BoardCommand) -> Result<CommandOutcome> {
         page::<Calibration>(file, shipped::PAPER)?
     } else {
         let (file, own) = named(file);
+        known(file)?;
         page::<Board>(file, own)?
     };
     // a reader that has gone away is no failure
@@ -70,9 +86,51 @@ fn named(file: Option<&Path>) -> (Option<&Path>, (&'static str, &'static str)) {
     (file.filter(|_| own.is_none()), own.unwrap_or(shipped::SIM))
 }
 
+/// Refuses a name that is neither a file nor a board.
+fn known(file: Option<&Path>) -> Result<()> {
+    match file {
+        Some(path) if !path.exists() && path.extension().is_none() => {
+            Err(miette!("{}: there is no such file, and no such board: the boards are {}", path.display(), shipped::names()))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Draws the drivers, the IMU and the emergency stop of a board at the lines that it names.
+fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
+    output::check(&[("--svg", Some(&args.svg))], &[&args.board])?;
+    let (file, own) = named(Some(&args.board));
+    known(file)?;
+    let board: Board = inputs::read_or(file, own)?;
+    let path = args.board.display();
+    let Some(pins) = &board.pins else { return Err(miette!("{path}: this board has no [pins], so there is nothing to wire")) };
+    let raspberry = board.machine.header == Header::RaspberryPi;
+    let supply = |name: &str, position| raspberry.then(|| (name.to_owned(), Wire::Position(position)));
+    let uses = pins.uses();
+    let mut devices: Vec<Device> = (0..3)
+        .map(|i| {
+            let own = uses.iter().filter(|u| u.key.starts_with(&format!("channels.{i}.")));
+            let lines = own.map(|u| (u.name.to_uppercase(), Wire::Line(u.pin)));
+            Device { name: format!("driver of bellow {}", i + 1), terminals: lines.chain(supply("GND", [9, 14, 20][i])).collect() }
+        })
+        .collect();
+    if let Some(imu) = &board.imu {
+        let bus = imu.bus_lines.into_iter().flatten().zip(["SDA", "SCL"]).map(|(pin, name)| (name.to_owned(), Wire::Line(pin)));
+        let name = format!("IMU at the tip, {}", imu.bus);
+        devices.push(Device { name, terminals: supply("3.3 V", 1).into_iter().chain(bus).chain(supply("GND", 6)).collect() });
+    }
+    if let Some(stop) = pins.emergency_stop {
+        let terminals = [Some(("NC".to_owned(), Wire::Line(stop.pin))), supply("GND", 39)];
+        devices.push(Device { name: "emergency stop".to_owned(), terminals: terminals.into_iter().flatten().collect() });
+    }
+    output::write(&args.svg, &wiring::draw(&format!("Wiring of {}", board.machine.name), raspberry, &devices))?;
+    Ok(CommandOutcome::Good)
+}
+
 /// Exit code 1 if nothing outside the program bounds the pressure.
 fn check(path: &Path) -> Result<CommandOutcome> {
     let (file, own) = named(Some(path));
+    known(file)?;
     let board: Board = inputs::read_or(file, own)?;
     let bound = PressureBound::of(&board);
     output::print(&format!("file      consistent\npressure  {bound}\n"));

@@ -8,6 +8,7 @@ use crate::primitives::parameters::Check;
 use crate::simulation::link;
 use miette::{Result, miette};
 use serde::de::DeserializeOwned;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 /// A board file; by default the paper twin.
@@ -43,6 +44,14 @@ pub fn read_or<T: DeserializeOwned + Check>(path: Option<&Path>, (name, built_in
         Some(path) => source::read(path)?,
         None => source::parse(name, built_in)?,
     })
+}
+
+/// A parser of options that take a number from a range.
+pub fn within(allowed: RangeInclusive<f64>, unit: &'static str) -> impl Fn(&str) -> std::result::Result<f64, String> + Clone {
+    move |text| match text.parse() {
+        Ok(number) if allowed.contains(&number) => Ok(number),
+        _ => Err(format!("expected a number from {} to {} {unit}", allowed.start(), allowed.end())),
+    }
 }
 
 /// Program and arguments of `--plant 'exec:PROGRAM ARG…'`.

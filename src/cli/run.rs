@@ -1,5 +1,6 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
+use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, Unreachable, inputs, logging, manual_motion};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
@@ -50,9 +51,9 @@ pub struct Args {
     /// Number of the simulated unit.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Run a simulation as fast as possible instead of in real time.
-    #[arg(long)]
-    fast: bool,
+    /// Run a simulation this many times faster than real time; without a number, as fast as possible.
+    #[arg(long, value_name = "FACTOR", num_args = 0..=1, default_missing_value = "inf", value_parser = within(0.1..=f64::INFINITY, "or nothing"))]
+    fast: Option<f64>,
 }
 
 /// Runs the command.
@@ -65,7 +66,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let gains = inputs::gains(args.gains.as_deref())?;
     let calibration = inputs::calibration(args.calib.as_deref())?;
     let tip = check_tip(args, &calibration)?;
-    if args.fast && args.plant.is_none() && board.plant.is_none() {
+    if args.fast.is_some() && args.plant.is_none() && board.plant.is_none() {
         return Err(miette!("--fast: only a simulation can run faster than real time; give --plant, or a board with a [plant] table"));
     }
     let texts = [show::compact(&board), show::compact(&gains), show::compact(&calibration)];
@@ -92,7 +93,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         calibration,
         tip,
     };
-    serve(claim, Setup { machine, config, fast: args.fast, record: args.record.clone() }).map_err(report)?;
+    serve(claim, Setup { machine, config, pace: args.fast, record: args.record.clone() }).map_err(report)?;
     Ok(CommandOutcome::Good)
 }
 

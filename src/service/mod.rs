@@ -77,8 +77,8 @@ pub struct Setup {
     pub machine: Box<dyn Machine>,
     /// The configuration.
     pub config: RunConfig,
-    /// Run a simulation as fast as possible instead of in real time.
-    pub fast: bool,
+    /// How many times faster than real time a simulation runs; infinity: as fast as possible. `None`: in real time.
+    pub pace: Option<f64>,
     /// Record from the first cycle on into this file.
     pub record: Option<PathBuf>,
 }
@@ -88,7 +88,7 @@ pub struct Setup {
 /// # Errors
 /// [`ServiceError`].
 pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
-    let Setup { machine, mut config, fast, record } = setup;
+    let Setup { machine, mut config, pace, record } = setup;
     log_recall(&claim.recall);
     let memory = claim.recall.memory.unwrap_or_default();
     let start = Start::new(&config, &memory, claim.recall.unreadable);
@@ -102,11 +102,12 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         runner: Runner::new(machine, start.supervisor()),
         rings: loop_rings,
         shared: Arc::clone(&shared),
-        fast,
+        pace,
         heartbeat: HeartbeatMonitor::new(notifier.heartbeat()),
         stops: StopCounter::default(),
     };
-    let wish = RtRequest { priority: config.service.priority, cpu: config.service.cpu };
+    // a simulation that runs ahead of time would take its processor from everybody
+    let wish = if pace.is_some() { RtRequest { priority: 0, cpu: None } } else { RtRequest { priority: config.service.priority, cpu: config.service.cpu } };
     let (report, reported) = channel();
     let thread = std::thread::Builder::new().name("loop".into()).spawn(move || {
         let (status, _guard) = rt::enter(&wish);

@@ -46,7 +46,21 @@ pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Opti
 pub(super) fn ask_and_print(connection: &mut Connection, request: &Request) -> Result<CommandOutcome> {
     let Some(value) = ask(connection, request)? else { return Ok(CommandOutcome::NotGoodEnough) };
     if value.as_object().is_some_and(|map| !map.is_empty()) {
-        print(&format!("{value}\n"));
+        print(&words(&value));
     }
     Ok(CommandOutcome::Good)
+}
+
+/// A result in words: the recording or the gains file that it names.
+pub(super) fn words(value: &Value) -> String {
+    let file = value["path"].as_str();
+    match (file, value["rows"].as_u64(), value["gains"].as_str()) {
+        (Some(path), None, _) => format!("recording {path}\n"),
+        (Some(path), Some(rows), _) => {
+            let replay = if value["replayable"] == true { ", can be replayed" } else { "" };
+            format!("{path}: {rows} rows{replay}\n")
+        }
+        (None, _, Some(gains)) => format!("{gains} is in use\n"),
+        _ => format!("{value}\n"),
+    }
 }

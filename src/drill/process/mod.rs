@@ -2,7 +2,7 @@
 //! loaded by misbehaving clients.
 
 mod clients;
-mod daemon;
+pub mod daemon;
 mod disk;
 mod restart;
 

@@ -1,6 +1,6 @@
 //! Recordings, and the status of the service.
 
-use super::state::{Hub, unix_s};
+use super::state::Hub;
 use crate::service::calibrate::Session;
 use crate::service::protocol::{Failure, RecordAction};
 use crate::service::record::Recording;
@@ -31,12 +31,12 @@ impl Hub {
                 Err(Failure::refused(format!("{} is being recorded; stop that recording first", r.path().display())))
             }
             (RecordAction::Start, None) => {
-                let name = name.map_or_else(|| format!("bend-{:.0}", unix_s()), str::to_owned);
+                let folder = self.config.service.state.join("recordings");
+                let name = name.map_or_else(|| next_name(&folder), str::to_owned);
                 let allowed = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
                 if name.is_empty() || name.starts_with('.') || name.len() > NAME_MAX || !name.chars().all(allowed) {
                     return Err(Failure::bad(format!("`{name}` is not a valid name: use letters, digits, - _ . and no folder")));
                 }
-                let folder = self.config.service.state.join("recordings");
                 let path = folder.join(name + ".csv");
                 let started = std::fs::create_dir_all(&folder).and_then(|()| self.start_recording(&path, false));
                 started.map_err(|e| Failure::refused(format!("{}: {e}", path.display())))?;
@@ -107,6 +107,12 @@ impl Hub {
         }
         value
     }
+}
+
+/// The first free name. It does not use the time of day, which a computer without a clock does not know after a start.
+fn next_name(folder: &Path) -> String {
+    let mut names = (1..).map(|n| format!("bend-{n:04}"));
+    names.find(|name| !folder.join(format!("{name}.csv")).exists()).unwrap_or_default()
 }
 
 fn recording_json(r: &Recording) -> Value {

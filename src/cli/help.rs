@@ -1,0 +1,188 @@
+//! The command line as `clap` describes it: commands by task, examples, completions and man pages.
+
+use crate::cli::{Cli, CommandOutcome, output};
+use clap::{Command, CommandFactory, FromArgMatches};
+use clap_complete::Shell;
+use miette::{Result, miette};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// The commands by task, as `--help` lists them.
+pub const GROUPS: [(&str, &[&str]); 7] = [
+    ("Move", &["run", "arm", "bend", "stream", "play", "hold", "stop", "relax", "disarm", "status", "subscribe", "reset-fault", "reload"]),
+    ("Bring up", &["board", "doctor", "release", "jog", "home", "commission", "bench"]),
+    ("Calibrate", &["zero", "calibrate", "imu"]),
+    ("Diagnose", &["record", "replay", "gap"]),
+    ("Simulate", &["demo", "evaluate"]),
+    ("Prove", &["drill"]),
+    ("Other", &["completions", "man", "help"]),
+];
+
+/// Two examples of each command. A command with commands of its own stands for all of them.
+const EXAMPLES: [(&str, [&str; 2]); 30] = [
+    ("run", ["run", "run --board boards/pi4.toml --calib calib/paper.toml"]),
+    ("arm", ["arm", "arm --socket /tmp/tip.sock"]),
+    ("bend", ["bend 60 --toward 90 --wait", "bend 30 --speed 10 --length 21"]),
+    ("stream", ["stream", "stream --socket /tmp/tip.sock"]),
+    ("play", ["play schedule.csv", "play schedule.csv --record today"]),
+    ("hold", ["hold", "hold --socket /tmp/tip.sock"]),
+    ("stop", ["stop", "stop --socket /tmp/tip.sock"]),
+    ("relax", ["relax", "relax --socket /tmp/tip.sock"]),
+    ("disarm", ["disarm", "disarm --socket /tmp/tip.sock"]),
+    ("status", ["status --watch", "status --json -"]),
+    ("subscribe", ["subscribe", "subscribe --rate 100"]),
+    ("reset-fault", ["reset-fault", "reset-fault --socket /tmp/tip.sock"]),
+    ("reload", ["reload", "reload --socket /tmp/tip.sock"]),
+    ("board", ["board show pi4", "board check boards/pi4.toml"]),
+    ("doctor", ["doctor --board boards/pi4.toml", "doctor --json -"]),
+    ("release", ["release --board boards/pi4.toml", "release --hold --board boards/pi4.toml"]),
+    ("jog", ["jog --board boards/pi4.toml --channel 1 --mm 2", "jog --board boards/pi4.toml --channel 3 --mm -5 --speed 1"]),
+    ("home", ["home --board boards/pi4.toml", "home --board boards/pi4.toml --at-rest"]),
+    ("commission", ["commission --board boards/pi4.toml", "commission --board boards/pi4.toml --write"]),
+    ("bench", ["bench rt", "bench rt --board boards/pi4.toml --seconds 60 --load 4"]),
+    ("zero", ["zero", "zero --straight"]),
+    ("calibrate", ["calibrate transmission --short", "calibrate imu gyro rest.csv --out tip.toml"]),
+    ("imu", ["imu score recording.csv", "imu score --all --json - recording.csv"]),
+    ("record", ["record start today", "record stop"]),
+    ("replay", ["replay today.csv", "replay /var/lib/retroflex/today.csv"]),
+    ("gap", ["gap diagnose today.csv --html today.html --save model.toml", "gap check model.toml tomorrow.csv"]),
+    ("demo", ["demo", "demo --html leak.html"]),
+    ("evaluate", ["evaluate", "evaluate --seed 7 --json - --html figures.html"]),
+    ("drill", ["drill --in-flight", "drill --only kink --json -"]),
+    ("completions", ["completions bash", "completions fish"]),
+];
+
+const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
+
+/// Examples of a command, for its help.
+fn examples(name: &str) -> String {
+    let lines = EXAMPLES.iter().filter(|e| e.0 == name).flat_map(|e| e.1);
+    lines.fold("Examples:".to_owned(), |text, line| text + "\n  retroflex " + line)
+}
+
+/// The command line, with the commands grouped by task and examples.
+#[must_use]
+pub fn command() -> Command {
+    let cli = Cli::command();
+    let mut text = String::new();
+    for (task, names) in GROUPS {
+        let _ = writeln!(text, "\n{task}:");
+        for name in names {
+            let about = cli
+                .find_subcommand(name)
+                .and_then(Command::get_about)
+                .map_or_else(|| "Print help for a command.".to_owned(), ToString::to_string);
+            let _ = writeln!(text, "  {name:<13} {about}");
+        }
+        let shown = EXAMPLES.iter().filter(|e| names.contains(&e.0)).flat_map(|e| if names.len() > 3 { &e.1[..1] } else { &e.1[..] });
+        let shown: Vec<String> = shown.filter(|e| e.contains(' ')).take(2).map(|e| format!("`retroflex {e}`")).collect();
+        if task != "Other" {
+            let _ = writeln!(text, "  For example {}.", shown.join(", "));
+        }
+    }
+    let numbers = |c: Command| c.allow_negative_numbers(true);
+    let explained = |c: Command| {
+        let help = examples(c.get_name());
+        numbers(c).mut_subcommands(numbers).after_help(help)
+    };
+    cli.mut_subcommands(explained).help_template(TEMPLATE).after_help(text.trim_end().to_owned())
+}
+
+/// Parses the arguments of the process; prints help or a usage error and exits where that is due.
+#[must_use]
+pub fn parse() -> Cli {
+    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    parsed.unwrap_or_else(|e| {
+        if !e.use_stderr() {
+            e.exit();
+        }
+        eprint!("{}", plain(&e.render().to_string()));
+        std::process::exit(2)
+    })
+}
+
+/// A usage error without the terms of the Rust library.
+fn plain(text: &str) -> String {
+    const WORDS: [(&str, &str); 6] = [
+        ("..=", " to "),
+        ("invalid float literal", "expected a number"),
+        ("cannot parse float from empty string", "expected a number"),
+        ("invalid digit found in string", "expected a whole number, not negative"),
+        ("unrecognized subcommand", "there is no command"),
+        ("a similar subcommand exists", "did you mean"),
+    ];
+    WORDS.iter().fold(text.to_owned(), |text, (from, to)| text.replace(from, to))
+}
+
+/// Arguments of `completions`.
+#[derive(Debug, clap::Args)]
+pub struct CompletionsArgs {
+    /// Shell that the script is for.
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+/// Prints a completion script on standard output.
+#[must_use]
+pub fn completions(args: &CompletionsArgs) -> CommandOutcome {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut command(), "retroflex", &mut script);
+    output::print(&String::from_utf8_lossy(&script));
+    CommandOutcome::Good
+}
+
+/// Arguments of `man`.
+#[derive(Debug, clap::Args)]
+pub struct ManArgs {
+    /// Folder for the pages, one for each command.
+    folder: PathBuf,
+}
+
+/// Writes the man pages.
+///
+/// # Errors
+/// A report that names the folder.
+pub fn man(args: &ManArgs) -> Result<CommandOutcome> {
+    let folder = args.folder.display();
+    if !args.folder.is_dir() {
+        return Err(miette!("{folder}: there is no such folder; create it first"));
+    }
+    clap_mangen::generate_to(command(), &args.folder).map_err(|e| miette!("{folder}: {e}"))?;
+    Ok(CommandOutcome::Good)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn help_lists_every_command_once() {
+        let mut listed: Vec<&str> = GROUPS.iter().flat_map(|g| g.1).copied().filter(|n| *n != "help").collect();
+        let cli = Cli::command();
+        let mut all: Vec<&str> = cli.get_subcommands().filter(|c| !c.is_hide_set()).map(Command::get_name).collect();
+        listed.sort_unstable();
+        all.sort_unstable();
+        assert_eq!(listed, all);
+        command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_has_two_examples_that_parse() {
+        let explained = |n: &&str| !["man", "help"].contains(n);
+        for name in GROUPS.iter().flat_map(|g| g.1).filter(|n| explained(n)) {
+            let (_, examples) = EXAMPLES.iter().find(|e| e.0 == *name).unwrap();
+            for example in examples {
+                let words = std::iter::once("retroflex").chain(example.split(' '));
+                assert!(example.starts_with(name), "{example}");
+                command().try_get_matches_from(words).unwrap_or_else(|e| panic!("{example}: {e}"));
+            }
+        }
+    }
+
+    #[test]
+    fn usage_errors_name_the_value_and_what_is_expected() {
+        let message = |line: &str| plain(&command().try_get_matches_from(line.split(' ')).unwrap_err().render().to_string());
+        assert!(message("retroflex evaluate --seed -1").contains("'-1' for '--seed <SEED>': expected a whole number, not negative"));
+        assert!(message("retroflex bend x").contains("'x' for '<BEND>': expected a number"));
+    }
+}
