@@ -1,7 +1,6 @@
 //! `retroflex board`: a file with everything that it leaves out, and whether a board is safe to run.
 
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::pressure_bound::PressureBound;
@@ -71,37 +70,17 @@ pub fn run(command: &BoardCommand) -> Result<CommandOutcome> {
     } else if args.calib {
         page::<Calibration>(file, shipped::PAPER)?
     } else {
-        let (file, own) = named(file);
-        known(file)?;
-        page::<Board>(file, own)?
+        show::whole(&inputs::board(file)?)
     };
     // a reader that has gone away is no failure
     let _ = std::io::stdout().write_all(text.as_bytes());
     Ok(CommandOutcome::Good)
 }
 
-/// A board file, or the shipped board of that name in its place.
-fn named(file: Option<&Path>) -> (Option<&Path>, (&'static str, &'static str)) {
-    let own = file.and_then(|f| f.to_str()).and_then(|name| shipped::BOARDS.into_iter().find(|(n, _)| *n == name));
-    (file.filter(|_| own.is_none()), own.unwrap_or(shipped::SIM))
-}
-
-/// Refuses a name that is neither a file nor a board.
-fn known(file: Option<&Path>) -> Result<()> {
-    match file {
-        Some(path) if !path.exists() && path.extension().is_none() => {
-            Err(miette!("{}: there is no such file, and no such board: the boards are {}", path.display(), shipped::names()))
-        }
-        _ => Ok(()),
-    }
-}
-
 /// Draws the drivers, the IMU and the emergency stop of a board at the lines that it names.
 fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
     output::check(&[("--svg", Some(&args.svg))], &[&args.board])?;
-    let (file, own) = named(Some(&args.board));
-    known(file)?;
-    let board: Board = inputs::read_or(file, own)?;
+    let board = inputs::board(Some(&args.board))?;
     let path = args.board.display();
     let Some(pins) = &board.pins else { return Err(miette!("{path}: this board has no [pins], so there is nothing to wire")) };
     let raspberry = board.machine.header == Header::RaspberryPi;
@@ -129,9 +108,7 @@ fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
 
 /// Exit code 1 if nothing outside the program bounds the pressure.
 fn check(path: &Path) -> Result<CommandOutcome> {
-    let (file, own) = named(Some(path));
-    known(file)?;
-    let board: Board = inputs::read_or(file, own)?;
+    let board = inputs::board(Some(path))?;
     let bound = PressureBound::of(&board);
     output::print(&format!("file      consistent\npressure  {bound}\n"));
     Ok(if bound.is_bounded() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })

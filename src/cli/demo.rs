@@ -52,7 +52,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         demo.step("", &["bend", "60", "--toward", "90", "--wait"], Some(&service))?;
         demo.step("", &["status"], Some(&service))?;
     }
-    let found = demo.diagnose(&format!("Line {} now leaks. A schedule of poses is played and recorded.", LEAK.0), "leaky", Some(LEAK.0), &args.html)?;
+    let found = demo.diagnose(
+        &format!("Line {} now leaks. A schedule of poses is played and recorded.", LEAK.0),
+        "leaky",
+        Some(LEAK.0),
+        &args.html,
+    )?;
     let Some(line) = leaking(&found) else {
         output::print("The diagnosis does not name the leak.\n");
         return Ok(CommandOutcome::NotGoodEnough);

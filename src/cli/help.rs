@@ -18,21 +18,13 @@ pub const GROUPS: [(&str, &[&str]); 7] = [
     ("Other", &["completions", "man", "help"]),
 ];
 
-/// Two examples of each command. A command with commands of its own stands for all of them.
-const EXAMPLES: [(&str, [&str; 2]); 30] = [
+/// Two examples of each command that has arguments. A command with commands of its own stands for all of them.
+const EXAMPLES: [(&str, [&str; 2]); 23] = [
     ("run", ["run", "run --board boards/pi4.toml --calib calib/paper.toml"]),
-    ("arm", ["arm", "arm --socket /tmp/tip.sock"]),
     ("bend", ["bend 60 --toward 90 --wait", "bend 30 --speed 10 --length 21"]),
-    ("stream", ["stream", "stream --socket /tmp/tip.sock"]),
     ("play", ["play schedule.csv", "play schedule.csv --record today"]),
-    ("hold", ["hold", "hold --socket /tmp/tip.sock"]),
-    ("stop", ["stop", "stop --socket /tmp/tip.sock"]),
-    ("relax", ["relax", "relax --socket /tmp/tip.sock"]),
-    ("disarm", ["disarm", "disarm --socket /tmp/tip.sock"]),
     ("status", ["status --watch", "status --json -"]),
     ("subscribe", ["subscribe", "subscribe --rate 100"]),
-    ("reset-fault", ["reset-fault", "reset-fault --socket /tmp/tip.sock"]),
-    ("reload", ["reload", "reload --socket /tmp/tip.sock"]),
     ("board", ["board show pi4", "board check boards/pi4.toml"]),
     ("doctor", ["doctor --board boards/pi4.toml", "doctor --json -"]),
     ("release", ["release --board boards/pi4.toml", "release --hold --board boards/pi4.toml"]),
@@ -46,18 +38,21 @@ const EXAMPLES: [(&str, [&str; 2]); 30] = [
     ("record", ["record start today", "record stop"]),
     ("replay", ["replay today.csv", "replay /var/lib/retroflex/today.csv"]),
     ("gap", ["gap diagnose today.csv --html today.html --save model.toml", "gap check model.toml tomorrow.csv"]),
-    ("demo", ["demo", "demo --html leak.html"]),
-    ("evaluate", ["evaluate", "evaluate --seed 7 --json - --html figures.html"]),
+    ("demo", ["demo --html leak.html", "demo"]),
+    ("evaluate", ["evaluate --seed 7", "evaluate --seed 7 --json - --html figures.html"]),
     ("drill", ["drill --in-flight", "drill --only kink --json -"]),
     ("completions", ["completions bash", "completions fish"]),
+    ("man", ["man .", "man target/man"]),
 ];
 
 const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
 
-/// Examples of a command, for its help.
-fn examples(name: &str) -> String {
-    let lines = EXAMPLES.iter().filter(|e| e.0 == name).flat_map(|e| e.1);
-    lines.fold("Examples:".to_owned(), |text, line| text + "\n  retroflex " + line)
+/// Two examples of a command, without the name of the program.
+fn examples(name: &str) -> [String; 2] {
+    match EXAMPLES.iter().find(|e| e.0 == name) {
+        Some((_, lines)) => lines.map(str::to_owned),
+        None => [name.to_owned(), format!("{name} --socket /tmp/tip.sock")],
+    }
 }
 
 /// The command line, with the commands grouped by task and examples.
@@ -74,16 +69,18 @@ pub fn command() -> Command {
                 .map_or_else(|| "Print help for a command.".to_owned(), ToString::to_string);
             let _ = writeln!(text, "  {name:<13} {about}");
         }
-        let shown = EXAMPLES.iter().filter(|e| names.contains(&e.0)).flat_map(|e| if names.len() > 3 { &e.1[..1] } else { &e.1[..] });
-        let shown: Vec<String> = shown.filter(|e| e.contains(' ')).take(2).map(|e| format!("`retroflex {e}`")).collect();
-        if task != "Other" {
-            let _ = writeln!(text, "  For example {}.", shown.join(", "));
-        }
+        let own = EXAMPLES.iter().filter(|e| names.contains(&e.0) && e.1[0].contains(' ')).take(2).collect::<Vec<_>>();
+        let [first, second] = match own[..] {
+            [a, b] => [a.1[0], b.1[0]],
+            [a] => a.1,
+            _ => continue,
+        };
+        let _ = writeln!(text, "  Examples: `retroflex {first}`, `retroflex {second}`");
     }
     let numbers = |c: Command| c.allow_negative_numbers(true);
     let explained = |c: Command| {
-        let help = examples(c.get_name());
-        numbers(c).mut_subcommands(numbers).after_help(help)
+        let [first, second] = examples(c.get_name());
+        numbers(c).mut_subcommands(numbers).after_help(format!("Examples:\n  retroflex {first}\n  retroflex {second}"))
     };
     cli.mut_subcommands(explained).help_template(TEMPLATE).after_help(text.trim_end().to_owned())
 }
@@ -168,10 +165,8 @@ mod tests {
 
     #[test]
     fn every_command_has_two_examples_that_parse() {
-        let explained = |n: &&str| !["man", "help"].contains(n);
-        for name in GROUPS.iter().flat_map(|g| g.1).filter(|n| explained(n)) {
-            let (_, examples) = EXAMPLES.iter().find(|e| e.0 == *name).unwrap();
-            for example in examples {
+        for name in GROUPS.iter().flat_map(|g| g.1).filter(|n| **n != "help") {
+            for example in examples(name) {
                 let words = std::iter::once("retroflex").chain(example.split(' '));
                 assert!(example.starts_with(name), "{example}");
                 command().try_get_matches_from(words).unwrap_or_else(|e| panic!("{example}: {e}"));

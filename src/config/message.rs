@@ -9,7 +9,8 @@ const LISTED_MAX: usize = 9;
 #[must_use]
 pub fn plain(message: &str, key: &str, row: Option<&Row>) -> String {
     // a list of tables begins where its first table begins
-    let key = if message.starts_with("invalid length") { key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit()) } else { key };
+    let key =
+        if message.starts_with("invalid length") { key.trim_end_matches(|c: char| "[]".contains(c) || c.is_ascii_digit()) } else { key };
     let text = match quoted(message) {
         [Some(name), ..] if message.starts_with("unknown field") => return format!("`{key}` is not a known key{}", instead(name, message)),
         [Some(name), ..] if message.starts_with("unknown variant") => format!("`{name}` is not a known value{}", instead(name, message)),

@@ -17,7 +17,11 @@ fn covers(outer: &Range<usize>, inner: &Range<usize>) -> bool {
 fn in_table(table: &DeTable<'_>, above: &str, at: &Range<usize>) -> Option<String> {
     table.iter().find_map(|(key, value)| {
         let name = join(above, key.get_ref());
-        if covers(&key.span(), at) { Some(name) } else { in_value(value.get_ref(), &name, at).or_else(|| covers(&value.span(), at).then_some(name)) }
+        if covers(&key.span(), at) {
+            Some(name)
+        } else {
+            in_value(value.get_ref(), &name, at).or_else(|| covers(&value.span(), at).then_some(name))
+        }
     })
 }
 

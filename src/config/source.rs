@@ -93,7 +93,8 @@ pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, C
         table.check(&values, "", &mut checker);
     }
     checker.done().map_err(refused)?;
-    let value = T::deserialize(values).map_err(|e| own.wrong(0..0, plain(e.message(), "", None), "the file and its base contradict each other"))?;
+    let value =
+        T::deserialize(values).map_err(|e| own.wrong(0..0, plain(e.message(), "", None), "the file and its base contradict each other"))?;
     let mut checker = Checker::default();
     value.check(&mut checker);
     checker.done().map_err(refused)?;
@@ -111,8 +112,9 @@ impl Layer {
     #[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
     fn new(name: &str, text: &str) -> Result<Self, ConfigError> {
         let mut layer = Self { name: name.to_owned(), text: text.to_owned(), values: Table::new() };
-        layer.values = toml::from_str(text)
-            .map_err(|e| layer.wrong(e.span().unwrap_or(0..0), plain(e.message(), "", None), "see https://toml.io for the form of a TOML file"))?;
+        layer.values = toml::from_str(text).map_err(|e| {
+            layer.wrong(e.span().unwrap_or(0..0), plain(e.message(), "", None), "see https://toml.io for the form of a TOML file")
+        })?;
         Ok(layer)
     }
 

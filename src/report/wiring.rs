@@ -75,9 +75,15 @@ pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
             y += ROW;
             svg.text((DEVICE + 16.0, y + 4.0), Anchor::Start, Ink::LABEL, name);
             if let Some((px, py)) = place(*wire) {
-                // wires of the left column pass between two pins of the right one
-                let clear = if px > LEFT { py } else { py + ROW / 2.0 };
-                let bend = format!("M{px:.0} {py:.0}L{:.0} {clear:.0}C{:.0} {clear:.0} {:.0} {y:.0} {DEVICE:.0} {y:.0}", px.max(LEFT + 11.0), LEFT + 150.0, DEVICE - 110.0);
+                // between two rows of pins and names, those of the left column lower
+                let clear = py + if px > LEFT { 0.4 * ROW } else { 0.6 * ROW };
+                let bend = format!(
+                    "M{px:.0} {py:.0}L{:.0} {clear:.0}H{:.0}C{:.0} {clear:.0} {:.0} {y:.0} {DEVICE:.0} {y:.0}",
+                    px + 11.0,
+                    LEFT + 110.0,
+                    LEFT + 190.0,
+                    DEVICE - 90.0
+                );
                 svg.path(&bend, &format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"", ink.0));
             }
         }
@@ -104,7 +110,10 @@ mod tests {
 
     #[test]
     fn every_wire_ends_at_its_pin() {
-        let driver = Device { name: "driver".to_owned(), terminals: vec![("STEP".to_owned(), Wire::Line(17)), ("GND".to_owned(), Wire::Position(39))] };
+        let driver = Device {
+            name: "driver".to_owned(),
+            terminals: vec![("STEP".to_owned(), Wire::Line(17)), ("GND".to_owned(), Wire::Position(39))],
+        };
         let drawn = draw("board", true, std::slice::from_ref(&driver));
         // GPIO 17 is pin 11: the left column, the sixth row; pin 39 is the last of that column
         assert!(drawn.contains("M150 174L") && drawn.contains("M150 482L"), "{drawn}");

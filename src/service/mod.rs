@@ -107,7 +107,11 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         stops: StopCounter::default(),
     };
     // a simulation that runs ahead of time would take its processor from everybody
-    let wish = if pace.is_some() { RtRequest { priority: 0, cpu: None } } else { RtRequest { priority: config.service.priority, cpu: config.service.cpu } };
+    let wish = if pace.is_some() {
+        RtRequest { priority: 0, cpu: None }
+    } else {
+        RtRequest { priority: config.service.priority, cpu: config.service.cpu }
+    };
     let (report, reported) = channel();
     let thread = std::thread::Builder::new().name("loop".into()).spawn(move || {
         let (status, _guard) = rt::enter(&wish);

@@ -136,7 +136,8 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
 
 /// The proposed gains beside those in use.
 fn gains_table(s: &Value) -> String {
-    let pair = |key: &str, i: usize| [&s[key][i], &s["proposed"][key][i]].map(|v| v.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}")));
+    let pair =
+        |key: &str, i: usize| [&s[key][i], &s["proposed"][key][i]].map(|v| v.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}")));
     let rows = (0..3).map(|i| {
         let ([k_now, k], [l_now, l]) = (pair("k_epsilon", i), pair("k_lambda_mm", i));
         [(i + 1).to_string(), k_now, k, l_now, l]

@@ -27,7 +27,8 @@ impl Daemon {
     /// # Errors
     /// The operating system's, or a service that did not become ready.
     pub fn start(program: &Path, folder: &Path) -> io::Result<Self> {
-        Self::start_with(program, folder, &[])
+        // not the board of this computer, which may be a real machine
+        Self::start_with(program, folder, &["--board", "sim"])
     }
 
     /// As [`start`](Self::start), with further options of `run`.
