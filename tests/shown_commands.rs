@@ -24,19 +24,20 @@ fn blocks(text: &str) -> Vec<(&str, &str)> {
     text.split("```").skip(1).step_by(2).filter_map(|b| b.split_once('\n')).collect()
 }
 
-/// Command lines of this program in a block or between backticks, without comments, redirections and placeholders.
-fn shown(text: &str) -> Vec<String> {
+/// Command lines of this program without comments, redirections and placeholders, and whether they stand in a sentence, where
+/// the name of a command or of its option is enough.
+fn shown(text: &str) -> Vec<(String, bool)> {
     let in_blocks = blocks(text).into_iter().flat_map(|(_, body)| body.lines());
     let prose = text.split("```").step_by(2);
     let inline = prose.flat_map(|part| part.split('`').skip(1).step_by(2)).filter(|c| !c.contains('\n'));
     let ours = |line: &str| {
         let line = line.trim().trim_start_matches("$ ").split(" #").next().unwrap().trim();
-        let line = line.trim_end_matches('&').split(['>', '|']).next().unwrap().trim_end_matches(" 2").trim().to_owned();
+        let line = line.trim_end_matches('&').split(" 2>").next().unwrap().split(['>', '|']).next().unwrap().trim().to_owned();
         let line = line.strip_prefix("cargo run --release -- ").map_or(line.clone(), |rest| format!("retroflex {rest}"));
         let placeholder = ['[', '…', '<', '='].iter().any(|c| line.contains(*c)) || line.split(' ').any(|w| w == "N" || w == "HOURS");
         (line.starts_with("retroflex ") && !placeholder).then_some(line)
     };
-    in_blocks.chain(inline).filter_map(ours).collect()
+    in_blocks.filter_map(|l| Some((ours(l)?, false))).chain(inline.filter_map(|l| Some((ours(l)?, true)))).collect()
 }
 
 #[test]
@@ -44,12 +45,10 @@ fn every_shown_command_is_understood() {
     let mut wrong = Vec::new();
     let mut count = 0;
     for (name, text) in documents() {
-        for line in shown(&text) {
+        for (line, in_sentence) in shown(&text) {
             count += 1;
             let words = link::words(&line).unwrap();
-            // a name in prose, such as `retroflex calibrate`, is not a whole command
-            let bare = words[1..].iter().all(|w| w.chars().all(|c| c.is_ascii_lowercase() || c == '-') && !w.starts_with("--"));
-            if let Err(e) = retroflex::cli::help::command().try_get_matches_from(&words) {
+            if let Err(e) = retroflex::cli::command().try_get_matches_from(&words) {
                 use clap::error::ErrorKind::{
                     DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, MissingRequiredArgument, MissingSubcommand,
                 };
@@ -121,8 +120,7 @@ impl Session {
         let mut command = Command::new("bash");
         let home = self.folder.path();
         command.args(["-c", line]).current_dir(home).env_clear();
-        // for root too, whose service is the system's otherwise
-        command.env("RUNTIME_DIRECTORY", home).env("STATE_DIRECTORY", home.join("state"));
+        command.env("RETROFLEX_SOCKET", home.join("control.sock"));
         command.env("PATH", &self.path).env("HOME", home).env("NO_COLOR", "1").stdin(Stdio::null());
         command
     }
@@ -131,7 +129,8 @@ impl Session {
     fn run(&mut self, line: &str) -> String {
         if let Some(line) = line.strip_suffix('&') {
             // `exec`, so that the process is the program and not a shell
-            self.background.0.push(self.command(&format!("exec {line}")).spawn().unwrap());
+            let line = line.replacen("retroflex run", "exec retroflex run --socket control.sock --state state", 1);
+            self.background.0.push(self.command(&line).spawn().unwrap());
             let ready = Instant::now();
             while ready.elapsed() < Duration::from_secs(20) && !self.run("retroflex status").contains("disarmed") {
                 std::thread::sleep(Duration::from_millis(100));

@@ -1,7 +1,7 @@
 //! The command line as `clap` describes it: commands by task, examples, completions and man pages.
 
-use crate::cli::{Cli, CommandOutcome, output};
-use clap::{Command, CommandFactory, FromArgMatches};
+use crate::cli::{CommandOutcome, output};
+use clap::Command;
 use clap_complete::Shell;
 use miette::{Result, miette};
 use std::fmt::Write;
@@ -48,17 +48,17 @@ const EXAMPLES: [(&str, [&str; 2]); 23] = [
 const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
 
 /// Two examples of a command, without the name of the program.
-fn examples(name: &str) -> [String; 2] {
+#[must_use]
+pub fn examples(name: &str) -> [String; 2] {
     match EXAMPLES.iter().find(|e| e.0 == name) {
         Some((_, lines)) => lines.map(str::to_owned),
         None => [name.to_owned(), format!("{name} --socket /tmp/tip.sock")],
     }
 }
 
-/// The command line, with the commands grouped by task and examples.
+/// A command line with its commands grouped by task, and with examples.
 #[must_use]
-pub fn command() -> Command {
-    let cli = Cli::command();
+pub fn explained(cli: Command) -> Command {
     let mut text = String::new();
     for (task, names) in GROUPS {
         let _ = writeln!(text, "\n{task}:");
@@ -78,28 +78,16 @@ pub fn command() -> Command {
         let _ = writeln!(text, "  Examples: `retroflex {first}`, `retroflex {second}`");
     }
     let numbers = |c: Command| c.allow_negative_numbers(true);
-    let explained = |c: Command| {
+    let with_examples = |c: Command| {
         let [first, second] = examples(c.get_name());
         numbers(c).mut_subcommands(numbers).after_help(format!("Examples:\n  retroflex {first}\n  retroflex {second}"))
     };
-    cli.mut_subcommands(explained).help_template(TEMPLATE).after_help(text.trim_end().to_owned())
-}
-
-/// Parses the arguments of the process; prints help or a usage error and exits where that is due.
-#[must_use]
-pub fn parse() -> Cli {
-    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
-    parsed.unwrap_or_else(|e| {
-        if !e.use_stderr() {
-            e.exit();
-        }
-        eprint!("{}", plain(&e.render().to_string()));
-        std::process::exit(2)
-    })
+    cli.mut_subcommands(with_examples).help_template(TEMPLATE).after_help(text.trim_end().to_owned())
 }
 
 /// A usage error without the terms of the Rust library.
-fn plain(text: &str) -> String {
+#[must_use]
+pub fn plain(text: &str) -> String {
     const WORDS: [(&str, &str); 6] = [
         ("..=", " to "),
         ("invalid float literal", "expected a number"),
@@ -119,11 +107,11 @@ pub struct CompletionsArgs {
     shell: Shell,
 }
 
-/// Prints a completion script on standard output.
+/// Prints a completion script of a command line on standard output.
 #[must_use]
-pub fn completions(args: &CompletionsArgs) -> CommandOutcome {
+pub fn completions(args: &CompletionsArgs, mut command: Command) -> CommandOutcome {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut command(), "retroflex", &mut script);
+    clap_complete::generate(args.shell, &mut command, "retroflex", &mut script);
     output::print(&String::from_utf8_lossy(&script));
     CommandOutcome::Good
 }
@@ -135,49 +123,15 @@ pub struct ManArgs {
     folder: PathBuf,
 }
 
-/// Writes the man pages.
+/// Writes the man pages of a command line.
 ///
 /// # Errors
 /// A report that names the folder.
-pub fn man(args: &ManArgs) -> Result<CommandOutcome> {
+pub fn man(args: &ManArgs, command: Command) -> Result<CommandOutcome> {
     let folder = args.folder.display();
     if !args.folder.is_dir() {
         return Err(miette!("{folder}: there is no such folder; create it first"));
     }
-    clap_mangen::generate_to(command(), &args.folder).map_err(|e| miette!("{folder}: {e}"))?;
+    clap_mangen::generate_to(command, &args.folder).map_err(|e| miette!("{folder}: {e}"))?;
     Ok(CommandOutcome::Good)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn help_lists_every_command_once() {
-        let mut listed: Vec<&str> = GROUPS.iter().flat_map(|g| g.1).copied().filter(|n| *n != "help").collect();
-        let cli = Cli::command();
-        let mut all: Vec<&str> = cli.get_subcommands().filter(|c| !c.is_hide_set()).map(Command::get_name).collect();
-        listed.sort_unstable();
-        all.sort_unstable();
-        assert_eq!(listed, all);
-        command().debug_assert();
-    }
-
-    #[test]
-    fn every_command_has_two_examples_that_parse() {
-        for name in GROUPS.iter().flat_map(|g| g.1).filter(|n| **n != "help") {
-            for example in examples(name) {
-                let words = std::iter::once("retroflex").chain(example.split(' '));
-                assert!(example.starts_with(name), "{example}");
-                command().try_get_matches_from(words).unwrap_or_else(|e| panic!("{example}: {e}"));
-            }
-        }
-    }
-
-    #[test]
-    fn usage_errors_name_the_value_and_what_is_expected() {
-        let message = |line: &str| plain(&command().try_get_matches_from(line.split(' ')).unwrap_err().render().to_string());
-        assert!(message("retroflex evaluate --seed -1").contains("'-1' for '--seed <SEED>': expected a whole number, not negative"));
-        assert!(message("retroflex bend x").contains("'x' for '<BEND>': expected a number"));
-    }
 }

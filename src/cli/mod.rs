@@ -26,10 +26,9 @@ pub mod release;
 pub mod replay;
 pub mod run;
 
-pub use help::parse;
 pub use outcome::{CommandOutcome, Unreachable};
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 
 /// Closed-loop bend control and gap diagnosis for a disposable pneumatic endoscope tip.
@@ -87,6 +86,25 @@ enum Command {
     Man(help::ManArgs),
 }
 
+/// The command line as `clap` describes it.
+#[must_use]
+pub fn command() -> clap::Command {
+    help::explained(Cli::command())
+}
+
+/// Parses the arguments of the process; prints help or a usage error and exits where that is due.
+#[must_use]
+pub fn parse() -> Cli {
+    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    parsed.unwrap_or_else(|e| {
+        if !e.use_stderr() {
+            e.exit();
+        }
+        eprint!("{}", help::plain(&e.render().to_string()));
+        std::process::exit(2)
+    })
+}
+
 /// Runs a command and returns its exit code.
 #[must_use]
 pub fn run(cli: Cli) -> ExitCode {
@@ -107,8 +125,8 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Drill(args) => drill::run(&args),
         Command::Release(args) => release::run(&args),
         Command::Replay(args) => replay::run(&args),
-        Command::Completions(args) => Ok(help::completions(&args)),
-        Command::Man(args) => help::man(&args),
+        Command::Completions(args) => Ok(help::completions(&args, command())),
+        Command::Man(args) => help::man(&args, command()),
     };
     if let Err(report) = &end {
         eprintln!("{report:?}");
@@ -139,5 +157,34 @@ mod tests {
         assert_eq!(exit_code(&Err(gone().into())), 3);
         let deep: miette::Result<CommandOutcome> = Err(miette::Report::from(gone())).wrap_err("at start");
         assert_eq!(exit_code(&deep), 3);
+    }
+
+    #[test]
+    fn help_lists_every_command_once() {
+        let mut listed: Vec<&str> = help::GROUPS.iter().flat_map(|g| g.1).copied().filter(|n| *n != "help").collect();
+        let cli = Cli::command();
+        let mut all: Vec<&str> = cli.get_subcommands().filter(|c| !c.is_hide_set()).map(clap::Command::get_name).collect();
+        listed.sort_unstable();
+        all.sort_unstable();
+        assert_eq!(listed, all);
+        command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_has_two_examples_that_parse() {
+        for name in help::GROUPS.iter().flat_map(|g| g.1).filter(|n| **n != "help") {
+            for example in help::examples(name) {
+                let words = std::iter::once("retroflex").chain(example.split(' '));
+                assert!(example.starts_with(name), "{example}");
+                command().try_get_matches_from(words).unwrap_or_else(|e| panic!("{example}: {e}"));
+            }
+        }
+    }
+
+    #[test]
+    fn usage_errors_name_the_value_and_what_is_expected() {
+        let message = |line: &str| help::plain(&command().try_get_matches_from(line.split(' ')).unwrap_err().render().to_string());
+        assert!(message("retroflex evaluate --seed -1").contains("'-1' for '--seed <SEED>': expected a whole number, not negative"));
+        assert!(message("retroflex bend x").contains("'x' for '<BEND>': expected a number"));
     }
 }
