@@ -147,7 +147,7 @@ const CASES: &[&str] = &[
     "replay folder",
     "replay missing.csv",
     "replay no-tape.csv",
-    "drill --only nonsense",
+    "drill --kills many",
     "drill --soak long",
     "run --board missing.toml",
     "run --calib type.calib.toml",

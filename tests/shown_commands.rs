@@ -49,11 +49,10 @@ fn every_shown_command_is_understood() {
             count += 1;
             let words = link::words(&line).unwrap();
             if let Err(e) = retroflex::cli::command().try_get_matches_from(&words) {
-                use clap::error::ErrorKind::{
-                    DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, MissingRequiredArgument, MissingSubcommand,
-                };
-                let incomplete = [DisplayHelpOnMissingArgumentOrSubcommand, MissingRequiredArgument, MissingSubcommand].contains(&e.kind());
-                if e.kind() != DisplayHelp && !(bare && incomplete) {
+                use clap::error::ErrorKind as Kind;
+                let missing = [Kind::DisplayHelpOnMissingArgumentOrSubcommand, Kind::MissingRequiredArgument, Kind::MissingSubcommand];
+                let bare_option = e.kind() == Kind::InvalidValue && e.to_string().contains("but none was supplied");
+                if e.kind() != Kind::DisplayHelp && !(in_sentence && (missing.contains(&e.kind()) || bare_option)) {
                     wrong.push(format!("{name}: {line}: {e}"));
                 }
             }
