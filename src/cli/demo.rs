@@ -42,6 +42,9 @@ pub struct Args {
 /// A report that names the step that failed.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::check(&[("--html", Some(&args.html))], &[])?;
+    // before half a minute is spent
+    let report = std::fs::File::options().append(true).create(true).open(&args.html);
+    report.map_err(|e| miette!("--html {}: {e}; name a file in a folder in which you may write", args.html.display()))?;
     let scratch = output::Scratch::new("demo")?;
     let demo = Demo { program: std::env::current_exe().into_diagnostic()?, folder: &scratch.0 };
     std::fs::write(demo.file("schedule.csv"), SCHEDULE).into_diagnostic()?;
