@@ -20,7 +20,7 @@ fn hardware() -> Vec<String> {
     let mut names: Vec<String> = std::fs::read_dir(repo("boards"))
         .unwrap()
         .filter_map(|entry| entry.unwrap().file_name().into_string().unwrap().strip_suffix(".toml").map(str::to_owned))
-        .filter(|name| !["sim", "gains"].contains(&name.as_str()))
+        .filter(|name| !["sim", "demo", "gains"].contains(&name.as_str()))
         .collect();
     names.sort();
     assert!(names.len() >= 5, "{names:?}");
@@ -70,7 +70,7 @@ fn boards_state_the_defaults_except_where_they_say_so() {
 /// What `board show` prints is read back as the same board, and every key has a paragraph.
 #[test]
 fn a_printed_board_is_the_board_and_every_key_has_its_paragraph() {
-    for name in hardware().into_iter().chain(["sim".to_owned()]) {
+    for name in hardware().into_iter().chain(["sim", "demo"].map(str::to_owned)) {
         let board: Board = source::read(&repo(&format!("boards/{name}.toml"))).unwrap();
         let printed: Board = source::parse("printed", &show::whole(&board)).unwrap();
         assert_eq!(printed, board, "{name}");
@@ -183,7 +183,7 @@ fn contradictions_are_refused_with_their_place() {
         ("lead_ms = 4.0", 0, "lead_ms = 1.0", &["stepper.lead_ms", "less than one turn of the loop, 2 ms"]),
         ("address = 104", 0, "address = 0x42", &["imu.chip.address", "66 is not 104 or 105", "104 (0x68) or 105 (0x69)"]),
         ("part = \"icm20948\"", 0, "part = \"bno055\"", &["bno055", "icm20948"]),
-        ("microsteps = 16", 0, "microstep = 16", &["unknown field `microstep`", "microsteps"]),
+        ("microsteps = 16", 0, "microstep = 16", &["`drive.microstep` is not a known key", "microsteps"]),
         ("pulse_high_us = 2.0", 0, "pulse_high_us = 0.5", &["stepper.pulse_high_us", "0.5", "1 to 1000 µs"]),
     ];
     for (old, nth, new, words) in cases {
@@ -265,4 +265,15 @@ fn evaluate_says_clearly_that_a_hardware_board_has_no_plant() {
         assert_eq!(out.status.code(), Some(2), "{said}");
         assert!(said.contains("has no [plant] table") && said.contains("--plant"), "{said}");
     }
+}
+
+/// `REFRESH=1 cargo test --test boards wiring` draws it anew.
+#[test]
+fn the_wiring_in_the_documents_is_that_of_the_board() {
+    let drawn = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(["board", "draw"]).arg(repo("boards/pi4.toml")).output().unwrap().stdout;
+    let picture = repo("docs/wiring.svg");
+    if std::env::var_os("REFRESH").is_some() {
+        std::fs::write(&picture, &drawn).unwrap();
+    }
+    assert!(drawn.starts_with(b"<svg") && std::fs::read(&picture).unwrap() == drawn, "docs/wiring.svg is not what the program draws");
 }

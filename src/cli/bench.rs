@@ -1,5 +1,6 @@
 //! `retroflex bench rt`: timing of the step thread on this machine, compared with `cyclictest` where it is installed.
 
+use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, Unreachable, manual_motion, output};
 use crate::config::board::Board;
 use crate::config::source;
@@ -29,10 +30,10 @@ pub struct Rt {
     #[arg(long)]
     board: Option<PathBuf>,
     /// Steps per second on each of the three channels.
-    #[arg(long, default_value_t = 4000.0)]
+    #[arg(long, default_value_t = 4000.0, value_parser = within(10.0..=20_000.0, "steps/s"))]
     rate: f64,
     /// Duration, s.
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, value_parser = within(0.2..=3600.0, "s"))]
     seconds: f64,
     /// Number of threads that load the processors meanwhile.
     #[arg(long, default_value_t = 0)]
@@ -51,9 +52,6 @@ pub struct Rt {
 /// A report that says what is wrong with the input, or that the pins are not available.
 pub fn run(command: &Bench) -> Result<CommandOutcome> {
     let Bench::Rt(args) = command;
-    if !(10.0..=20_000.0).contains(&args.rate) || !(0.2..=3600.0).contains(&args.seconds) {
-        return Err(miette!("--rate {} --seconds {}: give 10 to 20000 steps a second and 0.2 to 3600 s", args.rate, args.seconds));
-    }
     let inputs: Vec<&Path> = args.board.iter().map(PathBuf::as_path).collect();
     output::check(&[("--svg", args.svg.as_deref())], &inputs)?;
     let base = RtBenchConfig { rate_hz: args.rate, duration_s: args.seconds, load_threads: args.load, ..RtBenchConfig::default() };

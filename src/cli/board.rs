@@ -1,13 +1,14 @@
 //! `retroflex board`: a file with everything that it leaves out, and whether a board is safe to run.
 
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::pressure_bound::PressureBound;
+use crate::config::sections::Header;
 use crate::config::{shipped, show};
 use crate::primitives::parameters::{Check, Parameters};
-use miette::Result;
+use crate::report::wiring::{self, Device, Wire};
+use miette::{Result, miette};
 use serde::de::DeserializeOwned;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,8 @@ use std::path::{Path, PathBuf};
 pub enum BoardCommand {
     /// Print a whole file as TOML, with the meaning, unit, default and range of every key.
     Show(ShowArgs),
+    /// Draw the wiring of a board as SVG.
+    Draw(DrawArgs),
     /// Check a board: its file, and that the pressure stays bounded if the program fails.
     Check(CheckArgs),
 }
@@ -26,6 +29,16 @@ pub enum BoardCommand {
 pub struct CheckArgs {
     /// Board file, or the name of a board that comes with the program.
     board: PathBuf,
+}
+
+/// Arguments of `board draw`.
+#[derive(Debug, clap::Args)]
+pub struct DrawArgs {
+    /// Board file, or the name of a board that comes with the program.
+    board: PathBuf,
+    /// File of the drawing (`-`: standard output).
+    #[arg(long, value_name = "FILE", default_value = "-")]
+    svg: PathBuf,
 }
 
 /// Arguments of `board show`.
@@ -49,6 +62,7 @@ pub fn run(command: &BoardCommand) -> Result<CommandOutcome> {
     let args = match command {
         BoardCommand::Show(args) => args,
         BoardCommand::Check(args) => return check(&args.board),
+        BoardCommand::Draw(args) => return draw(args),
     };
     let file = args.file.as_deref();
     let text = if args.gains {
@@ -56,24 +70,45 @@ pub fn run(command: &BoardCommand) -> Result<CommandOutcome> {
     } else if args.calib {
         page::<Calibration>(file, shipped::PAPER)?
     } else {
-        let (file, own) = named(file);
-        page::<Board>(file, own)?
+        show::whole(&inputs::board(file)?)
     };
     // a reader that has gone away is no failure
     let _ = std::io::stdout().write_all(text.as_bytes());
     Ok(CommandOutcome::Good)
 }
 
-/// A board file, or the shipped board of that name in its place.
-fn named(file: Option<&Path>) -> (Option<&Path>, (&'static str, &'static str)) {
-    let own = file.and_then(|f| f.to_str()).and_then(|name| shipped::BOARDS.into_iter().find(|(n, _)| *n == name));
-    (file.filter(|_| own.is_none()), own.unwrap_or(shipped::SIM))
+/// Draws the drivers, the IMU and the emergency stop of a board at the lines that it names.
+fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
+    output::check(&[("--svg", Some(&args.svg))], &[&args.board])?;
+    let board = inputs::board(Some(&args.board))?;
+    let path = args.board.display();
+    let Some(pins) = &board.pins else { return Err(miette!("{path}: this board has no [pins], so there is nothing to wire")) };
+    let raspberry = board.machine.header == Header::RaspberryPi;
+    let supply = |name: &str, position| raspberry.then(|| (name.to_owned(), Wire::Position(position)));
+    let uses = pins.uses();
+    let mut devices: Vec<Device> = (0..3)
+        .map(|i| {
+            let own = uses.iter().filter(|u| u.key.starts_with(&format!("channels.{i}.")));
+            let lines = own.map(|u| (u.name.to_uppercase(), Wire::Line(u.pin)));
+            Device { name: format!("driver of bellow {}", i + 1), terminals: lines.chain(supply("GND", [9, 14, 20][i])).collect() }
+        })
+        .collect();
+    if let Some(imu) = &board.imu {
+        let bus = imu.bus_lines.into_iter().flatten().zip(["SDA", "SCL"]).map(|(pin, name)| (name.to_owned(), Wire::Line(pin)));
+        let name = format!("IMU at the tip, {}", imu.bus);
+        devices.push(Device { name, terminals: supply("3.3 V", 1).into_iter().chain(bus).chain(supply("GND", 6)).collect() });
+    }
+    if let Some(stop) = pins.emergency_stop {
+        let terminals = [Some(("NC".to_owned(), Wire::Line(stop.pin))), supply("GND", 39)];
+        devices.push(Device { name: "emergency stop".to_owned(), terminals: terminals.into_iter().flatten().collect() });
+    }
+    output::write(&args.svg, &wiring::draw(&format!("Wiring of {}", board.machine.name), raspberry, &devices))?;
+    Ok(CommandOutcome::Good)
 }
 
 /// Exit code 1 if nothing outside the program bounds the pressure.
 fn check(path: &Path) -> Result<CommandOutcome> {
-    let (file, own) = named(Some(path));
-    let board: Board = inputs::read_or(file, own)?;
+    let board = inputs::board(Some(path))?;
     let bound = PressureBound::of(&board);
     output::print(&format!("file      consistent\npressure  {bound}\n"));
     Ok(if bound.is_bounded() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })

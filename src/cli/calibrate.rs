@@ -3,6 +3,7 @@
 //! Each step prints its result with a figure of its quality and writes it into the `[imu]` table of a calibration file. If the data do
 //! not suffice, it names the motion that is missing and writes nothing.
 
+use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, output};
 use crate::estimation::imu_calibration::{ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still};
 use crate::log::bend_log;
@@ -35,7 +36,7 @@ pub struct Args {
     #[arg(long, conflicts_with = "file")]
     live: Option<PathBuf>,
     /// Duration of a live reading, s.
-    #[arg(long, default_value_t = 30.0, value_parser = seconds)]
+    #[arg(long, default_value_t = 30.0, value_parser = within(1.0..=3600.0, "s"))]
     seconds: f64,
     /// Calibration file whose `[imu]` table is updated; everything else in it is kept.
     #[arg(long, default_value = "calib/imu.toml")]
@@ -44,7 +45,7 @@ pub struct Args {
     #[arg(long)]
     date: Option<String>,
     /// Time after its last step at which a driver reduces its current, s (motors only).
-    #[arg(long, default_value_t = 0.35)]
+    #[arg(long, default_value_t = 0.35, value_parser = within(0.0..=60.0, "s"))]
     idle_after: f64,
 }
 
@@ -61,11 +62,6 @@ enum Step {
     Motors,
     /// Mounting angle of the sensor, from the bends of a bend log.
     Mount,
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    let s: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
-    if (1.0..=3600.0).contains(&s) { Ok(s) } else { Err(format!("{s} s is outside 1 to 3600 s")) }
 }
 
 /// Runs the command.

@@ -1,8 +1,9 @@
 //! `retroflex commission`: verifies that the machine is wired as its board file says, and that its lines are tight.
 
+use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, manual_motion, output};
 use crate::config::board::Board;
-use crate::config::source;
+use crate::config::{place, source};
 use crate::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
 use crate::supervisor::commission::wiring::Wiring;
 use miette::{IntoDiagnostic, Result, miette};
@@ -18,10 +19,10 @@ pub struct Args {
     #[arg(long)]
     write: bool,
     /// Stroke of the wiring test, mm, 1 to 6.
-    #[arg(long, default_value_t = 3.0)]
+    #[arg(long, default_value_t = 3.0, value_parser = within(1.0..=6.0, "mm"))]
     stroke: f64,
     /// Duration of the leak test of each line, s, up to 120; 0 skips it.
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, value_parser = within(0.0..=120.0, "s"))]
     hold: f64,
 }
 
@@ -30,9 +31,6 @@ pub struct Args {
 /// # Errors
 /// A report: bad input, hardware that does not answer, or the reason that ended the procedure.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    if !((1.0..=6.0).contains(&args.stroke) && (0.0..=120.0).contains(&args.hold)) {
-        return Err(miette!("--stroke {} --hold {}: give 1 to 6 mm and 0 to 120 s", args.stroke, args.hold));
-    }
     let (board, mut machine) = manual_motion::open(&args.board, |_| ())?;
     let config = TrialConfig { stroke_mm: args.stroke, hold_s: args.hold, ..TrialConfig::new(board.geometry.law()) };
     let findings = manual_motion::with_manual_control(machine.as_mut(), |hand| {
@@ -78,7 +76,7 @@ fn rewired(text: &str, board: &Board, wiring: &Wiring) -> Result<(String, Vec<St
     let mut new = text.to_owned();
     let mut changes = Vec::new();
     let mut set = |key: String, value: String| -> Result<(), String> {
-        new = source::replace(&new, &key, &value).ok_or_else(|| key.clone())?;
+        new = place::replace(&new, &key, &value).ok_or_else(|| key.clone())?;
         changes.push(format!("{key} = {value}"));
         Ok(())
     };

@@ -1,5 +1,6 @@
 //! `retroflex drill`: injects every fault; `--soak HOURS` injects them at random for a long time.
 
+use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::gains::Gains;
 use crate::drill::bench::BenchConfig;
@@ -35,7 +36,7 @@ pub struct Args {
     #[arg(long, conflicts_with = "in_flight")]
     process: bool,
     /// Instead of the drill, run random commands and faults for this many simulated hours.
-    #[arg(long)]
+    #[arg(long, value_parser = within(0.001..=10_000.0, "h"))]
     soak: Option<f64>,
     /// Seed of the soak.
     #[arg(long, default_value_t = 1)]
@@ -99,30 +100,12 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
     bar.finish_and_clear();
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {
         let program = std::env::current_exe().into_diagnostic()?;
-        let scratch = Scratch::new()?;
+        let scratch = output::Scratch::new("drill")?;
         let process =
             process::rows(config, &program, &scratch.0, Repeats { kills: args.kills, tries: args.tries }, &selected).into_diagnostic()?;
         rows.extend(process);
     }
     Ok(rows)
-}
-
-/// A temporary folder.
-struct Scratch(PathBuf);
-
-impl Scratch {
-    fn new() -> Result<Self> {
-        let path = std::env::temp_dir().join(format!("retroflex-drill-{}", std::process::id()));
-        std::fs::create_dir(&path).into_diagnostic()?;
-        Ok(Self(path))
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        // the operating system removes what is left
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
 }
 
 fn recall(folder: &Path) -> Result<CommandOutcome> {
@@ -132,9 +115,6 @@ fn recall(folder: &Path) -> Result<CommandOutcome> {
 }
 
 fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<CommandOutcome> {
-    if !(0.001..=10_000.0).contains(&hours) {
-        return Err(miette!("--soak {hours}: give 0.001 to 10000 simulated hours"));
-    }
     eprintln!("seed {}", args.seed);
     let bar = output::bar(1000, "soak {percent} %");
     let result = soak::run(config, hours, args.seed, &mut |h| bar.set_position((1000.0 * h / hours) as u64));

@@ -8,14 +8,31 @@ use crate::primitives::parameters::Check;
 use crate::simulation::link;
 use miette::{Result, miette};
 use serde::de::DeserializeOwned;
-use std::path::Path;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
 
-/// A board file; by default the paper twin.
+/// A board file, or the board that comes with the program under this name; by default the paper twin.
 ///
 /// # Errors
 /// A report that names file, line and key.
 pub fn board(path: Option<&Path>) -> Result<Board> {
-    read_or(path, shipped::SIM)
+    let name = path.filter(|p| !p.exists() && p.extension().is_none()).map(|p| p.display().to_string());
+    match name {
+        None => read_or(path, shipped::SIM),
+        Some(name) => match shipped::board(&name) {
+            Some(text) => Ok(source::parse(&name, text)?),
+            None => Err(miette!("{name}: there is no such file, and no such board: the boards are {}", shipped::names())),
+        },
+    }
+}
+
+/// The board file of the service where none is named: the user's, else the system's.
+#[must_use]
+pub fn own_board() -> Option<PathBuf> {
+    let folder = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
+    let user = folder("XDG_CONFIG_HOME").or_else(|| Some(folder("HOME")?.join(".config")));
+    let files = [user, Some("/etc".into())].into_iter().flatten().map(|f| f.join("retroflex/board.toml"));
+    files.into_iter().find(|file| file.exists())
 }
 
 /// A gains file; by default `boards/gains.toml`.
@@ -43,6 +60,14 @@ pub fn read_or<T: DeserializeOwned + Check>(path: Option<&Path>, (name, built_in
         Some(path) => source::read(path)?,
         None => source::parse(name, built_in)?,
     })
+}
+
+/// A parser of options that take a number from a range.
+pub fn within(allowed: RangeInclusive<f64>, unit: &'static str) -> impl Fn(&str) -> std::result::Result<f64, String> + Clone {
+    move |text| match text.parse() {
+        Ok(number) if allowed.contains(&number) => Ok(number),
+        _ => Err(format!("expected a number from {} to {} {unit}", allowed.start(), allowed.end())),
+    }
 }
 
 /// Program and arguments of `--plant 'exec:PROGRAM ARG…'`.

@@ -1,6 +1,7 @@
 //! `retroflex jog`: moves one piston slowly over a short distance and back. It returns because the drivers are released at the
 //! end, and pressure would then push the piston.
 
+use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, manual_motion, output};
 use miette::{Result, miette};
 use std::path::PathBuf;
@@ -20,13 +21,13 @@ pub struct Args {
     #[arg(long, value_parser = clap::value_parser!(u8).range(1..=3))]
     channel: u8,
     /// Distance, mm, at most 10; positive elongates the bellow.
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long, allow_negative_numbers = true, value_parser = within(-DISTANCE_MAX_MM..=DISTANCE_MAX_MM, "mm"))]
     mm: f64,
     /// Speed, mm/s, at most 10.
-    #[arg(long, default_value_t = 2.0)]
+    #[arg(long, default_value_t = 2.0, value_parser = within(0.01..=SPEED_MAX_MM_S, "mm/s"))]
     speed: f64,
     /// Time to hold there, s.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, value_parser = within(0.0..=60.0, "s"))]
     hold: f64,
     /// Stay there instead of returning. The drivers are released, so pressure will push the piston.
     #[arg(long)]
@@ -41,14 +42,6 @@ pub struct Args {
 /// # Errors
 /// A report: bad input, hardware that does not answer, or the reason that ended the motion.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    if !(args.mm.abs() <= DISTANCE_MAX_MM && args.speed > 0.0 && args.speed <= SPEED_MAX_MM_S && (0.0..=60.0).contains(&args.hold)) {
-        return Err(miette!(
-            "--mm {} --speed {} --hold {}: a jog covers at most {DISTANCE_MAX_MM} mm at 0 to {SPEED_MAX_MM_S} mm/s and holds for at most 60 s",
-            args.mm,
-            args.speed,
-            args.hold
-        ));
-    }
     if args.stay && args.times != 1 {
         return Err(miette!("--stay and --times {} contradict each other; omit one of them", args.times));
     }

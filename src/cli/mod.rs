@@ -8,11 +8,12 @@ pub mod board;
 pub mod calibrate;
 pub mod client;
 pub mod commission;
-pub mod completions;
+pub mod demo;
 pub mod doctor;
 pub mod drill;
 pub mod evaluate;
 pub mod gap;
+pub mod help;
 pub mod home;
 pub mod imu;
 pub mod inputs;
@@ -28,7 +29,6 @@ pub mod run;
 pub use outcome::{CommandOutcome, Unreachable};
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use std::fmt::Write;
 use std::process::ExitCode;
 
 /// Closed-loop bend control and gap diagnosis for a disposable pneumatic endoscope tip.
@@ -45,6 +45,8 @@ pub struct Cli {
 enum Command {
     /// Run the paper's experiment: the open-loop arms and the closed loop.
     Evaluate(evaluate::Args),
+    /// Show the service, a leak of a simulated tip, its diagnosis and its remedy, in less than two minutes.
+    Demo(demo::Args),
     /// Verify the wiring and the tightness of a machine with small guarded moves.
     Commission(commission::Args),
     /// Boards, gains and calibrations.
@@ -79,44 +81,28 @@ enum Command {
     /// Run a recording through the current control loop and compare bit for bit.
     Replay(replay::Args),
     /// Print a completion script for a shell.
-    Completions(completions::Args),
+    Completions(help::CompletionsArgs),
+    /// Write the man pages into a folder.
+    Man(help::ManArgs),
 }
 
-/// The commands by task, as `--help` lists them.
-const GROUPS: [(&str, &[&str]); 7] = [
-    ("Move", &["run", "arm", "bend", "stream", "play", "hold", "stop", "relax", "disarm", "status", "subscribe", "reset-fault", "reload"]),
-    ("Bring up", &["board", "doctor", "release", "jog", "home", "commission", "bench"]),
-    ("Calibrate", &["zero", "calibrate", "imu"]),
-    ("Diagnose", &["record", "replay", "gap"]),
-    ("Simulate", &["evaluate"]),
-    ("Prove", &["drill"]),
-    ("Other", &["completions", "help"]),
-];
-
-const HELP_TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
-
-/// The command line as `clap` describes it, with the commands grouped by task.
+/// The command line as `clap` describes it.
 #[must_use]
 pub fn command() -> clap::Command {
-    let cli = Cli::command();
-    let mut text = String::new();
-    for (task, names) in GROUPS {
-        let _ = writeln!(text, "\n{task}:");
-        for name in names {
-            let about = cli
-                .find_subcommand(name)
-                .and_then(clap::Command::get_about)
-                .map_or_else(|| "Print help for a command.".to_owned(), ToString::to_string);
-            let _ = writeln!(text, "  {name:<13} {about}");
-        }
-    }
-    cli.help_template(HELP_TEMPLATE).after_help(text.trim_end().to_owned())
+    help::explained(Cli::command())
 }
 
 /// Parses the arguments of the process; prints help or a usage error and exits where that is due.
 #[must_use]
 pub fn parse() -> Cli {
-    Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|e| e.exit())
+    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    parsed.unwrap_or_else(|e| {
+        if !e.use_stderr() {
+            e.exit();
+        }
+        eprint!("{}", help::plain(&e.render().to_string()));
+        std::process::exit(2)
+    })
 }
 
 /// Runs a command and returns its exit code.
@@ -124,6 +110,7 @@ pub fn parse() -> Cli {
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Demo(args) => demo::run(&args),
         Command::Commission(args) => commission::run(&args),
         Command::Board(command) => board::run(&command),
         Command::Home(args) => home::run(&args),
@@ -138,7 +125,8 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Drill(args) => drill::run(&args),
         Command::Release(args) => release::run(&args),
         Command::Replay(args) => replay::run(&args),
-        Command::Completions(args) => Ok(completions::run(&args, command())),
+        Command::Completions(args) => Ok(help::completions(&args, command())),
+        Command::Man(args) => help::man(&args, command()),
     };
     if let Err(report) = &end {
         eprintln!("{report:?}");
@@ -173,12 +161,30 @@ mod tests {
 
     #[test]
     fn help_lists_every_command_once() {
-        let mut listed: Vec<&str> = GROUPS.iter().flat_map(|g| g.1).copied().filter(|n| *n != "help").collect();
+        let mut listed: Vec<&str> = help::GROUPS.iter().flat_map(|g| g.1).copied().filter(|n| *n != "help").collect();
         let cli = Cli::command();
         let mut all: Vec<&str> = cli.get_subcommands().filter(|c| !c.is_hide_set()).map(clap::Command::get_name).collect();
         listed.sort_unstable();
         all.sort_unstable();
         assert_eq!(listed, all);
         command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_has_two_examples_that_parse() {
+        for name in help::GROUPS.iter().flat_map(|g| g.1).filter(|n| **n != "help") {
+            for example in help::examples(name) {
+                let words = std::iter::once("retroflex").chain(example.split(' '));
+                assert!(example.starts_with(name), "{example}");
+                command().try_get_matches_from(words).unwrap_or_else(|e| panic!("{example}: {e}"));
+            }
+        }
+    }
+
+    #[test]
+    fn usage_errors_name_the_value_and_what_is_expected() {
+        let message = |line: &str| help::plain(&command().try_get_matches_from(line.split(' ')).unwrap_err().render().to_string());
+        assert!(message("retroflex evaluate --seed -1").contains("'-1' for '--seed <SEED>': expected a whole number, not negative"));
+        assert!(message("retroflex bend x").contains("'x' for '<BEND>': expected a number"));
     }
 }

@@ -11,6 +11,28 @@ use std::ops::Range;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+/// A temporary folder, which is removed at the end.
+pub struct Scratch(pub PathBuf);
+
+impl Scratch {
+    /// Creates the folder; `name` becomes a part of its name.
+    ///
+    /// # Errors
+    /// A report that names the folder.
+    pub fn new(name: &str) -> Result<Self> {
+        let path = std::env::temp_dir().join(format!("retroflex-{name}-{}", std::process::id()));
+        std::fs::create_dir(&path).map_err(|e| miette!("{}: {e}", path.display()))?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // the operating system removes what is left
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
 /// Progress of long work on standard error, shown only on a terminal: a bar if the length is known, else a spinner, followed by
 /// `text` (an `indicatif` template) and the elapsed time.
 #[must_use]

@@ -7,6 +7,7 @@ use crate::config::gains::Gains;
 use crate::config::source;
 use crate::config::supervisor::assemble;
 use crate::control::pi::{Dynamics, DynamicsPrior};
+use crate::log::error::why_unreadable;
 use crate::log::table::GZIP_MAGIC;
 use crate::model::transmission::Line;
 use crate::service::record::tape_path;
@@ -31,13 +32,14 @@ pub struct Args {
 /// # Errors
 /// A report that names the defect of the tape.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    if !args.log.exists() {
-        return Err(miette!("{}: no such bend log", args.log.display()));
+    if args.log.is_dir() || !args.log.exists() {
+        let error = std::io::ErrorKind::NotFound.into();
+        return Err(miette!("{}: {}", args.log.display(), why_unreadable(&args.log, &error)));
     }
     let tape = tape_path(&args.log);
     let path = tape.display();
     let bytes = read(&tape).map_err(|e| {
-        miette!("{path}: {e}; a log has a tape only if it was recorded with `retroflex run --record LOG`, or with `retroflex record start` while disarmed at rest")
+        miette!("{path}: {}; a log has a tape only if it was recorded with `retroflex run --record LOG`, or with `retroflex record start` while disarmed at rest", why_unreadable(&tape, &e))
     })?;
     let end = bytes.iter().position(|b| *b == b'\n').ok_or_else(|| miette!("{path}: has no header line"))?;
     let header: Header = serde_json::from_slice(&bytes[..end]).map_err(|e| miette!("{path}, line 1: {e}"))?;

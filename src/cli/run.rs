@@ -1,5 +1,6 @@
 //! `retroflex run`: the service, in the foreground or under systemd.
 
+use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, Unreachable, inputs, logging, manual_motion};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
@@ -20,7 +21,8 @@ use std::path::{Path, PathBuf};
 /// Arguments of `run`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Board file. Default: the built-in simulation of the paper's machine.
+    /// Board file, or the name of a board that comes with the program. Default: ~/.config/retroflex/board.toml, else
+    /// /etc/retroflex/board.toml, else a healthy simulated tip.
     #[arg(long)]
     board: Option<PathBuf>,
     /// Run on an external plant: `exec:PROGRAM ARG…`.
@@ -50,9 +52,9 @@ pub struct Args {
     /// Number of the simulated unit.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Run a simulation as fast as possible instead of in real time.
-    #[arg(long)]
-    fast: bool,
+    /// Run a simulation this many times faster than real time; without a number, as fast as possible.
+    #[arg(long, value_name = "FACTOR", num_args = 0..=1, default_missing_value = "inf", value_parser = within(0.1..=f64::INFINITY, "or nothing"))]
+    fast: Option<f64>,
 }
 
 /// Runs the command.
@@ -61,11 +63,14 @@ pub struct Args {
 /// A report about the input, the machine or the system.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let _logging = logging::start();
-    let mut board = inputs::board(args.board.as_deref())?;
+    let path = args.board.clone().or_else(|| inputs::own_board().filter(|_| args.plant.is_none()));
+    let mut board = inputs::board(Some(path.as_deref().unwrap_or(Path::new(if args.plant.is_some() { "sim" } else { "demo" }))))?;
+    let shown = path.as_ref().map_or("a simulated tip, because there is no board file".to_owned(), |p| p.display().to_string());
+    tracing::info!(event = "board", "board: {shown}");
     let gains = inputs::gains(args.gains.as_deref())?;
     let calibration = inputs::calibration(args.calib.as_deref())?;
     let tip = check_tip(args, &calibration)?;
-    if args.fast && args.plant.is_none() && board.plant.is_none() {
+    if args.fast.is_some() && args.plant.is_none() && board.plant.is_none() {
         return Err(miette!("--fast: only a simulation can run faster than real time; give --plant, or a board with a [plant] table"));
     }
     let texts = [show::compact(&board), show::compact(&gains), show::compact(&calibration)];
@@ -81,7 +86,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         tracing::warn!("pressure: {bound}; {}", PressureBound::REMEDY);
     }
     let claim = Claim::new(&board.service).map_err(report)?;
-    let machine = open(args, &board)?;
+    let machine = open(args, path.as_deref(), &board)?;
     let config = RunConfig {
         supervisor: assemble(&board, &calibration, &gains, machine.info()),
         service: board.service.clone(),
@@ -92,7 +97,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         calibration,
         tip,
     };
-    serve(claim, Setup { machine, config, fast: args.fast, record: args.record.clone() }).map_err(report)?;
+    serve(claim, Setup { machine, config, pace: args.fast, record: args.record.clone() }).map_err(report)?;
     Ok(CommandOutcome::Good)
 }
 
@@ -119,7 +124,7 @@ fn check_tip(args: &Args, calibration: &Calibration) -> Result<String> {
 }
 
 /// Opens the machine of the board, or the external plant.
-fn open(args: &Args, board: &Board) -> Result<Box<dyn Machine>> {
+fn open(args: &Args, path: Option<&Path>, board: &Board) -> Result<Box<dyn Machine>> {
     if let Some(plant) = &args.plant {
         let line = plant.strip_prefix("exec:").ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…`"))?;
         let mut words = link::words(line).map_err(|why| miette!("--plant `{plant}`: {why}"))?.into_iter();
@@ -128,7 +133,7 @@ fn open(args: &Args, board: &Board) -> Result<Box<dyn Machine>> {
         return Ok(Box::new(Lockstep::new(Link::start(&program, &args).into_diagnostic()?, &board.drive_limits())));
     }
     if let Some(config) = board.hardware() {
-        let path = args.board.as_deref().unwrap_or(Path::new("the built-in board"));
+        let path = path.unwrap_or(Path::new("the built-in board"));
         return Ok(Box::new(Hardware::open(&config).map_err(|e| manual_motion::hardware_error(path, e))?));
     }
     let section = board.plant.clone().ok_or_else(|| {

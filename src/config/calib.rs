@@ -80,6 +80,7 @@ impl Calibration {
 
 impl Check for Calibration {
     const TABLE: Option<&'static Table> = Some(<Self as Parameters>::TABLE);
+    const REMEDY: &'static str = "`retroflex board show --calib` prints every key with its meaning, unit and range";
 
     /// Nothing relates two values of a calibration.
     fn check(&self, _: &mut Checker) {}

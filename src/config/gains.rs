@@ -162,6 +162,7 @@ impl Gains {
 
 impl Check for Gains {
     const TABLE: Option<&'static Table> = Some(<Self as Parameters>::TABLE);
+    const REMEDY: &'static str = "`retroflex board show --gains` prints every key with its meaning, unit and range";
 
     fn check(&self, to: &mut Checker) {
         to.range(

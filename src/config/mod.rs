@@ -7,6 +7,8 @@
 pub mod board;
 pub mod calib;
 pub mod gains;
+pub mod message;
+pub mod place;
 pub mod power;
 pub mod pressure_bound;
 mod relations;

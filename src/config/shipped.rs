@@ -2,14 +2,17 @@
 
 /// The board of the built-in plant, on which everything runs that is not given another.
 pub const SIM: (&str, &str) = ("boards/sim.toml", include_str!("../../boards/sim.toml"));
+/// A healthy tip, on which the service runs that is not given another board.
+pub const DEMO: (&str, &str) = ("boards/demo.toml", include_str!("../../boards/demo.toml"));
 /// The paper's calibration.
 pub const PAPER: (&str, &str) = ("calib/paper.toml", include_str!("../../calib/paper.toml"));
 /// The default gains.
 pub const GAINS: (&str, &str) = ("boards/gains.toml", include_str!("../../boards/gains.toml"));
 
 /// Every board with its text.
-pub const BOARDS: [(&str, &str); 6] = [
+pub const BOARDS: [(&str, &str); 7] = [
     ("sim", SIM.1),
+    ("demo", DEMO.1),
     ("pi3", include_str!("../../boards/pi3.toml")),
     ("pi4", include_str!("../../boards/pi4.toml")),
     ("pi5", include_str!("../../boards/pi5.toml")),

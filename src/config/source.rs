@@ -3,16 +3,17 @@
 //! A file may build on another: `base = "pi4"` takes everything from that board, and the file states only what
 //! differs. Tables are merged key by key; lists and values replace those of the base.
 
+use crate::config::message::plain;
+use crate::config::place::{key_at, span_of};
 use crate::config::shipped;
-use crate::primitives::check::{Checker, Invalid};
+use crate::log::error::why_unreadable;
+use crate::primitives::check::{Checker, Invalid, shown};
 use crate::primitives::parameters::Check;
 use miette::{Diagnostic, NamedSource, SourceSpan};
 use serde::de::DeserializeOwned;
-use std::io::ErrorKind;
 use std::ops::Range;
 use std::path::Path;
 use thiserror::Error;
-use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 /// A configuration file that cannot be used.
@@ -20,7 +21,6 @@ use toml::{Table, Value};
 pub enum ConfigError {
     /// The file cannot be read.
     #[error("{path}: {problem}")]
-    #[diagnostic(help("give the path of a TOML file that exists and that this user may read"))]
     Unreadable {
         /// Path as given.
         path: String,
@@ -63,18 +63,8 @@ pub fn read<T: DeserializeOwned + Check>(path: &Path) -> Result<T, ConfigError> 
 /// [`ConfigError::Unreadable`].
 #[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
 pub fn text_of(path: &Path) -> Result<String, ConfigError> {
-    let unreadable = |problem: String| ConfigError::Unreadable { path: path.display().to_string(), problem };
-    if path.is_dir() {
-        return Err(unreadable("this is a folder, not a file".to_owned()));
-    }
-    std::fs::read_to_string(path).map_err(|e| {
-        unreadable(match e.kind() {
-            ErrorKind::NotFound => "there is no such file".to_owned(),
-            ErrorKind::PermissionDenied => "this user has no permission to read the file".to_owned(),
-            ErrorKind::InvalidData => "this is not a text file (not valid UTF-8)".to_owned(),
-            _ => format!("the file cannot be read: {e}"),
-        })
-    })
+    std::fs::read_to_string(path)
+        .map_err(|e| ConfigError::Unreadable { path: path.display().to_string(), problem: why_unreadable(path, &e) })
 }
 
 /// Parses and checks a text; `name` stands for it in errors.
@@ -86,10 +76,7 @@ pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, C
     let layers = layers(name, text)?;
     // each file by itself first, so that an error shows its place
     for layer in &layers {
-        toml::from_str::<T>(&layer.text).map_err(|e| {
-            let hint = "`retroflex board show` prints every key with its meaning, unit and range";
-            layer.wrong(e.span().unwrap_or(0..0), plain(e.message()), hint)
-        })?;
+        toml::from_str::<T>(&layer.text).map_err(|e| layer.mistyped::<T>(&e))?;
         let mut checker = Checker::default();
         if let Some(table) = T::TABLE {
             table.check_part(&layer.values, &mut checker);
@@ -106,7 +93,8 @@ pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, C
         table.check(&values, "", &mut checker);
     }
     checker.done().map_err(refused)?;
-    let value = T::deserialize(values).map_err(|e| own.wrong(0..0, plain(e.message()), "the file and its base contradict each other"))?;
+    let value =
+        T::deserialize(values).map_err(|e| own.wrong(0..0, plain(e.message(), "", None), "the file and its base contradict each other"))?;
     let mut checker = Checker::default();
     value.check(&mut checker);
     checker.done().map_err(refused)?;
@@ -124,9 +112,19 @@ impl Layer {
     #[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
     fn new(name: &str, text: &str) -> Result<Self, ConfigError> {
         let mut layer = Self { name: name.to_owned(), text: text.to_owned(), values: Table::new() };
-        layer.values = toml::from_str(text)
-            .map_err(|e| layer.wrong(e.span().unwrap_or(0..0), plain(e.message()), "see https://toml.io for the form of a TOML file"))?;
+        layer.values = toml::from_str(text).map_err(|e| {
+            layer.wrong(e.span().unwrap_or(0..0), plain(e.message(), "", None), "see https://toml.io for the form of a TOML file")
+        })?;
         Ok(layer)
+    }
+
+    /// A key that is not known, or a value that its type does not accept.
+    fn mistyped<T: Check>(&self, e: &toml::de::Error) -> ConfigError {
+        let span = e.span().unwrap_or(0..0);
+        let key = if span.is_empty() { String::new() } else { key_at(&self.text, &span) };
+        let row = T::TABLE.and_then(|table| table.row(&key));
+        let hint = row.map(|r| r.hint).filter(|h| !h.is_empty()).unwrap_or(T::REMEDY);
+        self.wrong(span, plain(e.message(), &shown(&key), row), hint)
     }
 
     fn refused(&self, e: &Invalid) -> ConfigError {
@@ -203,64 +201,6 @@ fn states(values: &Table, key: &str) -> bool {
         .is_some()
 }
 
-/// The type names of Rust in the user's words.
-fn plain(message: &str) -> String {
-    const WORDS: [(&str, &str); 12] = [
-        ("invalid type: ", ""),
-        ("floating point `", "the number `"),
-        ("integer `", "the number `"),
-        ("string \"", "the text \""),
-        ("boolean `", "the flag `"),
-        ("sequence", "a list"),
-        ("map", "a table"),
-        (", expected f64", ": expected a number"),
-        (", expected usize", ": expected a whole number, not negative"),
-        (", expected i32", ": expected a whole number"),
-        (", expected a string", ": expected a text in quotes"),
-        (", expected a boolean", ": expected true or false"),
-    ];
-    let message = WORDS.iter().fold(message.to_owned(), |m, (from, to)| m.replace(from, to));
-    ["u8", "u16", "u32", "u64"]
-        .iter()
-        .fold(message, |m, t| m.replace(&format!(", expected {t}"), ": expected a whole number, not negative"))
-}
-
-/// The text with the value of a dotted key replaced, everything else left as it is; `None` when the key is
-/// not written in it.
-#[must_use]
-pub fn replace(text: &str, key: &str, value: &str) -> Option<String> {
-    let (table, last) = key.rsplit_once('.')?;
-    // a key that is not written is answered with its table: then the text there is no value of its own
-    let span = span_of(text, key)?;
-    if span_of(text, table) == Some(span.clone()) {
-        return None;
-    }
-    let line = text[..span.start].rsplit('\n').next().unwrap_or("");
-    let named = last.parse::<usize>().is_ok() || line.contains(last);
-    named.then(|| format!("{}{value}{}", &text[..span.start], &text[span.end..]))
-}
-
-/// Where a dotted key's value stands in the text. A key that is not written (a default that clashes
-/// with something written) points at the nearest table that is.
-fn span_of(text: &str, key: &str) -> Option<Range<usize>> {
-    let table = DeTable::parse(text).ok()?;
-    let mut parts = key.split('.');
-    let first = parts.next()?;
-    let (_, mut value) = table.get_ref().iter().find(|(k, _)| k.get_ref() == first)?;
-    for part in parts {
-        let next = match value.get_ref() {
-            DeValue::Table(t) => t.iter().find(|(k, _)| k.get_ref() == part).map(|(_, v)| v),
-            DeValue::Array(a) => part.parse::<usize>().ok().and_then(|i| a.get(i)),
-            _ => None,
-        };
-        match next {
-            Some(inner) => value = inner,
-            None => break,
-        }
-    }
-    Some(value.span())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -297,18 +237,9 @@ mod tests {
         assert_eq!(why("[a]\nmany = []\nx_mm = 7.5\n"), "f.toml, line 3: a.x_mm: 7.5 mm is outside 0 to 1 mm");
         assert_eq!(why("[a]\nmany = []\nx_mm = nan\n"), "f.toml, line 3: a.x_mm: NaN mm is outside 0 to 1 mm");
         assert_eq!(why("[a]\nx_mm = 1\nmany = [\n1.0,\n2.0]\n"), "f.toml, line 5: a.many[2]: 2 is outside 0 to 1");
-        assert!(why("[a]\nx_mm = 1\nmany = []\ny = 2\n").contains("line 4: unknown field `y`"));
-        assert!(why("[a]\nx_mm = \"1 mm\"\nmany = []\n").contains("line 2: the text \"1 mm\": expected a number"));
+        assert!(why("[a]\nx_mm = 1\nmany = []\ny = 2\n").contains("line 4: `a.y` is not a known key; expected `x_mm` or `many`"));
+        assert!(why("[a]\nx_mm = \"1 mm\"\nmany = []\n").contains("line 2: a.x_mm: the text \"1 mm\": expected a number"));
         assert!(why("[a\n").contains("line 1"));
-    }
-
-    #[test]
-    fn a_value_is_replaced_in_place_and_only_if_it_is_there() {
-        let text = "[a]\n# why\nx_mm = 0.5 # so\n[[c]]\nn = 1\n[[c]]\nn = 2\n";
-        assert_eq!(replace(text, "a.x_mm", "0.25").unwrap(), text.replace("0.5", "0.25"));
-        assert_eq!(replace(text, "c.1.n", "7").unwrap(), text.replace("n = 2", "n = 7"));
-        assert_eq!(replace(text, "a.y_mm", "1"), None);
-        assert_eq!(replace(text, "c.1.m", "1"), None);
     }
 
     #[test]

@@ -159,6 +159,8 @@ impl SavedModel {
 }
 
 impl Check for SavedModel {
+    const REMEDY: &'static str = AGAIN;
+
     fn check(&self, to: &mut Checker) {
         to.range("schema", f64::from(self.schema), 1.0..=1.0, "", "made by another version: diagnose the log again with --save");
         for (at, g) in [("nominal", &self.nominal), ("with_effects", &self.with_effects)] {

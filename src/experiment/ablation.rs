@@ -1,4 +1,6 @@
 //! What each mechanism of the loop contributes: the closed loop with one of them off at a time.
+//!
+//! Every second unit has slow lines, because some mechanisms act on nothing else.
 
 use crate::control::tick::{FeedbackConfig, LoopConfig};
 use crate::estimation::fusion::estimator::EstimatorName;
@@ -11,6 +13,9 @@ use crate::experiment::sweep::Study;
 use rayon::prelude::*;
 use serde::Serialize;
 
+/// Lag of the slow lines, s.
+const SLOW_LAG_S: f64 = 0.25;
+
 /// A mechanism and the configuration of the loop without it.
 type Mechanism = (&'static str, fn(&mut LoopConfig));
 
@@ -20,7 +25,8 @@ pub const MECHANISMS: [Mechanism; 8] = [
     ("online k_eps", |c| c.refine.enabled = false),
     ("dynamics bank", |c| feedback(c, |f| f.learn_dynamics = false)),
     ("backlash share", |c| feedback(c, |f| f.learn_backlash = false)),
-    ("standstill latch", |c| feedback(c, |f| f.standstill.close_rad = 0.0)),
+    // the refinement takes its poses from the latch
+    ("standstill latch, online k_eps", |c| feedback(c, |f| f.standstill.close_rad = 0.0)),
     ("set-point lead", |c| feedback(c, |f| f.lead = 0.0)),
     ("bend filter (vqf)", |c| c.fuse.filter = EstimatorName::Generic(FilterName::Vqf)),
     ("bend filter (madgwick)", |c| c.fuse.filter = EstimatorName::Generic(FilterName::Madgwick)),
@@ -58,7 +64,11 @@ pub fn run(study: &Study, mechanisms: &[Mechanism], progress: &(dyn Fn() + Sync)
         let mut config = study.config.clone();
         change(&mut config);
         let unit = |n: u64| {
-            let result = study.run(&config, Arm::Closed, &study.unit(n), n, DIRECTIONS);
+            let mut unit = study.unit(n);
+            if n % 2 == 1 {
+                unit.effects.line_lag.get_or_insert_default().lag_s = [SLOW_LAG_S; 3];
+            }
+            let result = study.run(&config, Arm::Closed, &unit, n, DIRECTIONS);
             progress();
             result
         };

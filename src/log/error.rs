@@ -1,15 +1,30 @@
 //! Why a table is refused. Every message names the file and, where there is one, the line and the column.
 
+use std::io::ErrorKind;
+use std::path::Path;
+
+/// Why a file cannot be read, and what to do, in words that follow its name.
+#[must_use]
+pub fn why_unreadable(path: &Path, error: &std::io::Error) -> String {
+    match error.kind() {
+        _ if path.is_dir() => "this is a folder, not a file; give the name of a file".to_owned(),
+        ErrorKind::NotFound => "there is no such file; check the path".to_owned(),
+        ErrorKind::PermissionDenied => "this user has no permission to read the file; change its permissions or its owner".to_owned(),
+        ErrorKind::InvalidData => "this is not a text file (not valid UTF-8)".to_owned(),
+        _ => format!("the file cannot be read: {error}"),
+    }
+}
+
 /// Why a table cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
     /// The file does not exist or cannot be opened.
-    #[error("{file}: cannot be opened: {source}; check the path and its permissions")]
+    #[error("{file}: {problem}")]
     Open {
         /// File.
         file: String,
-        /// Reason given by the operating system.
-        source: std::io::Error,
+        /// The reason, with the mend.
+        problem: String,
     },
     /// The file ends early, or its contents contradict its compression or encoding.
     #[error("{file}, line {line}: cannot be read: {reason}; the file is cut short or damaged, copy it again")]
@@ -22,7 +37,7 @@ pub enum ReadError {
         reason: String,
     },
     /// The file has too few rows.
-    #[error("{file}: has {rows} rows; a header line and at least {least} rows are needed")]
+    #[error("{file}: has {rows} rows below its header line; at least {least} needed")]
     TooShort {
         /// File.
         file: String,

@@ -2,7 +2,7 @@
 //!
 //! An empty field or `nan` is a missing value and reads as NaN. Gzip is recognised by its first two bytes.
 
-use crate::log::error::ReadError;
+use crate::log::error::{ReadError, why_unreadable};
 use flate2::read::MultiGzDecoder;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::fs::File;
@@ -41,7 +41,7 @@ impl Table {
     /// [`ReadError`] with file and, where there is one, line and column.
     pub fn open(path: &Path, schema: &Schema<'_>) -> Result<Self, ReadError> {
         let file = path.display().to_string();
-        let open = |source| ReadError::Open { file: file.clone(), source };
+        let open = |e: std::io::Error| ReadError::Open { file: file.clone(), problem: why_unreadable(path, &e) };
         let mut reader = BufReader::new(File::open(path).map_err(open)?);
         let gzip = reader.fill_buf().map_err(open)?.starts_with(&GZIP_MAGIC);
         if gzip { Self::parse(&file, MultiGzDecoder::new(reader), schema) } else { Self::parse(&file, reader, schema) }

@@ -122,6 +122,8 @@ impl<T: Setting> Setting for Option<T> {
 pub trait Check {
     /// Its parameter table, if it has one: single values are checked against it.
     const TABLE: Option<&'static Table> = None;
+    /// What to do about a key or a value that is not understood.
+    const REMEDY: &'static str = "`retroflex board show` prints every key with its meaning, unit and range";
 
     /// Reports relations between values that do not hold.
     fn check(&self, to: &mut Checker);
@@ -172,6 +174,18 @@ impl Table {
         }
     }
 
+    /// The row of a dotted key; the indices of lists are passed over. `None` if the key is not known or depends on a word.
+    #[must_use]
+    pub fn row(&self, key: &str) -> Option<&'static Row>
+    where
+        Self: 'static,
+    {
+        let (first, rest) = key.split_once('.').unwrap_or((key, ""));
+        let row = self.rows.iter().find(|r| r.key == first)?;
+        let below = rest.split('.').skip_while(|part| part.parse::<usize>().is_ok()).collect::<Vec<_>>().join(".");
+        if below.is_empty() { Some(row) } else { row.shape.table()?.row(&below) }
+    }
+
     /// Every dotted key of this table and those below it. Entries of a list are written `[]`.
     pub fn keys(&self, at: &str, out: &mut Vec<String>) {
         for row in self.rows {
@@ -183,6 +197,14 @@ impl Table {
 }
 
 impl Shape {
+    fn table(&self) -> Option<&'static Table> {
+        match self {
+            Self::Table(table) => Some(table),
+            Self::Optional(inner) | Self::List(inner) => inner.table(),
+            _ => None,
+        }
+    }
+
     fn keys(&self, at: &str, out: &mut Vec<String>) {
         match self {
             Self::Table(table) => table.keys(at, out),

@@ -8,3 +8,4 @@ pub mod page;
 pub mod polar;
 pub mod svg;
 pub mod sweep;
+pub mod wiring;

@@ -101,8 +101,8 @@ pub struct Setup {
     pub machine: Box<dyn Machine>,
     /// The configuration.
     pub config: RunConfig,
-    /// Run a simulation as fast as possible instead of in real time.
-    pub fast: bool,
+    /// How many times faster than real time a simulation runs; infinity: as fast as possible. `None`: in real time.
+    pub pace: Option<f64>,
     /// Record from the first cycle on into this file.
     pub record: Option<PathBuf>,
 }
@@ -112,7 +112,7 @@ pub struct Setup {
 /// # Errors
 /// [`ServiceError`].
 pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
-    let Setup { machine, mut config, fast, record } = setup;
+    let Setup { machine, mut config, pace, record } = setup;
     let Claim { mut store, recall, control, status, stop } = claim;
     let belief = Belief::in_recall(&recall, machine.is_simulated());
     log_recall(&recall, belief);
@@ -133,12 +133,18 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         runner: Runner::new(machine, start.supervisor()),
         rings: loop_rings,
         shared: Arc::clone(&shared),
-        fast,
+        pace,
         heartbeat: HeartbeatMonitor::new(notifier.heartbeat()),
         stops: StopCounter::default(),
         watch: ThreadWatch::default(),
     };
-    let (thread, grants) = start_loop(rt_loop, RtRequest { priority: config.service.priority, cpu: config.service.cpu })?;
+    // a simulation that runs ahead of time would take its processor from everybody
+    let wish = if pace.is_some() {
+        RtRequest { priority: 0, cpu: None }
+    } else {
+        RtRequest { priority: config.service.priority, cpu: config.service.cpu }
+    };
+    let (thread, grants) = start_loop(rt_loop, wish)?;
     let urgent = RtRequest { priority: control_priority(&config.service), cpu: None };
     let stop = stop_socket::start(stop, Arc::clone(&shared), urgent).map_err(ServiceError::system("the thread of stop"))?;
     let start_port = |socket, which, wish| Port::start(socket, Arc::clone(&shared), which, wish).map_err(ServiceError::system("a socket"));

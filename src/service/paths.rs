@@ -39,6 +39,14 @@ pub fn default_socket() -> PathBuf {
     if !own.exists() && system.exists() { system } else { own }
 }
 
+/// The command sockets where services may listen: this user's and the system's.
+#[must_use]
+pub fn sockets() -> Vec<PathBuf> {
+    let mut all = vec![runtime_folder().join("control.sock"), PathBuf::from("/run/retroflex/control.sock")];
+    all.dedup();
+    all
+}
+
 /// An absolute path from the environment; systemd separates several by colons.
 fn path_from(variable: &str) -> Option<PathBuf> {
     let value = std::env::var(variable).ok()?;

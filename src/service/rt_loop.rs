@@ -126,8 +126,8 @@ pub struct Loop {
     pub shared: Arc<Shared>,
     /// Period of a cycle, s.
     pub period_s: f64,
-    /// Run a simulation as fast as possible instead of in real time.
-    pub fast: bool,
+    /// How many times faster than real time a simulation runs; infinity: as fast as possible. `None`: in real time.
+    pub pace: Option<f64>,
     /// The watchdog heartbeat.
     pub heartbeat: HeartbeatMonitor,
     /// Recognises what was queued before a stop.
@@ -149,7 +149,9 @@ impl Loop {
         let mut periods = 0u64;
         let mut cycle_ns = start_ns;
         while !self.shared.is_quitting() {
-            let elapsed = if self.fast {
+            let elapsed = if let Some(pace) = self.pace {
+                due_ns += (period_ns as f64 / pace) as u64;
+                sleep_until_ns(due_ns);
                 periods + 1
             } else {
                 due_ns += period_ns;
@@ -163,7 +165,7 @@ impl Loop {
                 if simulated { ((now_ns - start_ns) / period_ns).max(periods + 1) } else { now_ns - start_ns }
             };
             periods = elapsed;
-            let now_s = if simulated || self.fast { elapsed as f64 * self.period_s } else { elapsed as f64 * 1e-9 };
+            let now_s = if simulated || self.pace.is_some() { elapsed as f64 * self.period_s } else { elapsed as f64 * 1e-9 };
             let real_ns = monotonic_ns();
             self.watch.step(&self.shared, real_ns.saturating_sub(std::mem::replace(&mut cycle_ns, real_ns)) as f64 * 1e-9);
             self.cycle(Seconds(now_s))?;

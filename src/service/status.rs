@@ -6,6 +6,7 @@ use crate::model::bend::Bend;
 use crate::service::protocol::VERSION;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::gate::TripCause;
+use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
 
 /// What tripped, and the remedy.
@@ -65,11 +66,13 @@ pub fn base(f: &Frame) -> Option<&'static str> {
 #[must_use]
 pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
     let f = &output.frame;
+    // a tip that is not commanded has no target to fall short of
+    let commanded = matches!(output.mode, Mode::Holding | Mode::Tracking | Mode::Calibrating);
     let pose = |b: &Bend| json!({"bend_deg": round(b.beta().to_degrees()), "dir_deg": round(b.delta().to_degrees())});
     json!({
         "t": output.sensed.t.0,
         "mode": output.mode.name(),
-        "target": pose(&f.target.bend),
+        "target": commanded.then(|| pose(&f.target.bend)),
         "setpoint": pose(&f.setpoint.bend),
         "estimate": f.estimate.map(|x| pose(&x.bend)),
         "sigma_deg": f.estimate.and_then(|x| x.sigma_rad).map(|s| round(s.to_degrees())),
@@ -78,8 +81,8 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
         "counted": output.counted.0,
         "energised": output.sensed.energised,
         "at_rest": f.at_rest,
-        "blocked": blocked(f),
-        "shortfall": shortfall(f),
+        "blocked": commanded && blocked(f),
+        "shortfall": shortfall(f).filter(|_| commanded),
         "base_moved": f.base_moved,
         "base": base(f),
         "latched": output.latched.map(trip_name),

@@ -1,6 +1,7 @@
 //! Arguments of the commands to a running service.
 
 use super::connection::At;
+use crate::cli::inputs::within;
 use std::path::PathBuf;
 
 /// Arguments of `bend`.
@@ -9,15 +10,16 @@ pub struct BendArgs {
     #[command(flatten)]
     pub(super) at: At,
     /// Bend angle, degrees.
+    #[arg(value_parser = within(-180.0..=180.0, "degrees"))]
     pub(super) bend: f64,
     /// Bend direction, degrees.
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = within(-360.0..=360.0, "degrees"))]
     pub(super) toward: f64,
     /// Length of the centre line, mm. Default: the rest length.
-    #[arg(long)]
+    #[arg(long, value_parser = within(5.0..=200.0, "mm"))]
     pub(super) length: Option<f64>,
     /// Speed of the set-point, °/s. Default: that of the gains file.
-    #[arg(long)]
+    #[arg(long, value_parser = within(0.1..=720.0, "°/s"))]
     pub(super) speed: Option<f64>,
     /// Wait until the tip has settled.
     #[arg(long)]
@@ -29,9 +31,9 @@ pub struct BendArgs {
 pub struct StatusArgs {
     #[command(flatten)]
     pub(super) at: At,
-    /// Print JSON.
-    #[arg(long)]
-    pub(super) json: bool,
+    /// Write the state as JSON to this file; without a name, or with `-`, to standard output.
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
+    pub(super) json: Option<PathBuf>,
     /// Repeat twice a second.
     #[arg(long)]
     pub(super) watch: bool,
@@ -45,7 +47,7 @@ pub struct RecordArgs {
     /// Start or stop.
     #[arg(value_enum)]
     pub(super) action: Action,
-    /// Name of the recording. Default: the time in seconds since 1970.
+    /// Name of the recording. Default: the next free number.
     pub(super) name: Option<String>,
 }
 
@@ -77,7 +79,7 @@ pub struct SubscribeArgs {
     #[command(flatten)]
     pub(super) at: At,
     /// Frames per second.
-    #[arg(long, default_value_t = 20.0)]
+    #[arg(long, default_value_t = 20.0, value_parser = within(0.1..=1000.0, "Hz"))]
     pub(super) rate: f64,
 }
 
@@ -95,4 +97,7 @@ pub struct TransmissionArgs {
     /// Discard the proposed calibration.
     #[arg(long)]
     pub(super) discard: bool,
+    /// Write the proposed calibration as JSON to this file (`-`: standard output).
+    #[arg(long, value_name = "FILE")]
+    pub(super) json: Option<PathBuf>,
 }

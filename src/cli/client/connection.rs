@@ -7,18 +7,26 @@ use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
 use miette::{Report, Result, miette};
 use serde_json::Value;
+use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 
 /// Address of the service.
 #[derive(Debug, Clone, clap::Args)]
 pub struct At {
     /// Socket of the service. Default: RETROFLEX_SOCKET, or else that of this user's service, or else the system's.
-    #[arg(long, default_value_os_t = default_socket())]
-    socket: PathBuf,
+    #[arg(long)]
+    socket: Option<PathBuf>,
 }
 
-fn default_socket() -> PathBuf {
-    std::env::var_os("RETROFLEX_SOCKET").map_or_else(paths::default_socket, PathBuf::from)
+impl At {
+    /// The named socket, or those on which a service of this user or of the system listens.
+    fn sockets(&self) -> Vec<PathBuf> {
+        if let Some(named) = self.socket.clone().or_else(|| std::env::var_os("RETROFLEX_SOCKET").map(PathBuf::from)) {
+            return vec![named];
+        }
+        let live: Vec<PathBuf> = paths::sockets().into_iter().filter(|path| UnixStream::connect(path).is_ok()).collect();
+        if live.is_empty() { vec![paths::default_socket()] } else { live }
+    }
 }
 
 /// A failure of the service as a report.
@@ -26,14 +34,22 @@ pub(super) fn report(f: Failure) -> Report {
     if f.code == 3 { Unreachable { what: "the service".to_owned(), why: f.message }.into() } else { miette!("{}", f.message) }
 }
 
-/// Connects to the service.
+/// Connects to the service. Two services of which none is named are refused.
 pub(super) fn connect(at: &At) -> Result<Connection> {
-    Connection::connect(&at.socket).map_err(report)
+    match &at.sockets()[..] {
+        [one, other, ..] => Err(miette!(
+            "two services are running, at {} and {}: name one with --socket (`retroflex stop` stops both)",
+            one.display(),
+            other.display()
+        )),
+        one => Connection::connect(&one[0]).map_err(report),
+    }
 }
 
-/// Stops the tip.
+/// Stops the tip, that of every service if none is named.
 pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
-    Ok(printed(answer(Connection::stop(&at.socket))?))
+    let stopped: Vec<_> = at.sockets().iter().map(|socket| answer(Connection::stop(socket)).map(printed)).collect();
+    stopped.into_iter().try_fold(CommandOutcome::Good, |worst, one| one.map(|one| if one == CommandOutcome::Good { worst } else { one }))
 }
 
 /// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
@@ -63,7 +79,21 @@ fn printed(result: Option<Value>) -> CommandOutcome {
         eprintln!("note: {remark}");
     }
     if value.as_object().is_some_and(|map| !map.is_empty()) {
-        print(&format!("{value}\n"));
+        print(&words(&value));
     }
     CommandOutcome::Good
+}
+
+/// A result in words: the recording or the gains file that it names.
+pub(super) fn words(value: &Value) -> String {
+    let file = value["path"].as_str();
+    match (file, value["rows"].as_u64(), value["gains"].as_str()) {
+        (Some(path), None, _) => format!("recording {path}\n"),
+        (Some(path), Some(rows), _) => {
+            let replay = if value["replayable"] == true { ", can be replayed" } else { "" };
+            format!("{path}: {rows} rows{replay}\n")
+        }
+        (None, _, Some(gains)) => format!("{gains} is in use\n"),
+        _ => format!("{value}\n"),
+    }
 }

@@ -15,6 +15,9 @@ const ALIGNED_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for a move.
 const MOVED_MAX: Duration = Duration::from_secs(60);
 
+/// Period of the lines that report progress where there is no terminal.
+const SAID_EVERY: Duration = Duration::from_secs(5);
+
 /// Polls the status until `done` returns a result, or until the service refuses.
 fn poll(connection: &mut Connection, period_ms: u64, mut done: impl FnMut(&Value) -> Option<CommandOutcome>) -> Result<CommandOutcome> {
     loop {
@@ -88,6 +91,7 @@ pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
 /// # Errors
 /// A report with the service's message.
 pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
+    output::check(&[("--json", args.json.as_deref())], &[])?;
     let mut connection = connect(&args.at)?;
     let action = match (args.accept, args.discard, args.short) {
         (true, ..) => CalibrateAction::Accept,
@@ -101,10 +105,15 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
     if args.accept || args.discard {
         return Ok(Good);
     }
-    let bar = output::bar(0, "{msg}");
+    let (bar, mut said, mut proposed) = (output::bar(0, "{msg}"), Instant::now(), Value::Null);
     let outcome = poll(&mut connection, 200, |s| {
         if let Some(progress) = s["calibrating"].as_str() {
             bar.set_message(progress.to_owned());
+            // a spinner is seen on a terminal only
+            if bar.is_hidden() && said.elapsed() >= SAID_EVERY {
+                said = Instant::now();
+                eprintln!("{progress}");
+            }
             return None;
         }
         bar.finish_and_clear();
@@ -112,10 +121,28 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
             eprintln!("no gains were identified: {why}");
             return Some(NotGoodEnough);
         }
-        output::print(&format!("{}\n", s["proposed"]));
+        output::show(&gains_table(s), args.json.as_deref());
+        proposed = s["proposed"].clone();
         eprintln!("apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`");
         Some(Good)
     });
     bar.finish_and_clear();
-    outcome
+    let outcome = outcome?;
+    if outcome == Good {
+        output::json(args.json.as_deref(), &proposed)?;
+    }
+    Ok(outcome)
+}
+
+/// The proposed gains beside those in use.
+fn gains_table(s: &Value) -> String {
+    let pair =
+        |key: &str, i: usize| [&s[key][i], &s["proposed"][key][i]].map(|v| v.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}")));
+    let rows = (0..3).map(|i| {
+        let ([k_now, k], [l_now, l]) = (pair("k_epsilon", i), pair("k_lambda_mm", i));
+        [(i + 1).to_string(), k_now, k, l_now, l]
+    });
+    let table = output::table(&["line", "k_epsilon in use", "proposed", "k_lambda in use, mm", "proposed, mm"], 1..5, rows);
+    let number = |key: &str| s["proposed"][key].as_f64().unwrap_or(0.0);
+    format!("{table}\nlag {:.3} s, dead time {:.3} s\n", number("lag_s"), number("delay_s"))
 }

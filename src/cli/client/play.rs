@@ -4,7 +4,7 @@
 //! move by (1 + k_ε) Δq (Eq. 16), and all arrive at the same time.
 
 use super::args::PlayArgs;
-use super::connection::{ask, connect};
+use super::connection::{ask, connect, words};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
 use crate::diagnosis::excite::rows::{self, Row};
@@ -14,7 +14,7 @@ use crate::service::client::Client as Connection;
 use crate::service::protocol::{RecordAction, Request};
 use miette::{IntoDiagnostic, Result};
 use serde_json::{Value, json};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Longest delay of a segment beyond its planned duration, s.
 const LATE_MAX_S: f64 = 10.0;
@@ -47,7 +47,7 @@ pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     }
     let outcome = run_rows(&mut connection, &rows);
     if let Some(recorded) = ask(&mut connection, &request(RecordAction::Stop))? {
-        output::print(&format!("{recorded}\n"));
+        output::print(&words(&recorded));
     }
     outcome
 }
@@ -59,7 +59,7 @@ fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome>
         let Some(status) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
         let (seconds, speed_deg_s) = segment(&before, row, &status);
         let request = Request::Bend { bend_deg: row.bend_deg, dir_deg: row.dir_deg, length_mm: Some(row.len_mm), speed_deg_s };
-        if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, seconds, row)? {
+        if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, clock_s(&status), seconds, row)? {
             return Ok(NotGoodEnough);
         }
         before = *row;
@@ -82,12 +82,12 @@ fn segment(from: &Row, to: &Row, status: &Value) -> (f64, Option<f64>) {
     (seconds, (bend_deg > 0.1).then(|| (bend_deg / seconds).clamp(0.1, 720.0)))
 }
 
-/// Waits for the end of the segment and of the hold; false if the service stops moving.
-fn arrive_and_hold(connection: &mut Connection, seconds: f64, row: &Row) -> Result<bool> {
-    let started = Instant::now();
-    let mut arrived: Option<Instant> = None;
+/// Waits for the end of the segment and of the hold, on the clock of the machine, which a simulation may run faster; false if
+/// the service stops moving.
+fn arrive_and_hold(connection: &mut Connection, started_s: f64, seconds: f64, row: &Row) -> Result<bool> {
+    let mut arrived_s: Option<f64> = None;
     loop {
-        std::thread::sleep(Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(5));
         let Some(s) = ask(connection, &Request::Status {})? else { return Ok(false) };
         let mode = s["mode"].as_str().unwrap_or("");
         if mode != "tracking" && mode != "holding" {
@@ -95,13 +95,18 @@ fn arrive_and_hold(connection: &mut Connection, seconds: f64, row: &Row) -> Resu
             eprintln!("the schedule ended at bend {}° toward {}°: {why}", row.bend_deg, row.dir_deg);
             return Ok(false);
         }
-        let elapsed_s = started.elapsed().as_secs_f64();
-        let on_its_way = elapsed_s < seconds || (mode == "tracking" && elapsed_s < seconds + LATE_MAX_S);
-        if arrived.is_none() && !on_its_way {
-            arrived = Some(Instant::now());
+        let now_s = clock_s(&s);
+        let on_its_way = now_s - started_s < seconds || (mode == "tracking" && now_s - started_s < seconds + LATE_MAX_S);
+        if arrived_s.is_none() && !on_its_way {
+            arrived_s = Some(now_s);
         }
-        if arrived.is_some_and(|at| at.elapsed().as_secs_f64() >= row.hold_s) {
+        if arrived_s.is_some_and(|at_s| now_s - at_s >= row.hold_s) {
             return Ok(true);
         }
     }
+}
+
+/// Time of the machine, s.
+fn clock_s(status: &Value) -> f64 {
+    status["t"].as_f64().unwrap_or(0.0)
 }

@@ -3,22 +3,33 @@
 use super::args::{StatusArgs, SubscribeArgs};
 use super::connection::{At, ask, connect, report};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
-use crate::cli::output::print;
+use crate::cli::output::{self, print};
 use crate::service::protocol::Request;
 use miette::{Result, miette};
 use serde_json::Value;
-use std::io::{BufRead, Write};
+use std::io::{BufRead, IsTerminal, Write};
 use std::time::Duration;
+
+/// Clears the terminal and moves to its first place (ECMA-48).
+const CLEAR: &str = "\x1b[H\x1b[2J";
+/// Widest line of the status, characters.
+const WIDTH: usize = 100;
 
 /// `status`, for people or as JSON.
 ///
 /// # Errors
 /// A report with the service's message.
 pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
+    output::check(&[("--json", args.json.as_deref())], &[])?;
     let mut connection = connect(&args.at)?;
+    let redraw = args.watch && args.json.is_none() && std::io::stdout().is_terminal();
     loop {
         let Some(s) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
-        print(&if args.json { format!("{s}\n") } else { readable(&s) });
+        match &args.json {
+            Some(path) => output::write(path, &format!("{s}\n"))?,
+            None if redraw => print(&format!("{CLEAR}{}", readable(&s))),
+            None => print(&readable(&s)),
+        }
         if !args.watch {
             return Ok(Good);
         }
@@ -63,7 +74,20 @@ fn readable(s: &Value) -> String {
     }
     rows.extend(list(&s["sensor"]["advice"]).iter().map(|advice| ("sensor", text(advice))));
     rows.extend(list(&s["real_time"]).iter().map(|g| ("real time", format!("{}: {}", text(&g["what"]), text(&g["grant"])))));
-    rows.iter().map(|(name, value)| format!("{name:<9} {value}\n")).collect()
+    rows.iter().map(|(name, value)| format!("{name:<10}{}\n", wrapped(value))).collect()
+}
+
+/// A text in lines that fit beside a column of names.
+fn wrapped(text: &str) -> String {
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        match lines.last_mut() {
+            Some(line) if line.is_empty() => *line = word.to_owned(),
+            Some(line) if line.chars().count() + word.chars().count() + 11 < WIDTH => *line += &format!(" {word}"),
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines.join(&format!("\n{:10}", ""))
 }
 
 /// `stream`: set-points from standard input, `BEND DIR` per line.

@@ -61,7 +61,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     for (path, text) in files(args, &observed, &done)? {
         output::write(path, &text)?;
     }
-    eprintln!("{}", summary(&done.document));
+    eprintln!("{}", summary(&done.document, args.save.as_deref()));
     Ok(CommandOutcome::Good)
 }
 
@@ -108,7 +108,7 @@ fn shown(d: &Diagnosis) -> usize {
     d.effects.iter().take_while(|e| e.probability >= 0.01).count().clamp(3, 6)
 }
 
-fn summary(d: &Diagnosis) -> String {
+fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
     let row = |e: &EffectEntry| {
         [
             e.name.to_owned(),
@@ -130,7 +130,12 @@ fn summary(d: &Diagnosis) -> String {
     }
     out.extend(words::limits(d));
     out.push(table.to_string());
-    out.extend(words::next(d).iter().map(|n| format!("next: {n}")));
+    let next = |advice: &String| match saved {
+        Some(path) => format!("next: {}", advice.replace("model.toml", &path.display().to_string())),
+        None if advice.contains("gap check") => format!("next: {advice} `--save model.toml` writes the model."),
+        None => format!("next: {advice}"),
+    };
+    out.extend(words::next(d).iter().map(next));
     out.join("\n")
 }
 

@@ -64,7 +64,7 @@ impl SetPoint {
     }
 
     pub(super) fn has_arrived(&self) -> bool {
-        self.bend.arrived(&self.target.bend.0)
+        self.bend.arrived(&self.target.bend.0) && self.length.arrived(&Vector1::new(self.target.length.0))
     }
 }
 

@@ -76,6 +76,8 @@ fn one() -> usize {
 }
 
 impl Check for MapFile {
+    const REMEDY: &'static str = "docs/maps holds a map for each rig of docs/other-rigs.md";
+
     fn check(&self, to: &mut Checker) {
         to.range("every", self.every as f64, 1.0..=10_000.0, "", "1 uses every row");
         if let Some(rate) = self.rate_hz {

@@ -30,6 +30,15 @@ impl Daemon {
     /// # Errors
     /// The operating system's, or a service that did not become ready.
     pub fn start(program: &Path, folder: &Path) -> io::Result<Self> {
+        // not the board of this computer, which may be a real machine
+        Self::start_with(program, folder, &["--board", "sim"])
+    }
+
+    /// As [`start`](Self::start), with further options of `run`.
+    ///
+    /// # Errors
+    /// As for [`start`](Self::start).
+    pub fn start_with(program: &Path, folder: &Path, options: &[&str]) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         let notify_path = folder.join("notify");
         // left by a previous service in this folder
@@ -43,6 +52,7 @@ impl Daemon {
             .arg(&socket)
             .arg("--state")
             .arg(folder.join("state"))
+            .args(options)
             .env("NOTIFY_SOCKET", &notify_path)
             .env("WATCHDOG_USEC", format!("{:.0}", WATCHDOG_S * 1e6))
             .env_remove("WATCHDOG_PID")

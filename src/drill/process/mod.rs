@@ -4,7 +4,7 @@
 mod attack;
 mod attacks;
 mod clients;
-mod daemon;
+pub mod daemon;
 mod disk;
 mod hang;
 mod kills;

@@ -1,6 +1,6 @@
 //! Recordings, and the status of the service.
 
-use super::state::{Caller, Hub, RecordingState, Reply, unix_s};
+use super::state::{Caller, Hub, RecordingState, Reply};
 use crate::service::belief::Belief;
 use crate::service::calibrate::Session;
 use crate::service::paths::Paths;
@@ -40,12 +40,13 @@ impl Hub {
                 refuse(format!("{} is being recorded; stop that recording first", state.recording.path().display()))
             }
             (RecordAction::Start, None) => {
-                let name = name.map_or_else(|| format!("bend-{:.0}", unix_s()), str::to_owned);
+                let folder = Paths::of(&self.config.service).state.join("recordings");
+                let name = name.map_or_else(|| next_name(&folder), str::to_owned);
                 let allowed = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
                 if name.is_empty() || name.starts_with('.') || name.len() > NAME_MAX || !name.chars().all(allowed) {
                     return Some(Err(Failure::bad(format!("`{name}` is not a valid name: use letters, digits, - _ . and no folder"))));
                 }
-                let path = Paths::of(&self.config.service).state.join("recordings").join(name + ".csv.gz");
+                let path = folder.join(name + ".csv.gz");
                 if let Err(e) = self.start_recording(&path, false) {
                     return refuse(format!("{}: {e}", path.display()));
                 }
@@ -180,6 +181,12 @@ impl Hub {
         }
         value
     }
+}
+
+/// The first free name. It does not use the time of day, which a computer without a clock does not know after a start.
+fn next_name(folder: &Path) -> String {
+    let mut names = (1..).map(|n| format!("bend-{n:04}"));
+    names.find(|name| !folder.join(format!("{name}.csv.gz")).exists()).unwrap_or_default()
 }
 
 fn recording_json(r: &Recording) -> Value {

@@ -40,7 +40,7 @@ impl Hub {
                 if !matches!(request, Request::Stream { .. })
                     && let Some(hidden) = self.log_limit.admit("command")
                 {
-                    tracing::info!(event = "command", command = caller.command, client, hidden, config = %self.config.config_hash);
+                    tracing::info!(event = "command", command = caller.command, client, hidden, config = %self.config.config_hash, "{request:?}");
                 }
                 self.command(&caller, &request)
             }

@@ -1,0 +1,137 @@
+//! The command line as `clap` describes it: commands by task, examples, completions and man pages.
+
+use crate::cli::{CommandOutcome, output};
+use clap::Command;
+use clap_complete::Shell;
+use miette::{Result, miette};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// The commands by task, as `--help` lists them.
+pub const GROUPS: [(&str, &[&str]); 7] = [
+    ("Move", &["run", "arm", "bend", "stream", "play", "hold", "stop", "relax", "disarm", "status", "subscribe", "reset-fault", "reload"]),
+    ("Bring up", &["board", "doctor", "release", "jog", "home", "commission", "bench"]),
+    ("Calibrate", &["zero", "calibrate", "imu"]),
+    ("Diagnose", &["record", "replay", "gap"]),
+    ("Simulate", &["demo", "evaluate"]),
+    ("Prove", &["drill"]),
+    ("Other", &["completions", "man", "help"]),
+];
+
+/// Two examples of each command that has arguments. A command with commands of its own stands for all of them.
+const EXAMPLES: [(&str, [&str; 2]); 23] = [
+    ("run", ["run", "run --board boards/pi4.toml --calib calib/paper.toml"]),
+    ("bend", ["bend 60 --toward 90 --wait", "bend 30 --speed 10 --length 21"]),
+    ("play", ["play schedule.csv", "play schedule.csv --record today"]),
+    ("status", ["status --watch", "status --json -"]),
+    ("subscribe", ["subscribe", "subscribe --rate 100"]),
+    ("board", ["board show pi4", "board check boards/pi4.toml"]),
+    ("doctor", ["doctor --board boards/pi4.toml", "doctor --json -"]),
+    ("release", ["release --board boards/pi4.toml", "release --hold --board boards/pi4.toml"]),
+    ("jog", ["jog --board boards/pi4.toml --channel 1 --mm 2", "jog --board boards/pi4.toml --channel 3 --mm -5 --speed 1"]),
+    ("home", ["home --board boards/pi4.toml", "home --board boards/pi4.toml --at-rest"]),
+    ("commission", ["commission --board boards/pi4.toml", "commission --board boards/pi4.toml --write"]),
+    ("bench", ["bench rt", "bench rt --board boards/pi4.toml --seconds 60 --load 4"]),
+    ("zero", ["zero", "zero --straight"]),
+    ("calibrate", ["calibrate transmission --short", "calibrate imu gyro rest.csv --out tip.toml"]),
+    ("imu", ["imu score recording.csv", "imu score --all --json - recording.csv"]),
+    ("record", ["record start today", "record stop"]),
+    ("replay", ["replay today.csv", "replay /var/lib/retroflex/today.csv"]),
+    ("gap", ["gap diagnose today.csv --html today.html --save model.toml", "gap check model.toml tomorrow.csv"]),
+    ("demo", ["demo --html leak.html", "demo"]),
+    ("evaluate", ["evaluate --seed 7", "evaluate --seed 7 --json - --html figures.html"]),
+    ("drill", ["drill --in-flight", "drill --only kink --json -"]),
+    ("completions", ["completions bash", "completions fish"]),
+    ("man", ["man .", "man target/man"]),
+];
+
+const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
+
+/// Two examples of a command, without the name of the program.
+#[must_use]
+pub fn examples(name: &str) -> [String; 2] {
+    match EXAMPLES.iter().find(|e| e.0 == name) {
+        Some((_, lines)) => lines.map(str::to_owned),
+        None => [name.to_owned(), format!("{name} --socket /tmp/tip.sock")],
+    }
+}
+
+/// A command line with its commands grouped by task, and with examples.
+#[must_use]
+pub fn explained(cli: Command) -> Command {
+    let mut text = String::new();
+    for (task, names) in GROUPS {
+        let _ = writeln!(text, "\n{task}:");
+        for name in names {
+            let about = cli
+                .find_subcommand(name)
+                .and_then(Command::get_about)
+                .map_or_else(|| "Print help for a command.".to_owned(), ToString::to_string);
+            let _ = writeln!(text, "  {name:<13} {about}");
+        }
+        let own = EXAMPLES.iter().filter(|e| names.contains(&e.0) && e.1[0].contains(' ')).take(2).collect::<Vec<_>>();
+        let [first, second] = match own[..] {
+            [a, b] => [a.1[0], b.1[0]],
+            [a] => a.1,
+            _ => continue,
+        };
+        let _ = writeln!(text, "  Examples: `retroflex {first}`, `retroflex {second}`");
+    }
+    let numbers = |c: Command| c.allow_negative_numbers(true);
+    let with_examples = |c: Command| {
+        let [first, second] = examples(c.get_name());
+        numbers(c).mut_subcommands(numbers).after_help(format!("Examples:\n  retroflex {first}\n  retroflex {second}"))
+    };
+    cli.mut_subcommands(with_examples).help_template(TEMPLATE).after_help(text.trim_end().to_owned())
+}
+
+/// A usage error without the terms of the Rust library.
+#[must_use]
+pub fn plain(text: &str) -> String {
+    const WORDS: [(&str, &str); 6] = [
+        ("..=", " to "),
+        ("invalid float literal", "expected a number"),
+        ("cannot parse float from empty string", "expected a number"),
+        ("invalid digit found in string", "expected a whole number, not negative"),
+        ("unrecognized subcommand", "there is no command"),
+        ("a similar subcommand exists", "did you mean"),
+    ];
+    WORDS.iter().fold(text.to_owned(), |text, (from, to)| text.replace(from, to))
+}
+
+/// Arguments of `completions`.
+#[derive(Debug, clap::Args)]
+pub struct CompletionsArgs {
+    /// Shell that the script is for.
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+/// Prints a completion script of a command line on standard output.
+#[must_use]
+pub fn completions(args: &CompletionsArgs, mut command: Command) -> CommandOutcome {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut command, "retroflex", &mut script);
+    output::print(&String::from_utf8_lossy(&script));
+    CommandOutcome::Good
+}
+
+/// Arguments of `man`.
+#[derive(Debug, clap::Args)]
+pub struct ManArgs {
+    /// Folder for the pages, one for each command.
+    folder: PathBuf,
+}
+
+/// Writes the man pages of a command line.
+///
+/// # Errors
+/// A report that names the folder.
+pub fn man(args: &ManArgs, command: Command) -> Result<CommandOutcome> {
+    let folder = args.folder.display();
+    if !args.folder.is_dir() {
+        return Err(miette!("{folder}: there is no such folder; create it first"));
+    }
+    clap_mangen::generate_to(command, &args.folder).map_err(|e| miette!("{folder}: {e}"))?;
+    Ok(CommandOutcome::Good)
+}
