@@ -66,13 +66,13 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let path = args.board.clone().or_else(|| inputs::own_board().filter(|_| args.plant.is_none()));
     let mut board = inputs::board(Some(path.as_deref().unwrap_or(Path::new(if args.plant.is_some() { "sim" } else { "demo" }))))?;
     let shown = path.as_ref().map_or("a simulated tip, because there is no board file".to_owned(), |p| p.display().to_string());
-    tracing::info!(event = "board", "board: {shown}");
     let gains = inputs::gains(args.gains.as_deref())?;
     let calibration = inputs::calibration(args.calib.as_deref())?;
     let tip = check_tip(args, &calibration)?;
     if args.fast.is_some() && args.plant.is_none() && board.plant.is_none() {
         return Err(miette!("--fast: only a simulation can run faster than real time; give --plant, or a board with a [plant] table"));
     }
+    tracing::info!(event = "board", "board: {shown}");
     let texts = [show::compact(&board), show::compact(&gains), show::compact(&calibration)];
     if let Some(socket) = &args.socket {
         board.service.socket = Some(socket.clone());
