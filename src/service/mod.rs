@@ -138,13 +138,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         stops: StopCounter::default(),
         watch: ThreadWatch::default(),
     };
-    // a simulation that runs ahead of time would take its processor from everybody
-    let wish = if pace.is_some() {
-        RtRequest { priority: 0, cpu: None }
-    } else {
-        RtRequest { priority: config.service.priority, cpu: config.service.cpu }
-    };
-    let (thread, grants) = start_loop(rt_loop, wish)?;
+    let (thread, grants) = start_loop(rt_loop, wish(&config.service, pace))?;
     let urgent = RtRequest { priority: control_priority(&config.service), cpu: None };
     let stop = stop_socket::start(stop, Arc::clone(&shared), urgent).map_err(ServiceError::system("the thread of stop"))?;
     let start_port = |socket, which, wish| Port::start(socket, Arc::clone(&shared), which, wish).map_err(ServiceError::system("a socket"));
@@ -167,6 +161,11 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     // a thread that panicked has nothing left to do
     let _ = stop.join();
     Ok(())
+}
+
+/// What the loop's thread requests. A simulation that runs ahead of time would take its processor from everybody.
+fn wish(service: &ServiceSection, pace: Option<f64>) -> RtRequest {
+    if pace.is_some() { RtRequest { priority: 0, cpu: None } } else { RtRequest { priority: service.priority, cpu: service.cpu } }
 }
 
 /// Starts the loop's thread; returns it with what the kernel has granted.
