@@ -20,7 +20,7 @@ const SETTLES: Duration = Duration::from_millis(150);
 const ARM_MAX_S: f64 = 20.0;
 
 /// Every attack, and whether it lets the tip move again after a stop.
-const ATTACKS: [(&str, Attack, bool); 15] = [
+const ATTACKS: [(&str, Attack, bool); 16] = [
     ("stop_among_silent_clients", Attack::Keep(""), true),
     ("client_half_open", Attack::Keep(r#"{"v":1,"cmd":"be"#), true),
     ("client_slow_reader", Attack::Keep(SUBSCRIBE), true),
@@ -28,6 +28,7 @@ const ATTACKS: [(&str, Attack, bool); 15] = [
     ("stop_among_hoarders", Attack::Connect(200), true),
     ("stop_in_a_flood_of_bend", Attack::Flood("{\"v\":1,\"cmd\":\"bend\",\"bend_deg\":30,\"dir_deg\":200}\n", 6), true),
     ("stop_in_a_flood_of_hold", Attack::Flood("{\"v\":1,\"cmd\":\"hold\"}\n", 62), false),
+    ("stop_in_a_flood_of_stop", Attack::Stop, false),
     ("client_flood", Attack::Flood("{\"v\":1,\"cmd\":\"status\"}\n", 8), true),
     ("client_garbage", Attack::Flood("{]\n", 8), true),
     ("client_10_mb_line", Attack::Flood("xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx", 8), true),
