@@ -47,7 +47,7 @@ pub struct Args {
     /// Damage that the exercise does to its own disk.
     #[arg(long, hide = true, requires = "exercise")]
     harm: Option<Harm>,
-    /// Print the number of the newest write of the memory in this folder.
+    /// Print the number and the position of the newest write of the memory in this folder.
     #[arg(long, hide = true)]
     recall: Option<PathBuf>,
 }
@@ -110,8 +110,9 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
 
 fn recall(folder: &Path) -> Result<CommandOutcome> {
     let (_, recall) = Store::open(folder).into_diagnostic()?;
-    println!("recalled {} .", recall.sequence);
-    Ok(outcome(recall.memory.is_some()))
+    let position = recall.memory.as_ref().and_then(|m| Some(format!("armed {}, steps {:?}", m.armed, m.restart?.steps.0)));
+    println!("recalled {} . {}", recall.sequence, position.as_deref().unwrap_or("nothing"));
+    Ok(outcome(position.is_some()))
 }
 
 fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<CommandOutcome> {

@@ -8,14 +8,13 @@ use crate::config::source;
 use crate::config::supervisor::assemble;
 use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::log::error::why_unreadable;
-use crate::log::table::GZIP_MAGIC;
+use crate::log::table;
 use crate::model::transmission::Line;
 use crate::service::record::tape_path;
 use crate::service::start::Start;
 use crate::service::tape::{Header, Reader, digest};
 use crate::supervisor::cycle::Supervisor;
 use crate::supervisor::machine::MachineInfo;
-use flate2::read::MultiGzDecoder;
 use miette::{Result, miette};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -70,12 +69,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 /// The content of a tape, compressed or not; of a truncated one, what is there.
 fn read(path: &Path) -> io::Result<Vec<u8>> {
-    let bytes = std::fs::read(path)?;
-    if !bytes.starts_with(&GZIP_MAGIC) {
-        return Ok(bytes);
-    }
     let mut content = Vec::new();
-    match MultiGzDecoder::new(bytes.as_slice()).read_to_end(&mut content) {
+    match table::reader(path)?.read_to_end(&mut content) {
         Err(e) if e.kind() != io::ErrorKind::UnexpectedEof => Err(e),
         _ => Ok(content),
     }

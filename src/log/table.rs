@@ -6,13 +6,23 @@ use crate::log::error::{ReadError, why_unreadable};
 use flate2::read::MultiGzDecoder;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
 /// First two bytes of a gzip file (RFC 1952).
-pub const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
+const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
 /// Largest deviation of a reference quaternion's norm from one: two printed decimals of each component.
 const UNIT_TOLERANCE: f64 = 0.02;
+
+/// The content of a file, decompressed if it is gzip.
+///
+/// # Errors
+/// The operating system's.
+pub fn reader(path: &Path) -> io::Result<Box<dyn Read>> {
+    let mut file = BufReader::new(File::open(path)?);
+    let gzip = file.fill_buf()?.starts_with(&GZIP_MAGIC);
+    Ok(if gzip { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) })
+}
 
 /// What a table must contain.
 pub struct Schema<'a> {
@@ -42,9 +52,7 @@ impl Table {
     pub fn open(path: &Path, schema: &Schema<'_>) -> Result<Self, ReadError> {
         let file = path.display().to_string();
         let open = |e: std::io::Error| ReadError::Open { file: file.clone(), problem: why_unreadable(path, &e) };
-        let mut reader = BufReader::new(File::open(path).map_err(open)?);
-        let gzip = reader.fill_buf().map_err(open)?.starts_with(&GZIP_MAGIC);
-        if gzip { Self::parse(&file, MultiGzDecoder::new(reader), schema) } else { Self::parse(&file, reader, schema) }
+        Self::parse(&file, reader(path).map_err(open)?, schema)
     }
 
     /// Reads CSV text; errors quote `file` as the name of the file.

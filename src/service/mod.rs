@@ -88,9 +88,11 @@ impl Claim {
             let created = std::fs::DirBuilder::new().recursive(true).mode(0o755).create(folder);
             created.map_err(|source| ServiceError::Socket { path: folder.display().to_string(), source })?;
         }
-        let stop = Listener::bind(&paths::stop_socket(&control), service.socket_mode)?;
+        let stop = paths::stop_socket(&control);
         let control = Listener::bind(&control, service.socket_mode)?;
         let status = Listener::bind(&status, service.status_mode)?;
+        // last: the test whether a service answers there stops the tip of that service
+        let stop = Listener::bind(&stop, service.socket_mode)?;
         Ok(Self { store, recall, control, status, stop })
     }
 }

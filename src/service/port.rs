@@ -117,11 +117,15 @@ impl Port {
         self.put(Outgoing::Reply(client, line));
     }
 
-    /// Sends an event line, unless too many are waiting.
+    /// Queues an event line for the next [`Port::wake`], unless too many are waiting.
     pub fn send(&self, client: u64, line: String) {
-        if self.events.try_send(Outgoing::Event(client, line)).is_ok() {
-            self.waker.wake();
-        }
+        // a reader that is served too slowly misses events
+        let _ = self.events.try_send(Outgoing::Event(client, line));
+    }
+
+    /// Ends the present round of the thread.
+    pub fn wake(&self) {
+        self.waker.wake();
     }
 
     /// Disconnects a client once it has read its replies.

@@ -32,21 +32,6 @@ const CHUNK: (Duration, usize) = (Duration::from_millis(250), 64 * 1024);
 /// Chunks that may wait for the disk: at 500 rows a second, more than 20 s.
 const CHUNKS_MAX: usize = 128;
 
-/// Bounds of a recording.
-#[derive(Debug, Clone, Copy)]
-pub struct Limits {
-    size_bytes: u64,
-    duration_s: f64,
-    free_bytes: u64,
-}
-
-impl From<&ServiceSection> for Limits {
-    fn from(section: &ServiceSection) -> Self {
-        let mib = |n: f64| (n * 1024.0 * 1024.0) as u64;
-        Self { size_bytes: mib(section.record_max_mib), duration_s: section.record_max_s, free_bytes: mib(section.record_free_mib) }
-    }
-}
-
 /// What the thread reports.
 #[derive(Debug)]
 pub enum Progress {
@@ -70,7 +55,8 @@ pub struct Recording {
     /// `None` once the recording is ending.
     chunks: Option<SyncSender<Chunk>>,
     progress: Receiver<Progress>,
-    limits: Limits,
+    /// Longest duration, s.
+    most_s: f64,
     step_mm: f64,
     /// Rows written so far.
     pub rows: u64,
@@ -96,16 +82,16 @@ impl Recording {
     ///
     /// # Errors
     /// The operating system's, if there is no thread.
-    pub fn start(path: &Path, step_mm: f64, header: Option<&tape::Header>, limits: Limits) -> io::Result<Self> {
+    pub fn start(path: &Path, step_mm: f64, header: Option<&tape::Header>, bounds: &ServiceSection) -> io::Result<Self> {
         let tape = header.map(serde_json::to_vec).transpose()?.map(|mut line| {
             line.push(b'\n');
             line
         });
         let (chunks, work) = sync_channel(CHUNKS_MAX);
         let (report, progress) = channel();
-        let (own, has_tape) = (path.to_owned(), tape.is_some());
+        let (own, has_tape, limits) = (path.to_owned(), tape.is_some(), bounds.clone());
         std::thread::Builder::new().name("recording".into()).spawn(move || {
-            let ended = write(&own, has_tape, limits, &work, &report);
+            let ended = write(&own, has_tape, &limits, &work, &report);
             // the hub is gone only when the service ends
             let _ = report.send(Progress::Ended(ended));
         })?;
@@ -117,7 +103,7 @@ impl Recording {
             handed_over: Instant::now(),
             chunks: Some(chunks),
             progress,
-            limits,
+            most_s: bounds.record_max_s,
             step_mm,
             rows: 0,
             start_s: None,
@@ -174,7 +160,7 @@ impl Recording {
                 self.row(t, &sample, output);
             }
         }
-        if self.duration_s() > self.limits.duration_s {
+        if self.duration_s() > self.most_s {
             self.reason = Some("it reached service.record_max_s");
             self.finish();
         } else if self.log.len() > CHUNK.1 || self.handed_over.elapsed() > CHUNK.0 {
@@ -188,13 +174,15 @@ impl Recording {
         let (bend, dir) = (target.bend.beta().to_degrees(), target.bend.delta().to_degrees());
         let [p1, p2, p3] = output.counted.0.map(|n| f64::from(n) * self.step_mm);
         let (a, g, length) = (sample.acc_m_s2, sample.gyro_rad_s, target.length.0);
-        let fields = format_args!("{t:.6},{bend},{dir},{length},{p1},{p2},{p3},{},{},{},{},{},{}", a.x, a.y, a.z, g.x, g.y, g.z);
-        let gauges = &output.sensed.gauges;
-        let measured = [sample.mag_ut.map(|m| [m.x, m.y, m.z]), gauges.pressure_kpa];
-        let [mag, pressure] = measured.map(|all| all.map_or([const { String::new() }; 3], |all| all.map(optional)).join(","));
-        let temp = gauges.tip_c.map_or_else(String::new, optional);
+        let (mag, gauges) = (sample.mag_ut.unwrap_or_else(|| [f64::NAN; 3].into()), &output.sensed.gauges);
+        let pressure = gauges.pressure_kpa.unwrap_or([f64::NAN; 3]);
         // writing to memory does not fail
-        let _ = writeln!(self.log, "{fields},{mag},{temp},{pressure}");
+        let _ = write!(self.log, "{t:.6},{bend},{dir},{length},{p1},{p2},{p3},{},{},{},{},{},{}", a.x, a.y, a.z, g.x, g.y, g.z);
+        for value in [mag.x, mag.y, mag.z, gauges.tip_c.unwrap_or(f64::NAN)].into_iter().chain(pressure) {
+            // a field without a number is empty
+            let _ = if value.is_finite() { write!(self.log, ",{value}") } else { write!(self.log, ",") };
+        }
+        self.log.push(b'\n');
     }
 
     fn hand_over(&mut self) {
@@ -235,16 +223,15 @@ impl Recording {
     }
 }
 
-/// A field that is empty without a number.
-fn optional(value: f64) -> String {
-    if value.is_finite() { value.to_string() } else { String::new() }
+fn mib(n: f64) -> u64 {
+    (n * 1024.0 * 1024.0) as u64
 }
 
 /// The thread: returns the reason if a limit ended the recording.
 fn write(
     path: &Path,
     has_tape: bool,
-    limits: Limits,
+    limits: &ServiceSection,
     chunks: &Receiver<Chunk>,
     report: &Sender<Progress>,
 ) -> io::Result<Option<&'static str>> {
@@ -264,9 +251,9 @@ fn write(
             (Some(_), None) => tape.take().map_or(Ok(()), Output::finish)?,
             (None, _) => {}
         }
-        if log.size()? + tape.as_ref().map_or(Ok(0), Output::size)? > limits.size_bytes {
+        if log.size()? + tape.as_ref().map_or(Ok(0), Output::size)? > mib(limits.record_max_mib) {
             reason = Some("it reached service.record_max_mib");
-        } else if free_bytes(path)? < limits.free_bytes {
+        } else if free_bytes(path)? < mib(limits.record_free_mib) {
             reason = Some("less than service.record_free_mib of the disk is free");
         }
         if reason.is_some() {

@@ -88,7 +88,7 @@ pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub mod tests {
     use super::*;
     use crate::control::tick::RestartState;
 

@@ -132,7 +132,7 @@ pub fn stop(scene: &mut Scene) {
         &format!("{counts:?} after {:?}", lines.pulses),
     );
     let kept = scene.guest.run("retroflex drill --recall /var/lib/retroflex").text;
-    scene.verdicts.says("and remembered so", &kept, &["recalled 0 0 0 0 ."]);
+    scene.verdicts.says("and remembered so", &kept, &["armed false, steps [0, 0, 0]"]);
     let left = scene.tip.bend().beta().to_degrees();
     scene.verdicts.hold("the tip is nearly straight", left < 8.0, &format!("{left:.1}°"));
     scene.guest.run_for("journalctl -u retroflex -o short-monotonic --no-pager", 240.0);

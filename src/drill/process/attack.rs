@@ -18,6 +18,8 @@ pub enum Attack {
     Keep(&'static str),
     /// Four threads connect as fast as they can and keep their last so many connections.
     Connect(usize),
+    /// The same on the socket of `stop`.
+    Stop,
     /// So many threads send this text without a pause and read the answers; they connect again when they are thrown out.
     Flood(&'static str, usize),
     /// A thread of the service does not continue.
@@ -49,7 +51,8 @@ impl Attack {
     /// # Errors
     /// A thread that cannot be suspended.
     pub fn start(self, daemon: &Daemon) -> io::Result<Attackers> {
-        let sockets = daemon.sockets();
+        let [control, status, stop] = daemon.sockets();
+        let sockets = [control, status];
         let of = |n: usize| sockets[n % sockets.len()].clone();
         let mut all = Attackers::default();
         match self {
@@ -62,6 +65,7 @@ impl Attack {
                 };
                 all.kept = (0..64 * sockets.len()).filter_map(|n| connect(of(n)).ok()).collect();
             }
+            Self::Stop => (0..4).for_each(|_| all.repeat(connecting(stop.clone(), 0))),
             Self::Connect(keep) => (0..4).for_each(|n| all.repeat(connecting(of(n), keep))),
             Self::Flood(text, threads) => (0..threads).for_each(|n| all.repeat(flooding(of(n), text))),
             Self::Hang(thread) => all.hung = Some(HungThread::suspend(daemon.pid(), thread)?),

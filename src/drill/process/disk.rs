@@ -146,7 +146,7 @@ fn assess(name: &str, text: &str, how: &str, took_s: f64) -> Row {
     let failed: Vec<&str> = after.iter().copied().filter(|l| l.starts_with("failed:")).collect();
     let acknowledged = text.lines().rfind(|l| l.ends_with('.') && !l.starts_with("recalled") && !l.starts_with("failed"));
     let recalled = text.lines().rfind(|l| l.starts_with("recalled"));
-    let same = recalled.is_some_and(|r| Some(r.trim_start_matches("recalled ")) == acknowledged);
+    let same = recalled.zip(acknowledged).is_some_and(|(r, a)| r.starts_with(&format!("recalled {a}")));
     row.require(same, |_| format!("acknowledged {acknowledged:?}, recalled {recalled:?}"));
     let kept = after.len().saturating_sub(2 + failed.len());
     let reason = failed.first().copied().unwrap_or("");

@@ -13,12 +13,17 @@ use std::time::{Duration, Instant};
 
 /// The loop must answer an order within this time, s.
 const ANSWER_MAX_S: f64 = 2.0;
+/// With more frames than this in one round the hub is late, and subscribers receive none of them.
+const FRAMES_SENT_MAX: usize = 40;
 
 impl Hub {
     /// Reads everything that has come since the last round.
     pub(super) fn take_loop_output(&mut self) {
-        while let Ok(output) = self.io.rings.frames.pop() {
-            self.process(&output);
+        // no more than are there now: a hub that is late still answers commands
+        let waiting = self.io.rings.frames.slots();
+        for _ in 0..waiting {
+            let Ok(output) = self.io.rings.frames.pop() else { break };
+            self.process(&output, waiting <= FRAMES_SENT_MAX);
             self.last = Some(output);
         }
         while let Ok((id, result)) = self.io.rings.answers.pop() {
@@ -72,12 +77,15 @@ impl Hub {
         }
     }
 
-    fn process(&mut self, output: &CycleOutput) {
+    /// `sends`: subscribers receive the frame.
+    fn process(&mut self, output: &CycleOutput, sends: bool) {
         self.log(output);
         if let Some(state) = &mut self.recording {
             state.recording.write(output);
         }
-        self.send_frames(output);
+        if sends {
+            self.send_frames(output);
+        }
         self.advance_calibration(output);
         self.end_long_hold(output);
     }
@@ -105,6 +113,10 @@ impl Hub {
             let line = line.get_or_insert_with(|| status::frame_line(output, self.config.supervisor.gate.step_mm));
             let port = if s.client % 2 == 1 { &self.io.control } else { &self.io.status };
             port.send(s.client, line.clone());
+        }
+        if line.is_some() {
+            self.io.control.wake();
+            self.io.status.wake();
         }
     }
 

@@ -5,7 +5,7 @@ use crate::service::belief::Belief;
 use crate::service::calibrate::Session;
 use crate::service::paths::Paths;
 use crate::service::protocol::{Failure, RecordAction};
-use crate::service::record::{Limits, Progress, Recording};
+use crate::service::record::{Progress, Recording};
 use crate::service::rt_loop::Message;
 use crate::service::shared::Watched;
 use crate::service::start::Start;
@@ -70,8 +70,7 @@ impl Hub {
         let start = Start::new(&self.config, &self.memory, belief);
         let machine = self.facts.remarks.first().map_or("", String::as_str);
         let header = (at_boot || idle).then(|| start.header(&self.config.texts, machine));
-        let limits = Limits::from(&self.config.service);
-        let mut recording = Recording::start(path, self.config.supervisor.gate.step_mm, header.as_ref(), limits)?;
+        let mut recording = Recording::start(path, self.config.supervisor.gate.step_mm, header.as_ref(), &self.config.service)?;
         tracing::info!(event = "record", path = %path.display(), replayable = recording.has_tape(), "recording started");
         if !at_boot && idle && self.io.rings.orders.push(Message::ReplaceSupervisor(Box::new(start.supervisor()))).is_err() {
             recording.end_tape();

@@ -69,7 +69,7 @@ impl Hub {
         let order = match *request {
             Request::Status {} | Request::Subscribe { .. } => return self.read_request(caller, request),
             Request::Record { action, ref name, owned } => return self.record(action, name.as_deref(), owned, caller),
-            Request::Reload {} => return self.reload(caller),
+            Request::Reload {} => return self.reload(),
             Request::Calibrate { action } => return self.calibrate(action, caller),
             Request::Bend { bend_deg, dir_deg, length_mm, speed_deg_s } => {
                 Order::Bend(self.target(bend_deg, dir_deg, length_mm), speed_deg_s.map(f64::to_radians))
@@ -98,25 +98,12 @@ impl Hub {
         Command { bend: Bend::from_deg(bend_deg, dir_deg), length }
     }
 
-    /// Reads the gains file in a thread of its own, because a disk may be slow.
-    fn reload(&mut self, caller: &Caller) -> Reply {
+    fn reload(&mut self) -> Reply {
         let Some(path) = self.config.gains.clone() else {
             return refuse("no gains file was given; start the service with `retroflex run --gains FILE`");
         };
-        let (result, caller) = (self.reloads.0.clone(), caller.clone());
-        let reads = std::thread::Builder::new().name("reload".into()).spawn(move || {
-            // the hub is gone only when the service ends
-            let _ = result.send((caller, source::read(&path).map_err(|e| e.to_string())));
-        });
-        reads.err().map(|e| Err(Failure::refused(e.to_string())))
-    }
-
-    /// Applies gains that have been read.
-    pub(super) fn take_reloads(&mut self) {
-        while let Ok((caller, gains)) = self.reloads.1.try_recv() {
-            let reply = gains.map_err(|e| Failure::bad(format!("{e}; the present gains stay in use"))).and_then(|g| self.apply(&g));
-            self.reply(&caller, &reply);
-        }
+        let gains = source::read(&path).map_err(|e| Failure::bad(format!("{e}; the present gains stay in use")));
+        Some(gains.and_then(|gains| self.apply(&gains)))
     }
 
     fn apply(&mut self, gains: &Gains) -> Result<Value, Failure> {

@@ -43,7 +43,6 @@ impl Hub {
             }
             self.take_requests();
             self.follow_recording();
-            self.take_reloads();
             self.persist();
             self.notify_manager();
             if self.io.rings.frames.is_abandoned() {

@@ -1,6 +1,5 @@
 //! The state of the hub, and what all its parts use.
 
-use crate::config::gains::Gains;
 use crate::hardware::rt::RtStatus;
 use crate::service::belief::Belief;
 use crate::service::calibrate::Session;
@@ -19,7 +18,6 @@ use crate::supervisor::mode::Mode;
 use serde_json::Value;
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
 /// The connections of the hub.
@@ -87,9 +85,6 @@ pub(super) struct RecordingState {
 /// The reply to a request, or `None` if the loop or the disk has to answer first.
 pub(super) type Reply = Option<Result<Value, Failure>>;
 
-/// The gains file as it was read, and who asked for it.
-pub(super) type Reload = (Caller, Result<Gains, String>);
-
 pub(super) struct Subscription {
     pub(super) client: u64,
     pub(super) period_s: f64,
@@ -113,8 +108,6 @@ pub struct Hub {
     pub(super) mover: Option<Mover>,
     /// Since when the tip has held its pose without a stop, by the loop's clock, s.
     pub(super) held_since_s: Option<f64>,
-    /// Reads of the gains file under way, with their results.
-    pub(super) reloads: (Sender<Reload>, Receiver<Reload>),
     /// The status of this round, once a client has asked for it.
     pub(super) status_cache: Option<Value>,
     pub(super) calibration: Option<Session>,
@@ -177,7 +170,6 @@ impl Hub {
             recording_ended: None,
             mover: None,
             held_since_s: None,
-            reloads: channel(),
             status_cache: None,
             calibration: None,
             calibration_failed: None,
