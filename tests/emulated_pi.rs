@@ -214,21 +214,28 @@ fn drivers_that_a_killed_program_left_energised_are_released() {
 #[test]
 fn rppal_writes_the_registers_of_a_raspberry_pi_3() {
     on_a_pi(world("pi3"), |rig| {
-        let registers = Registers::watch(std::path::Path::new("/dev/gpiomem"));
         let board = on_a_shared_host(rig, "pi3", "late_max_us = 1000.0", "lead_ms = 4.0", &[("cpu = 3", "# cpu = 3")]);
-        let (code, out, err) = run(rig, &["jog", "--board", &board, "--channel", "1", "--mm", "2", "--speed", "4", "--hold", "0.1"]);
-        println!("{out}\n{err}");
-        assert_eq!(code, 0);
-        let seen = registers.done();
+        // 68 steps out and 68 back, each a store to GPSET0 and one to GPCLR0. A host that stops the watch for a moment hides
+        // pulses from it, so that fewer are no answer; more are.
+        let seen = (0..4).find_map(|_| {
+            let registers = Registers::watch(std::path::Path::new("/dev/gpiomem"));
+            let (code, out, err) = run(rig, &["jog", "--board", &board, "--channel", "1", "--mm", "2", "--speed", "4", "--hold", "0.1"]);
+            println!("{out}\n{err}");
+            assert_eq!(code, 0);
+            assert!(out.contains("(68 steps)"), "{out}");
+            let seen = registers.done();
+            println!("{} of 136 pulses seen", seen.pulses[17]);
+            assert!(seen.pulses[17] <= 136);
+            (seen.pulses[17] == 136).then_some(seen)
+        });
+        let seen = seen.expect("one of four watches sees every pulse");
         // GPIO 5 in GPFSEL0, 17 in GPFSEL1, 22 to 25 and 27 in GPFSEL2: outputs, three bits a line, 001
         let output = |line: u32| 1 << (line % 10 * 3);
         assert_eq!(seen.select[0], output(5));
         assert_eq!(seen.select[1], output(17));
         assert_eq!(seen.select[2], [22, 23, 24, 25, 27].map(output).iter().sum::<u32>());
-        // 68 steps out and 68 back, each a store to GPSET0 and one to GPCLR0; EN ends high
-        assert!(out.contains("(68 steps)"), "{out}");
-        assert_eq!(seen.pulses[17], 136);
         assert_eq!((seen.pulses[27], seen.pulses[22]), (0, 0));
+        // EN ends high
         assert!(seen.level >> 5 & 1 == 1 && seen.level >> 17 & 1 == 0);
     });
 }

@@ -4,7 +4,6 @@
 mod common;
 
 use common::{repo, twin, unit};
-use nalgebra::Vector2;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::config::calib::Calibration;
@@ -27,7 +26,6 @@ use retroflex::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
 use retroflex::supervisor::gate::{SafeState, TripCause};
 use retroflex::supervisor::machine::Alarm;
 use retroflex::supervisor::mode::Mode;
-use retroflex::supervisor::residual_monitor::{ResidualConfig, ResidualInput, ResidualMonitor};
 
 /// An order to bend, degrees.
 fn bend_to(b: f64, d: f64) -> Order {
@@ -398,25 +396,4 @@ fn feedback_returns_however_a_calibration_ends() {
         f.run(0.5);
         assert!(f.runner.supervisor.config().tick.feedback.is_some());
     }
-}
-
-#[test]
-fn a_suspicion_ends_when_two_moves_end_as_predicted() {
-    let (answer_s, dt_s) = (0.05, 1e-3);
-    let mut monitor = ResidualMonitor::new(&ResidualConfig::default(), 4.5);
-    let (mut given, mut lagged) = (0.0f64, 0.0f64);
-    // a move and a rest, with a tip that bends by a share of what the pistons say
-    let mut suspected_after = |target: f64, share: f64| {
-        for _ in 0..4000 {
-            let moving = given != target;
-            given += (target - given).clamp(-6e-4, 6e-4);
-            lagged += (given - lagged) * dt_s / answer_s;
-            let (bend, estimate) = (Vector2::new(given, 0.0), Vector2::new(lagged * share, 0.0));
-            monitor.step(&ResidualInput { dt_s, given: bend, gapless: bend, estimate, answer_s, moving, blocked: false });
-        }
-        monitor.suspicion().is_some()
-    };
-    assert!(suspected_after(0.8, 0.5), "a tip that bends by half");
-    assert!(suspected_after(0.3, 1.0), "one good move may be chance");
-    assert!(!suspected_after(0.8, 1.0), "two good moves");
 }

@@ -204,7 +204,7 @@ fn a_real_systemd_starts_watches_restarts_and_stops_it() {
     assert!(stopped, "{said}");
     assert_eq!((booted.show("Result").as_str(), booted.show("ActiveState").as_str()), ("success", "inactive"));
     let (_, memory) = booted.enter(&["/run/rf/retroflex", "drill", "--recall", "/var/lib/retroflex"]);
-    assert!(memory.contains("recalled 0 0 0 0 ."), "left relaxed: {memory}");
+    assert!(memory.contains("armed false, steps [0, 0, 0]"), "left relaxed: {memory}");
 }
 
 /// After the last restart nobody controls the drivers; another unit takes the current away, and ends when the service returns.

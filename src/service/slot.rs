@@ -88,11 +88,11 @@ pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
 }
 
 #[cfg(test)]
-pub mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::control::tick::RestartState;
 
-    pub fn memory(n: i32) -> Memory {
+    pub(in crate::service) fn memory(n: i32) -> Memory {
         let restart = RestartState {
             steps: crate::primitives::units::Steps([n, -n, 7]),
             bend_rad: [0.1, 1.0 / 3.0],

@@ -41,8 +41,8 @@ parameters! {
         /// relies on the gyroscope for longer.
         direction_error: f64 = 0.004, "", 1e-5..=1.0, "0.004 is 0.2°";
         /// Expected error of the field (soft iron, motors, a field that is not uniform), until motion has shown it; the
-        /// default is half a microtesla. A larger value gives the field less weight at first.
-        field_error: f64 = 0.012, "", 1e-5..=1.0, "0.012 is half a microtesla";
+        /// default is one and a half microteslas. A larger value gives the field less weight at first.
+        field_error: f64 = 0.03, "", 1e-5..=1.0, "0.03 is one and a half microteslas";
         /// Time for which an error of the field stays constant. A larger value gives the field less weight.
         field_time_s: f64 = 15.0, "s", 0.0..=1000.0, "15 is the time of some poses";
         /// Time for which an error of gravity or twist stays constant: within it, samples do not average out. A larger value gives many
