@@ -308,5 +308,6 @@ fn free_bytes(path: &Path) -> io::Result<u64> {
         }
         stat.assume_init()
     };
+    #[allow(clippy::useless_conversion, reason = "narrower on computers of 32 bits")]
     Ok(u64::from(stat.f_bavail) * u64::from(stat.f_frsize))
 }

@@ -143,7 +143,7 @@ impl Store {
 
 /// Index of the slot of a write.
 fn place(sequence: u64) -> usize {
-    usize::from(sequence % 2 == 0)
+    usize::from(sequence.is_multiple_of(2))
 }
 
 /// Renames a damaged slot and returns a line for the report.
@@ -192,7 +192,8 @@ mod tests {
         for name in [a, b] {
             let write = |f: &Path, bytes: &[u8]| std::fs::write(f.join(name), bytes).unwrap();
             let old = |f: &Path| std::fs::read(f.join(name)).unwrap();
-            let changes: [(&str, &dyn Fn(&Path)); 8] = [
+            type Change<'a> = (&'static str, &'a dyn Fn(&Path));
+            let changes: [Change<'_>; 8] = [
                 ("has 0 bytes", &|f| write(f, b"")),
                 ("has 500 bytes", &|f| write(f, &old(f)[..500])),
                 ("header", &|f| write(f, &[0; SIZE])),

@@ -41,7 +41,8 @@ pub fn rows(
     selected: &dyn Fn(&str) -> bool,
 ) -> io::Result<Vec<Row>> {
     let folder = |name: &str| scratch.join(name);
-    let single: [(&str, &dyn Fn(&Path) -> io::Result<Row>); 6] = [
+    type Single<'a> = (&'static str, &'a dyn Fn(&Path) -> io::Result<Row>);
+    let single: [Single<'_>; 6] = [
         ("sigstop", &|folder| restart::stopped(program, folder)),
         ("disk_full", &|folder| disk::full(program, folder)),
         ("read_only_fs", &|folder| disk::read_only(program, folder)),
