@@ -13,11 +13,15 @@ use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
+use retroflex::model::chain::nominal_theta;
+use retroflex::model::described::{DescribedMachine, RestReadings};
+use retroflex::model::effects::by_name;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
 use retroflex::supervisor::machine::Machine;
+use std::sync::Arc;
 
 fn main() {
     divan::main();
@@ -64,6 +68,31 @@ fn inputs(config: &LoopConfig) -> Vec<Input> {
 fn one_tick(bencher: Bencher<'_, '_>) {
     let config = config();
     let inputs = inputs(&config);
+    bencher.counter(ItemsCount::new(inputs.len())).bench_local(|| {
+        let mut state = LoopState::new(&config);
+        let mut last: Option<Frame> = None;
+        for input in &inputs {
+            last = Some(tick(&config, &mut state, black_box(input)));
+        }
+        last
+    });
+}
+
+/// The same through the inverse of a described machine with laws that remember; one item is one tick.
+#[divan::bench(sample_count = 20)]
+fn one_tick_fed_forward(bencher: Bencher<'_, '_>) {
+    let config = config();
+    let inputs = inputs(&config);
+    let causes: [(&str, &[f64]); 5] = [
+        ("leak", &[0.004, 0.002, 0.003, 1.0]),
+        ("line_lag", &[0.15, 0.2, 0.18, 0.1]),
+        ("hysteresis", &[0.1, 0.1, 0.1, 0.1, 0.0, 0.1, -0.1]),
+        ("creep", &[0.06, 0.08, 2.0]),
+        ("gravity", &[0.06, 0.8]),
+    ];
+    let causes = causes.iter().map(|(name, p)| (by_name(name).unwrap(), p.to_vec())).collect();
+    let machine = DescribedMachine::new(config.geometry, RestReadings::default(), &nominal_theta(&config.lines, 0.025), causes);
+    let config = LoopConfig { feedback: None, ..config }.fed_forward(Arc::new(machine));
     bencher.counter(ItemsCount::new(inputs.len())).bench_local(|| {
         let mut state = LoopState::new(&config);
         let mut last: Option<Frame> = None;

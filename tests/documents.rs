@@ -98,3 +98,18 @@ fn every_control_of_the_safety_file_has_a_test() {
     assert!(rows > 30, "{rows}");
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
+
+/// `REFRESH=1 cargo test --test documents catalogue` writes the table anew.
+#[test]
+fn the_catalogue_in_the_documentation_is_that_of_the_code() {
+    let path = repo("docs/gap.md");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let (before, rest) = text.split_once("<!-- catalogue -->\n").unwrap();
+    let (table, after) = rest.split_once("<!-- end of the catalogue -->").unwrap();
+    let current = format!("\n{}\n", retroflex::model::effects::describe());
+    if std::env::var_os("REFRESH").is_some() {
+        let all = format!("{before}<!-- catalogue -->\n{current}<!-- end of the catalogue -->{after}");
+        return std::fs::write(&path, all).unwrap();
+    }
+    assert_eq!(table, current);
+}

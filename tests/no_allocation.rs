@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{uncalibrated, unit};
+use common::{described, uncalibrated, unit};
 use retroflex::control::tick::{Command, Input, LoopConfig, LoopState, tick};
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::schedule::paper;
@@ -85,4 +85,6 @@ fn a_tick_does_not_allocate() {
     drop(std::hint::black_box(vec![1u8; 64]));
     assert!(taken() > before, "the counter must count");
     assert_eq!(during_ticks(&config, &mut world), 0);
+    let fed_forward = config.fed_forward(std::sync::Arc::new(described()));
+    assert_eq!(during_ticks(&fed_forward, &mut unit(1, 2)), 0, "with a feedforward through a described machine");
 }

@@ -180,6 +180,6 @@ fn list(v: Vector3<f64>, digits: usize) -> String {
 }
 
 /// Today in UTC, for example `2026-01-31`.
-fn today() -> String {
+pub(crate) fn today() -> String {
     time::OffsetDateTime::now_utc().date().to_string()
 }

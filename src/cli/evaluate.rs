@@ -2,7 +2,7 @@
 
 mod studies;
 
-use crate::cli::{CommandOutcome, inputs, output};
+use crate::cli::{CommandOutcome, gap, inputs, output};
 use crate::config::assemble;
 use crate::config::board::{Board, PlantSection};
 use crate::config::calib::Calibration;
@@ -10,6 +10,8 @@ use crate::config::source;
 use crate::experiment::arm::ArmResult;
 use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose};
 use crate::report::evaluation as pictures;
+use crate::model::described::DescribedMachine;
+use crate::simulation::described::Described;
 use crate::simulation::link::Link;
 use crate::simulation::sim::Sim;
 use crate::simulation::world::World;
@@ -17,11 +19,12 @@ use crate::supervisor::machine::MachineError;
 use clap::builder::PossibleValue;
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Arguments of `evaluate`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Simulator to run on, `exec:PROGRAM ARG…`; the default is the built-in plant of the board.
+    /// Simulator to run on, `exec:PROGRAM ARG…` or `model:MODEL.toml`, the machine that a diagnosis describes; the default is the built-in plant of the board.
     #[arg(long)]
     plant: Option<String>,
     /// Board file; the default is the paper twin.
@@ -33,6 +36,10 @@ pub struct Args {
     /// Gains file.
     #[arg(long)]
     gains: Option<PathBuf>,
+    /// Model saved by `gap diagnose --save`, through which the arms `diagnosed` and `closed` are fed forward. Without it,
+    /// `diagnosed` records and diagnoses a log of its own and `closed` uses the nominal model.
+    #[arg(long, value_name = "MODEL.toml", conflicts_with_all = ["sweep", "ablate"])]
+    feedforward: Option<PathBuf>,
     /// Write the result as JSON to this file (`-`: standard output).
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -43,7 +50,7 @@ pub struct Args {
     #[arg(long)]
     svg: Option<PathBuf>,
     /// Arms to run.
-    #[arg(long, value_delimiter = ',', default_value = "none,extension,backlash,closed")]
+    #[arg(long, value_delimiter = ',', default_value = "none,extension,backlash,diagnosed,closed")]
     arms: Vec<Arm>,
     /// Seed of the built-in plant; selects the simulated unit and its noise.
     #[arg(long, default_value_t = 0)]
@@ -93,11 +100,15 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
     let plant = Plant::new(args, &board)?;
+    let feedforward = inputs::feedforward(args.feedforward.as_deref(), args.calib.as_deref(), calibration.as_ref().unwrap_or(&Calibration::default()));
+    let feedforward = feedforward.map(|path| inputs::described(&path, &board)).transpose()?;
     let plan = Plan {
         identify: calibration.is_none(),
         config: assemble(&board, &calibration.unwrap_or_default(), &gains),
         arms: args.arms.clone(),
         seed: args.seed,
+        rig: gap::input::rig(args.board.as_deref())?,
+        feedforward,
     };
     let bar = output::bar(0, "{msg:<18} {pos} states held,");
     let result = evaluation::run(&plan, &mut |purpose| plant.open(purpose), &mut |what| {
@@ -125,7 +136,7 @@ fn check(args: &Args) -> Result<()> {
         }
     }
     let results = [("--json", args.json.as_deref()), ("--html", args.html.as_deref()), ("--svg", args.svg.as_deref())];
-    let inputs: Vec<&Path> = [&args.board, &args.calib, &args.gains].into_iter().filter_map(|p| p.as_deref()).collect();
+    let inputs: Vec<&Path> = [&args.board, &args.calib, &args.gains, &args.feedforward].into_iter().filter_map(|p| p.as_deref()).collect();
     output::check(&results, &inputs)
 }
 
@@ -133,10 +144,15 @@ fn check(args: &Args) -> Result<()> {
 enum Plant {
     Foreign { program: String, args: Vec<String> },
     BuiltIn { section: Box<PlantSection>, seed: u64 },
+    Described { machine: Arc<DescribedMachine>, step_mm: f64, seed: u64 },
 }
 
 impl Plant {
     fn new(args: &Args, board: &Board) -> Result<Self> {
+        if let Some(path) = args.plant.as_deref().and_then(|p| p.strip_prefix("model:")) {
+            let machine = inputs::described(Path::new(path), board)?;
+            return Ok(Self::Described { machine, step_mm: board.drive.law().step_mm, seed: args.seed });
+        }
         if let Some(plant) = &args.plant {
             let (program, args) = inputs::program(plant)?;
             return Ok(Self::Foreign { program, args });
@@ -147,6 +163,9 @@ impl Plant {
     fn open(&self, purpose: Purpose) -> Result<Box<dyn World>, MachineError> {
         Ok(match self {
             Self::Foreign { program, args } => Box::new(Link::start(program, args)?),
+            Self::Described { machine, step_mm, seed } => {
+                Box::new(Described::new(machine.as_ref().clone(), *step_mm, seed.wrapping_add(noise_of(purpose))))
+            }
             Self::BuiltIn { section, seed } => Box::new(Sim::new(&section.make(), *seed, noise_of(purpose), section.period_s)?),
         })
     }
@@ -167,6 +186,7 @@ fn noise_of(purpose: Purpose) -> u64 {
     match purpose {
         Purpose::Identify => 0,
         Purpose::Arm(arm) => 1 + arm as u64,
+        Purpose::Record => 1 + Arm::ALL.len() as u64,
     }
 }
 

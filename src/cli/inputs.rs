@@ -4,12 +4,16 @@ use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::{shipped, source};
+use crate::diagnosis::saved::SavedModel;
+use crate::model::described::DescribedMachine;
+use crate::model::effects::catalogue;
 use crate::primitives::parameters::Check;
 use crate::simulation::link;
 use miette::{Result, miette};
 use serde::de::DeserializeOwned;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A board file, or the board that comes with the program under this name; by default the paper twin.
 ///
@@ -70,12 +74,49 @@ pub fn within(allowed: RangeInclusive<f64>, unit: &'static str) -> impl Fn(&str)
     }
 }
 
+/// The machine that a saved model describes, without the effects that happen once, which are named on standard error.
+///
+/// # Errors
+/// A report that names file and key.
+pub fn described(path: &Path, board: &Board) -> Result<Arc<DescribedMachine>> {
+    described_by(&path.display().to_string(), source::read(path)?, board)
+}
+
+/// The path of the model for the feedforward: the one on the command line, or the one that the calibration file names.
+#[must_use]
+pub fn feedforward(given: Option<&Path>, calib: Option<&Path>, calibration: &Calibration) -> Option<PathBuf> {
+    let named = || {
+        let name = Path::new(&calibration.feedforward);
+        (!calibration.feedforward.is_empty()).then(|| calib.and_then(Path::parent).map_or_else(|| name.to_owned(), |folder| folder.join(name)))
+    };
+    given.map(Path::to_owned).or_else(named)
+}
+
+/// [`described`] for a model that has been read from `origin`.
+///
+/// # Errors
+/// A report that names the key.
+pub fn described_by(origin: &str, model: SavedModel, board: &Board) -> Result<Arc<DescribedMachine>> {
+    if let Some(problem) = model.unknown_names(&catalogue()) {
+        return Err(miette!("{origin}: {problem}"));
+    }
+    let whole = model.described(board.geometry.law());
+    let machine = whole.clone().foreseeable();
+    let left_out: Vec<&str> = whole.names().filter(|n| !machine.names().any(|m| m == *n)).collect();
+    if !left_out.is_empty() {
+        eprintln!("{origin}: left out, because it happens once: {}", left_out.join(", "));
+    }
+    Ok(Arc::new(machine))
+}
+
 /// Program and arguments of `--plant 'exec:PROGRAM ARG…'`.
 ///
 /// # Errors
 /// A report that says what is missing.
 pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
-    let line = plant.strip_prefix("exec:").ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…`"))?;
+    let line = plant
+        .strip_prefix("exec:")
+        .ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…` or `model:MODEL.toml`"))?;
     let mut words = link::words(line).map_err(|why| miette!("--plant `{plant}`: {why}"))?.into_iter();
     let program = words.next().ok_or_else(|| miette!("--plant `{plant}`: no program is named after `exec:`"))?;
     Ok((program, words.collect()))

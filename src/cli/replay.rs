@@ -1,6 +1,6 @@
 //! `retroflex replay LOG`: runs a recorded input through the present software and compares every decision bit for bit.
 
-use crate::cli::CommandOutcome;
+use crate::cli::{CommandOutcome, inputs};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
@@ -83,6 +83,10 @@ fn supervisor(header: Header) -> Result<Supervisor> {
     let info =
         MachineInfo { name: header.machine, period_s: header.period_s, step_mm: header.step_mm, rest_length_mm: header.rest_length_mm };
     let mut config = assemble(&board, &calibration, &gains, &info);
+    if let Some(text) = header.texts.get(3) {
+        let machine = inputs::described_by("model of the tape", source::parse("model of the tape", text)?, &board)?;
+        config.tick = config.tick.fed_forward(machine);
+    }
     config.tick.lines = header.lines.map(|[k_epsilon, k_lambda_mm]| Line { k_epsilon, k_lambda_mm });
     let [lag_s, delay_s, uncertainty_s] = header.dynamics;
     config.tick.dynamics = DynamicsPrior { expected: Dynamics { lag_s, delay_s }, uncertainty_s };

@@ -31,6 +31,9 @@ pub struct Args {
     /// Calibration file of the mounted tip.
     #[arg(long)]
     calib: Option<PathBuf>,
+    /// Model saved by `gap diagnose --save` for the feedforward; default: the one that the calibration names, if any.
+    #[arg(long, value_name = "MODEL.toml")]
+    feedforward: Option<PathBuf>,
     /// Gains file.
     #[arg(long)]
     gains: Option<PathBuf>,
@@ -73,7 +76,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         return Err(miette!("--fast: only a simulation can run faster than real time; give --plant, or a board with a [plant] table"));
     }
     tracing::info!(event = "board", "board: {shown}");
-    let texts = [show::compact(&board), show::compact(&gains), show::compact(&calibration)];
+    let mut texts = vec![show::compact(&board), show::compact(&gains), show::compact(&calibration)];
+    let feedforward = inputs::feedforward(args.feedforward.as_deref(), args.calib.as_deref(), &calibration);
+    let described = feedforward.as_deref().map(|path| inputs::described(path, &board)).transpose()?;
+    if let Some(path) = &feedforward {
+        texts.push(std::fs::read_to_string(path).into_diagnostic()?);
+    }
     if let Some(socket) = &args.socket {
         board.service.socket = Some(socket.clone());
         board.service.status_socket = None;
@@ -87,8 +95,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let claim = Claim::new(&board.service).map_err(report)?;
     let machine = open(args, path.as_deref(), &board)?;
+    let mut supervisor = assemble(&board, &calibration, &gains, machine.info());
+    if let Some(described) = described {
+        supervisor.tick = supervisor.tick.fed_forward(described);
+    }
     let config = RunConfig {
-        supervisor: assemble(&board, &calibration, &gains, machine.info()),
+        supervisor,
         service: board.service.clone(),
         config_hash: hash(&texts),
         texts,

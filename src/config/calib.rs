@@ -11,6 +11,10 @@ use crate::primitives::parameters::{Check, Parameters, Table};
 parameters! {
     /// A calibration: what this tip is.
     pub struct Calibration {
+        /// Model of the machine, saved by `retroflex gap diagnose --save`, through whose inverse the pistons are fed forward;
+        /// a relative path starts at the folder of this file. Its gains take the place of those below. Empty: the nominal
+        /// model.
+        feedforward: String = String::new();
         /// Extension and backlash of the three lines.
         transmission: TransmissionSection;
         /// Lag and dead time.

@@ -39,6 +39,7 @@ pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> Loop
         motion: board.drive_limits(),
         limits: board.limits(),
         feedback: Some(gains.feedback()),
+        feedforward: None,
         refine: gains.refine,
         fuse: gains.fuse,
         imu: calibration.imu.correction(),

@@ -5,15 +5,11 @@
 //! than τ₀. [`crate::diagnosis::sense`] turns the motion into readings.
 
 use crate::diagnosis::observe::Observed;
-use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
-use crate::model::effects::{Effect, Memory, Moment, Pose};
-use crate::model::transmission::Line;
-use crate::primitives::units::Mm;
+use crate::model::chain::{Chain, NOMINAL, places};
+use crate::model::effects::{Effect, Memory, Pose};
 use nalgebra::{Matrix3, Vector3};
 
-/// Number of nominal parameters: ln(1 + k_ε) × 3, k_λ (mm) × 3, τ₀ (s).
-pub const NOMINAL: usize = 7;
 /// Largest mechanical lag that counts as nominal, s.
 pub const LAG_MAX_S: f64 = 0.05;
 /// Time step assumed at the first instant, s.
@@ -32,11 +28,7 @@ impl<'a> Model<'a> {
     /// The nominal model with these effects.
     #[must_use]
     pub fn new(effects: &[&'a dyn Effect]) -> Self {
-        let mut at = vec![NOMINAL];
-        for e in effects {
-            at.push(at[at.len() - 1] + e.params().len());
-        }
-        Self { effects: effects.to_vec(), at }
+        Self { effects: effects.to_vec(), at: places(effects) }
     }
 
     /// The nominal model with the named effects of a catalogue.
@@ -74,21 +66,6 @@ impl<'a> Model<'a> {
 /// Tip in the base frame, instant by instant; zero at instants that no sensor samples.
 pub type Motion = Vec<Matrix3<f64>>;
 
-/// The lines of a parameter vector.
-#[must_use]
-pub fn lines(theta: &[f64]) -> [Line; 3] {
-    std::array::from_fn(|i| Line { k_epsilon: theta[i].exp() - 1.0, k_lambda_mm: theta[3 + i].max(0.0) })
-}
-
-/// The nominal parameter vector of lines and a lag, the inverse of [`lines`].
-#[must_use]
-pub fn nominal_theta(lines: &[Line; 3], lag_s: f64) -> Vec<f64> {
-    let mut theta: Vec<f64> = lines.iter().map(|l| (1.0 + l.k_epsilon).ln()).collect();
-    theta.extend(lines.iter().map(|l| l.k_lambda_mm));
-    theta.push(lag_s);
-    theta
-}
-
 /// Runs the model through the whole log.
 #[must_use]
 pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
@@ -96,24 +73,26 @@ pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
     let behind_s: f64 = model.each(theta).map(|(e, p)| e.transport_s(p)).sum();
     // a late sensor also samples between the middles of bins
     let every = model.each(theta).any(|(e, p)| e.latency_s(p) > 0.0);
-    let mut chain = Chain::new(log, model, theta);
+    let chain = Chain::new(log.rig.geometry, &model.effects, &model.at, theta);
+    let mut memory = vec![Memory::default(); model.effects.len()];
+    let mut at = chain.moment(log.up_base, FIRST_STEP_S);
     let mut delayed = Delayed { log, behind_s, at: 0 };
-    let (mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros());
+    let (mut w, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut keep, mut keep_dt) = (0.0, -1.0);
     let mut out = Vec::with_capacity(log.t_s.len());
     for k in 0..log.t_s.len() {
         let dt_s = if k == 0 { FIRST_STEP_S } else { log.t_s[k] - log.t_s[k - 1] };
-        let m = &mut chain.moment;
-        (m.t_s, m.dt_s, m.counted_mm, m.idle_s) = (log.t_s[k] - log.start_s(), dt_s, delayed.piston(k), log.idle_s[k]);
+        (at.t_s, at.dt_s, at.counted_mm, at.idle_s) = (log.t_s[k] - log.start_s(), dt_s, delayed.piston(k), log.idle_s[k]);
         if (dt_s - keep_dt).abs() > 1e-7 {
             (keep, keep_dt) = ((-dt_s / lag_s).exp(), dt_s);
         }
-        let q = chain.bellows();
+        w = chain.play(&w, &chain.pistons(&mut memory, &at, &at.counted_mm));
+        let q = chain.bellows(&mut memory, &at, &w);
         // the response to a ramp trails it by slope · τ₀
         let behind = (q - before) * (lag_s / dt_s);
         lagged = q - behind + (lagged - before + behind) * keep;
         before = q;
-        out.push(if every || log.middle[k] { chain.orientation(&lagged) } else { Matrix3::zeros() });
+        out.push(if every || log.middle[k] { orientation(&chain.pose(&mut memory, &at, &lagged)) } else { Matrix3::zeros() });
     }
     from_rest(&mut out);
     out
@@ -130,67 +109,14 @@ fn from_rest(motion: &mut Motion) {
     }
 }
 
-/// The model with its state.
-struct Chain<'a> {
-    model: &'a Model<'a>,
-    theta: &'a [f64],
-    lines: [Line; 3],
-    geometry: Geometry,
-    memory: Vec<Memory>,
-    w_mm: Vector3<f64>,
-    moment: Moment,
-}
-
-impl<'a> Chain<'a> {
-    fn new(log: &Observed, model: &'a Model<'a>, theta: &'a [f64]) -> Self {
-        let (lines, geometry) = (lines(theta), log.rig.geometry);
-        let moment = Moment {
-            t_s: 0.0,
-            dt_s: FIRST_STEP_S,
-            counted_mm: Vector3::zeros(),
-            up_base: log.up_base,
-            k_epsilon: Vector3::from_fn(|i, _| lines[i].k_epsilon),
-            r_mm: geometry.r_mm,
-            idle_s: 0.0,
-        };
-        Self { model, theta, lines, geometry, memory: vec![Memory::default(); model.effects.len()], w_mm: Vector3::zeros(), moment }
+/// Tip orientation of a pose, tip → base.
+fn orientation(pose: &Pose) -> Matrix3<f64> {
+    let bent = rotation(&Bend(pose.bend));
+    if pose.twist == 0.0 {
+        return bent;
     }
-
-    /// Pistons, play, extension and rubber: bellow length changes before the mechanical lag, mm.
-    fn bellows(&mut self) -> Vector3<f64> {
-        let (model, theta, at) = (self.model, self.theta, &self.moment);
-        let mut u = at.counted_mm;
-        for (i, e) in model.effects.iter().enumerate() {
-            e.pistons(model.of(theta, i), &mut self.memory[i], at, &mut u);
-        }
-        for c in 0..3 {
-            self.w_mm[c] = self.lines[c].play(self.w_mm[c], u[c]);
-        }
-        let mut play_output = self.w_mm;
-        for (i, e) in model.effects.iter().enumerate() {
-            e.play_output(model.of(theta, i), &mut self.memory[i], at, &mut play_output);
-        }
-        let mut q = Vector3::from_fn(|c, _| self.lines[c].bellow_mm(play_output[c]));
-        for (i, e) in model.effects.iter().enumerate() {
-            e.bellows(model.of(theta, i), &mut self.memory[i], at, &mut q);
-        }
-        q
-    }
-
-    /// Constant curvature with the effects on the shape: tip → base.
-    fn orientation(&mut self, q_mm: &Vector3<f64>) -> Matrix3<f64> {
-        let Shape { bend, length: Mm(_) } = self.geometry.shape(q_mm);
-        let mut pose = Pose { bend: bend.0, twist: 0.0, bellow_mm: *q_mm };
-        for (i, e) in self.model.effects.iter().enumerate() {
-            e.shape(self.model.of(self.theta, i), &mut self.memory[i], &self.moment, &mut pose);
-        }
-        let bent = rotation(&Bend(pose.bend));
-        if pose.twist == 0.0 {
-            return bent;
-        }
-        let (s, c) = pose.twist.sin_cos();
-        bent * Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
-    }
+    let (s, c) = pose.twist.sin_cos();
+    bent * Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
 }
 
 /// Rodrigues' formula for the axis (b_y, b_x, 0): Eq. 7 as a matrix.

@@ -9,6 +9,7 @@ use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::diagnosis::refuse::{ObserveError, refuse};
 use crate::diagnosis::rig::Rig;
 use crate::log::bend_log::BendLog;
+use crate::model::described::RestReadings;
 use nalgebra::Vector3;
 
 /// Model error of a nominal unit per angle, rad (1 σ): a quarter of a degree is not attributed to an effect.
@@ -52,6 +53,13 @@ pub struct Observed {
 }
 
 impl Observed {
+    /// Readings of the tip IMU at the initial rest.
+    #[must_use]
+    pub fn rest(&self) -> RestReadings {
+        let still = self.bins.iter().take_while(|b| b.speed_mm_s == 0.0).map(|b| b.gyr);
+        RestReadings { up: self.up_base, field_ut: self.field_base_ut, gyro_bias_rad_s: mean(still).unwrap_or_default() }
+    }
+
     /// Prepares a log of a machine.
     ///
     /// # Errors

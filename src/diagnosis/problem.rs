@@ -1,6 +1,7 @@
 //! A model to be fitted to a log: priors, limits and the weighted residuals at a point of its parameter space.
 
-use crate::diagnosis::chain::{LAG_MAX_S, Model, Motion, NOMINAL, run};
+use crate::diagnosis::chain::{LAG_MAX_S, Model, Motion, run};
+use crate::model::chain::NOMINAL;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::sense::{Residuals, every_bin, sense};
 

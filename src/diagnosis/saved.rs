@@ -1,15 +1,21 @@
 //! A diagnosis saved as TOML, and its check on a fresh log of the same unit.
 
-use crate::diagnosis::chain::{LAG_MAX_S, Model, lines, nominal_theta, run};
+use crate::diagnosis::chain::{LAG_MAX_S, Model, run};
+use crate::model::chain::{lines, nominal_theta};
 use crate::diagnosis::confusion::confused_with;
 use crate::diagnosis::diagnose::Diagnosed;
+use crate::diagnosis::foretell::foretelling;
 use crate::diagnosis::holdout::score;
 use crate::diagnosis::observe::Observed;
+use crate::diagnosis::search::Candidate;
 use crate::diagnosis::sense::{every_bin, sense};
-use crate::model::effects::{Effect, Param};
+use crate::model::arc::Geometry;
+use crate::model::described::{DescribedMachine, RestReadings};
+use crate::model::effects::{Effect, Param, catalogue};
 use crate::model::transmission::Line;
 use crate::primitives::check::Checker;
 use crate::primitives::parameters::Check;
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -56,10 +62,37 @@ pub struct SavedModel {
     /// Effects; empty if the verdict is `none`.
     #[serde(default)]
     pub effect: Vec<SavedEffect>,
+    /// Readings at rest.
+    pub rest: Option<SavedRest>,
+    /// The model that foretells best, for a feedforward or a simulation; it may have more effects than the verdict.
+    pub forecast: Option<SavedForecast>,
+}
+
+/// Readings of the tip IMU at the initial rest, in the base frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SavedRest {
+    /// Direction of up.
+    pub up: [f64; 3],
+    /// Magnetic field, µT.
+    pub field_ut: [f64; 3],
+    /// Bias of the gyroscope, rad/s.
+    pub gyro_bias_rad_s: [f64; 3],
+}
+
+/// Gains and effects of a forecast.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SavedForecast {
+    /// Gains identified together with the effects.
+    pub gains: SavedGains,
+    /// Effects.
+    #[serde(default)]
+    pub effect: Vec<SavedEffect>,
 }
 
 /// Result of a check.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Checked {
     /// RMSE of the recalibrated nominal model, degrees.
     pub before_deg: f64,
@@ -67,6 +100,8 @@ pub struct Checked {
     pub after_deg: f64,
     /// Part of the gap that the effects close.
     pub closed: f64,
+    /// Effects that are left out, because they happen once and not again on a fresh log.
+    pub left_out: Vec<&'static str>,
 }
 
 impl SavedGains {
@@ -86,15 +121,25 @@ fn key(p: &Param) -> String {
     if p.channel == 0 { p.name.to_owned() } else { format!("{}@{}", p.name, p.channel) }
 }
 
+/// The effects of a candidate with their values.
+fn saved_effects(catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<SavedEffect> {
+    let one = |(e, p): (&dyn Effect, &[f64])| SavedEffect {
+        name: e.name().to_owned(),
+        params: e.params().iter().map(key).zip(p.iter().copied()).collect(),
+    };
+    Model::named(catalogue, &from.names).each(&from.fitted.theta).map(one).collect()
+}
+
+/// Parameters of an effect among saved ones, in catalogue order.
+fn params_of(saved: &[SavedEffect], effect: &dyn Effect) -> Option<Vec<f64>> {
+    let saved = saved.iter().find(|s| s.name == effect.name())?;
+    Some(effect.params().iter().map(|p| saved.params.get(&key(p)).copied().unwrap_or(p.start)).collect())
+}
+
 impl SavedModel {
     /// The model of a diagnosis of the log `source`.
     #[must_use]
     pub fn new(source: &str, catalogue: &[Box<dyn Effect>], done: &Diagnosed) -> Self {
-        let model = Model::named(catalogue, &done.chosen.names);
-        let effect = |(e, p): (&dyn Effect, &[f64])| SavedEffect {
-            name: e.name().to_owned(),
-            params: e.params().iter().map(key).zip(p.iter().copied()).collect(),
-        };
         let owned = |group: &Vec<&'static str>| group.iter().map(|n| (*n).to_owned()).collect();
         Self {
             schema: 1,
@@ -102,15 +147,41 @@ impl SavedModel {
             nominal: SavedGains::new(&done.found.nominal.fitted.theta),
             with_effects: SavedGains::new(&done.chosen.fitted.theta),
             equivalent: done.document.verdict.equivalent.iter().map(owned).collect(),
-            effect: model.each(&done.chosen.fitted.theta).map(effect).collect(),
+            effect: saved_effects(catalogue, &done.chosen),
+            rest: None,
+            forecast: None,
         }
+    }
+
+    /// Adds the model that foretells the log best.
+    #[must_use]
+    pub fn with_forecast(self, log: &Observed, catalogue: &[Box<dyn Effect>], done: &Diagnosed) -> Self {
+        let best = foretelling(log, catalogue, &done.found.nominal, &done.chosen);
+        let rest = log.rest();
+        Self {
+            rest: Some(SavedRest { up: rest.up.into(), field_ut: rest.field_ut.into(), gyro_bias_rad_s: rest.gyro_bias_rad_s.into() }),
+            forecast: Some(SavedForecast { gains: SavedGains::new(&best.fitted.theta), effect: saved_effects(catalogue, &best) }),
+            ..self
+        }
+    }
+
+    /// The machine that this model describes: the forecast if there is one, otherwise the verdict's set.
+    #[must_use]
+    pub fn described(&self, geometry: Geometry) -> DescribedMachine {
+        let (gains, effects) = self.forecast.as_ref().map_or((&self.with_effects, &self.effect), |f| (&f.gains, &f.effect));
+        let rest = self.rest.as_ref().map_or_else(RestReadings::default, |r| RestReadings {
+            up: Vector3::from(r.up).normalize(),
+            field_ut: r.field_ut.into(),
+            gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
+        });
+        let cause = |e: Box<dyn Effect>| params_of(effects, e.as_ref()).map(|p| (e, p));
+        DescribedMachine::new(geometry, rest, &nominal_theta(&gains.lines(), gains.lag_s), catalogue().into_iter().filter_map(cause).collect())
     }
 
     /// Parameters of an effect in catalogue order; `None` if the model does not have it.
     #[must_use]
     pub fn params_of(&self, effect: &dyn Effect) -> Option<Vec<f64>> {
-        let saved = self.effect.iter().find(|s| s.name == effect.name())?;
-        Some(effect.params().iter().map(|p| saved.params.get(&key(p)).copied().unwrap_or(p.start)).collect())
+        params_of(&self.effect, effect)
     }
 
     /// Names that another log should separate: the equivalent groups or, without any, the effects and those they are
@@ -126,7 +197,7 @@ impl SavedModel {
     }
 
     /// Runs both models over a fresh log. Only gravity, field and gyroscope bias (base frame and references) are solved
-    /// again.
+    /// again. Effects that happen once are left out.
     #[must_use]
     pub fn check_on(&self, log: &Observed, catalogue: &[Box<dyn Effect>]) -> Checked {
         let energy = |gains: &SavedGains, names: &[&str]| {
@@ -135,16 +206,19 @@ impl SavedModel {
             theta.extend(model.effects.iter().filter_map(|e| self.params_of(*e)).flatten());
             score(log, sense(log, &model, &theta, &run(log, &model, &theta), every_bin), every_bin).energy()
         };
-        let names: Vec<&str> = self.effect.iter().map(|e| e.name.as_str()).collect();
+        let known = Model::named(catalogue, &self.effect.iter().map(|e| e.name.as_str()).collect::<Vec<_>>());
+        let (events, lasting): (Vec<&dyn Effect>, Vec<&dyn Effect>) = known.effects.iter().copied().partition(|e| e.info().is_event);
+        let names: Vec<&'static str> = lasting.iter().map(|e| e.name()).collect();
         let (before, after) = (energy(&self.nominal, &[]), energy(&self.with_effects, &names));
         let closed = ((before - after) / (before - log.noise_energy()).max(1e-9)).min(1.0);
-        Checked { before_deg: log.rms_deg(before), after_deg: log.rms_deg(after), closed }
+        let left_out = events.iter().map(|e| e.name()).collect();
+        Checked { before_deg: log.rms_deg(before), after_deg: log.rms_deg(after), closed, left_out }
     }
 
     /// The first effect or parameter that the catalogue does not have, as a problem; `None` if there is none.
     #[must_use]
     pub fn unknown_names(&self, catalogue: &[Box<dyn Effect>]) -> Option<String> {
-        for s in &self.effect {
+        for s in self.effect.iter().chain(self.forecast.iter().flat_map(|f| &f.effect)) {
             let Some(e) = catalogue.iter().find(|e| e.name() == s.name) else {
                 return Some(format!("effect `{}` is not in the catalogue", s.name));
             };
@@ -163,12 +237,19 @@ impl Check for SavedModel {
 
     fn check(&self, to: &mut Checker) {
         to.range("schema", f64::from(self.schema), 1.0..=1.0, "", "made by another version: diagnose the log again with --save");
-        for (at, g) in [("nominal", &self.nominal), ("with_effects", &self.with_effects)] {
+        let forecast = self.forecast.as_ref().map(|f| ("forecast.gains", &f.gains));
+        for (at, g) in [("nominal", &self.nominal), ("with_effects", &self.with_effects)].into_iter().chain(forecast) {
             to.ranges(&format!("{at}.k_epsilon"), &g.k_epsilon, 0.0..=10.0, "", AGAIN);
             to.ranges(&format!("{at}.k_lambda_mm"), &g.k_lambda_mm, 0.0..=3.0, "mm", AGAIN);
             to.range(&format!("{at}.lag_s"), g.lag_s, 0.0..=LAG_MAX_S + 1e-9, "s", AGAIN);
         }
-        for (i, e) in self.effect.iter().enumerate() {
+        if let Some(rest) = &self.rest {
+            to.ranges("rest.up", &rest.up, -1.0..=1.0, "", AGAIN);
+            to.holds("rest.up", Vector3::from(rest.up).norm() > 0.5, "the direction of up has no length", AGAIN);
+            to.ranges("rest.field_ut", &rest.field_ut, -1000.0..=1000.0, "µT", AGAIN);
+            to.ranges("rest.gyro_bias_rad_s", &rest.gyro_bias_rad_s, -1.0..=1.0, "rad/s", AGAIN);
+        }
+        for (i, e) in self.effect.iter().chain(self.forecast.iter().flat_map(|f| &f.effect)).enumerate() {
             let finite = e.params.values().all(|v| v.is_finite());
             to.holds(&format!("effect.{i}.params"), finite, "a parameter is not a finite number", AGAIN);
         }

@@ -4,7 +4,8 @@
 //! few are extended by every other effect; the tangent selects the pairs worth a fit. [`crate::diagnosis::decide`]
 //! checks whether a pair needs both members.
 
-use crate::diagnosis::chain::{Model, nominal_theta};
+use crate::diagnosis::chain::Model;
+use crate::model::chain::nominal_theta;
 use crate::diagnosis::fit::{Fitted, fit};
 use crate::diagnosis::holdout::{CLAIM_DEG, HeldOut, leave_out};
 use crate::diagnosis::observe::Observed;
@@ -96,6 +97,12 @@ pub fn search(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) 
         sort_by_energy(&mut pairs);
     }
     Candidates { nominal, singles, pairs }
+}
+
+/// The recalibrated nominal model; `lines` is its start.
+#[must_use]
+pub fn recalibrated(log: &Observed, lines: &[Line; 3]) -> Candidate {
+    settle(Problem::new(log, Model::new(&[])), &nominal_theta(lines, log.rig.prior_lag_s)).0
 }
 
 /// Whether another effect could gain enough to be claimed.

@@ -3,9 +3,11 @@
 //! Forward differences; the motion is run again only for parameters that change it. A tangent serves the steps of a
 //! fit, and the fits without a block, which are close enough to the full fit for one step along the tangent.
 
-use crate::diagnosis::chain::{NOMINAL, run};
+use crate::diagnosis::chain::run;
+use crate::model::chain::NOMINAL;
 use crate::diagnosis::problem::{PRIOR_SLOPE, Point, Problem};
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 /// Bins summed at a time: 32 bins × 12 rows × 4 bytes × about 20 columns fit the first-level cache.
 const CHUNK_BINS: usize = 32;
@@ -56,7 +58,7 @@ impl Tangent {
     /// The tangent at a point.
     #[must_use]
     pub fn new(problem: &Problem<'_>, point: &Point) -> Self {
-        Self { columns: (0..problem.bounds.len()).map(|c| column(problem, point, c)).collect() }
+        Self { columns: (0..problem.bounds.len()).into_par_iter().map(|c| column(problem, point, c)).collect() }
     }
 
     /// The tangent at a point that adds a small effect to a base fit: only the columns of that effect are computed.

@@ -1,15 +1,19 @@
 //! The evaluation: identification on a plant of its own, then every arm on a fresh plant.
 
 use crate::control::tick::LoopConfig;
+use crate::diagnosis;
 use crate::experiment::arm::{self, ArmResult};
+use crate::experiment::diagnosed;
 use crate::experiment::identify::{self, Identified, IdentifyError};
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
+use crate::model::described::DescribedMachine;
 use crate::model::drive::Drive;
 use crate::model::transmission::Line;
 use crate::simulation::world::World;
 use crate::supervisor::machine::MachineError;
 use serde::Serialize;
+use std::sync::Arc;
 
 /// An arm: what the controller compensates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,11 +26,15 @@ pub enum Arm {
     Backlash,
     /// All of it, with orientation feedback.
     Closed,
+    /// Open loop through the inverse of the model that a diagnosis has saved.
+    Diagnosed,
 }
 
 impl Arm {
-    /// All four, in the order of the paper.
-    pub const ALL: [Self; 4] = [Self::None, Self::Extension, Self::Backlash, Self::Closed];
+    /// All, in the order of the paper; the diagnosis comes before the feedback.
+    pub const ALL: [Self; 5] = [Self::None, Self::Extension, Self::Backlash, Self::Diagnosed, Self::Closed];
+    /// Those of the paper.
+    pub const PAPER: [Self; 4] = [Self::None, Self::Extension, Self::Backlash, Self::Closed];
 
     /// Name on the command line and in results.
     #[must_use]
@@ -36,6 +44,7 @@ impl Arm {
             Self::Extension => "extension",
             Self::Backlash => "backlash",
             Self::Closed => "closed",
+            Self::Diagnosed => "diagnosed",
         }
     }
 
@@ -45,7 +54,7 @@ impl Arm {
         let lines = match self {
             Self::None => [Line { k_epsilon: 0.0, k_lambda_mm: 0.0 }; 3],
             Self::Extension => base.lines.map(|l| Line { k_lambda_mm: 0.0, ..l }),
-            Self::Backlash | Self::Closed => base.lines,
+            Self::Backlash | Self::Closed | Self::Diagnosed => base.lines,
         };
         let feedback = if self == Self::Closed { base.feedback } else { None };
         LoopConfig { lines, feedback, ..base.clone() }
@@ -57,6 +66,8 @@ impl Arm {
 pub enum Purpose {
     /// Algorithm 1.
     Identify,
+    /// A log for the diagnosis.
+    Record,
     /// One arm.
     Arm(Arm),
 }
@@ -123,6 +134,10 @@ pub struct Plan {
     pub arms: Vec<Arm>,
     /// Seed, for the record.
     pub seed: u64,
+    /// The machine as the diagnosis knows it.
+    pub rig: diagnosis::rig::Rig,
+    /// The described machine for the arms `diagnosed` and `closed`. Without one, `diagnosed` diagnoses a log of its own.
+    pub feedforward: Option<Arc<DescribedMachine>>,
 }
 
 /// Runs an evaluation; `progress` receives a description after every held state.
@@ -144,9 +159,22 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
     }
     let mut arms = Vec::with_capacity(plan.arms.len());
     for &arm in &plan.arms {
+        let described = match (&plan.feedforward, arm) {
+            (None, Arm::Diagnosed) => {
+                progress("diagnose");
+                let mut world = open(Purpose::Record).map_err(RigError::from)?;
+                let config = for_world(&base, world.as_ref());
+                Some(Arc::new(diagnosed::described(&config, &plan.rig, world.as_mut())?))
+            }
+            (given, _) => given.clone(),
+        };
         let mut world = open(Purpose::Arm(arm)).map_err(RigError::from)?;
         plant.clone_from(&world.info().name);
         let config = arm.config(&for_world(&base, world.as_ref()));
+        let config = match described.filter(|_| matches!(arm, Arm::Diagnosed | Arm::Closed)) {
+            Some(machine) => config.fed_forward(machine),
+            None => config,
+        };
         let name = format!("arm {}", arm.name());
         arms.push(arm::run(arm.name(), &mut Rig::new(config, world.as_mut()), &arrivals(DIRECTIONS), &mut || progress(&name))?);
     }

@@ -6,6 +6,7 @@
 use crate::control::learning::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
 use crate::control::pi::DynamicsPrior;
 use crate::control::tick::LoopConfig;
+use crate::diagnosis::refuse::ObserveError;
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::Pose;
@@ -27,6 +28,9 @@ pub enum IdentifyError {
     /// The data do not determine the gains.
     #[error("identification: {0}")]
     Unidentifiable(#[from] Unidentifiable),
+    /// The log for the diagnosis cannot be diagnosed.
+    #[error("arm diagnosed: {0}")]
+    Undiagnosed(#[from] ObserveError),
     /// A gain is outside the physical range.
     #[error(
         "identification: channel {channel} yields k_ε = {k_epsilon:.2}, k_λ = {k_lambda_mm:.2} mm; k_ε must lie in 0 to 10 and k_λ in 0 to 3 mm. Check that line {channel} reaches bellow {channel} and that the motor turns the right way"

@@ -210,7 +210,7 @@ pub fn run(study: &Study, conditions: &[Condition], progress: &(dyn Fn() + Sync)
         let unit = |n: u64| {
             let mut unit = study.unit(n);
             condition.apply(&mut unit, value, TURN_DEG * n as f64 % 360.0);
-            let arms = Arm::ALL.map(|arm| study.run(&study.config, arm, &unit, n, DIRECTIONS));
+            let arms = Arm::PAPER.map(|arm| study.run(&study.config, arm, &unit, n, DIRECTIONS));
             progress();
             arms.into_iter().collect::<Result<Vec<_>, _>>()
         };
@@ -220,7 +220,7 @@ pub fn run(study: &Study, conditions: &[Condition], progress: &(dyn Fn() + Sync)
     rows.par_iter().map(row).collect()
 }
 
-/// The row of the units, each with its arms in the order of [`Arm::ALL`].
+/// The row of the units, each with its arms in the order of [`Arm::PAPER`].
 fn judge(condition: &'static str, value: f64, units: &[Vec<ArmResult>]) -> SweepRow {
     let rmse = |arm: Arm| root_mean(units.iter().flat_map(|arms| &arms[arm as usize].held).map(|h| h.bend_error_sq));
     let mut best = Arm::None;
@@ -248,7 +248,7 @@ mod tests {
     use super::*;
     use crate::experiment::arm::Held;
 
-    /// A unit whose arms have the given errors and motions, degrees, in the order of [`Arm::ALL`].
+    /// A unit whose arms have the given errors and motions, degrees, in the order of [`Arm::PAPER`].
     fn unit(arms: [(f64, f64); 4]) -> Vec<ArmResult> {
         let held = |(error, moves): (f64, f64)| Held {
             bend_error_deg: error,
@@ -256,7 +256,7 @@ mod tests {
             peak_to_peak_deg: moves,
             ..Held::default()
         };
-        Arm::ALL
+        Arm::PAPER
             .iter()
             .zip(arms)
             .map(|(a, figures)| ArmResult { name: a.name().to_owned(), held: vec![held(figures)], ..ArmResult::default() })

@@ -2,6 +2,8 @@
 
 pub mod arc;
 pub mod bend;
+pub mod chain;
+pub mod described;
 pub mod drive;
 pub mod effects;
 pub mod transmission;

@@ -37,6 +37,7 @@ fn title(arm: Arm) -> &'static str {
         Arm::Extension => "extension",
         Arm::Backlash => "extension + backlash",
         Arm::Closed => "closed loop",
+        Arm::Diagnosed => "diagnosed",
     }
 }
 
@@ -46,6 +47,7 @@ fn ink(arm: Arm) -> Ink {
         Arm::Extension => Ink::ORANGE,
         Arm::Backlash => Ink::BLUE,
         Arm::Closed => Ink::GREEN,
+        Arm::Diagnosed => Ink::PURPLE,
     }
 }
 

@@ -25,10 +25,10 @@ pub struct RunConfig {
     pub calibration: Calibration,
     /// Identity of the mounted tip; empty if none was given.
     pub tip: String,
-    /// Hash of board, gains and calibration.
+    /// Hash of [`Self::texts`].
     pub config_hash: String,
-    /// Texts of board, gains and calibration, for the tape.
-    pub texts: [String; 3],
+    /// Texts of board, gains, calibration and, with a feedforward, its model, for the tape.
+    pub texts: Vec<String>,
 }
 
 /// What a supervisor starts from: the configuration with the accepted gains, and the remembered position.
@@ -49,18 +49,20 @@ impl Start {
     #[must_use]
     pub fn new(config: &RunConfig, memory: &Memory, belief: Belief) -> Self {
         let mut supervisor = config.supervisor.clone();
-        if let Some(gains) = memory.accepted.as_ref().filter(|g| g.tip == config.tip) {
+        // the gains of a described machine were identified together with its effects
+        let described = supervisor.tick.feedforward.is_some();
+        if let Some(gains) = memory.accepted.as_ref().filter(|g| g.tip == config.tip && !described) {
             supervisor.tick.lines = gains.lines();
             supervisor.tick.dynamics = DynamicsPrior::calibrated(Dynamics { lag_s: gains.lag_s, delay_s: gains.delay_s });
         }
         let mut restart = memory.restart;
         if let Some(restart) = &mut restart
-            && memory.tip != config.tip
+            && (memory.tip != config.tip || described)
         {
             // the position belongs to the machine, the gains and the rest pose to the tip
             restart.k_epsilon = supervisor.tick.lines.map(|l| l.k_epsilon);
             restart.k_lambda_mm = supervisor.tick.lines.map(|l| l.k_lambda_mm);
-            restart.rest = None;
+            restart.rest = restart.rest.filter(|_| memory.tip == config.tip);
         }
         Self { config: supervisor, restart, belief, unverified: memory.unverified }
     }
@@ -82,12 +84,12 @@ impl Start {
 
     /// The header of a tape that starts here.
     #[must_use]
-    pub fn header(&self, texts: &[String; 3], machine: &str) -> Header {
+    pub fn header(&self, texts: &[String], machine: &str) -> Header {
         let tick = &self.config.tick;
         Header {
             tape: 1,
             program: env!("CARGO_PKG_VERSION").to_owned(),
-            texts: texts.clone(),
+            texts: texts.to_vec(),
             machine: machine.to_owned(),
             period_s: self.config.gate.tick_s,
             step_mm: self.config.gate.step_mm,

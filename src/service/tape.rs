@@ -23,8 +23,8 @@ pub struct Header {
     pub tape: u32,
     /// Version of the program that wrote it.
     pub program: String,
-    /// Texts of board, gains and calibration file.
-    pub texts: [String; 3],
+    /// Texts of board, gains, calibration file and, with a feedforward, its model.
+    pub texts: Vec<String>,
     /// Name of the machine.
     pub machine: String,
     /// Period of a cycle, s.

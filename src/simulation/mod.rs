@@ -1,5 +1,6 @@
 //! Simulated machines: the built-in plant, and plants of other programs over the plant link.
 
+pub mod described;
 pub mod link;
 pub mod lockstep;
 pub mod plant;

@@ -32,6 +32,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let model = input::saved(&args.model)?;
     let checked = model.check_on(&input::observe(&args.log, &input::rig(args.board.as_deref())?)?, &catalogue());
     eprintln!("before {:.2}°, after {:.2}°, closed {:.0} %", checked.before_deg, checked.after_deg, checked.closed * 100.0);
+    for name in &checked.left_out {
+        eprintln!("{name} happens once and is left out");
+    }
     output::json(args.json.as_deref(), &checked)?;
     Ok(CommandOutcome::Good)
 }

@@ -35,7 +35,8 @@ pub struct Args {
     /// Write the diagnosis as one printable page.
     #[arg(long)]
     html: Option<PathBuf>,
-    /// Save the recalibrated and the explained model for `gap check` and `gap excite --like`.
+    /// Save the recalibrated and the explained model for `gap check`, `gap apply`, `gap excite --like`,
+    /// `evaluate --feedforward` and `--plant model:`.
     #[arg(long, value_name = "MODEL.toml")]
     save: Option<PathBuf>,
     /// Seed of the block bootstrap.
@@ -76,7 +77,8 @@ fn files<'a>(args: &'a Args, observed: &Observed, done: &Diagnosed) -> Result<Ve
         out.push((path, page(&name, &done.document, &Evidence::new(observed, done))));
     }
     if let Some(path) = &args.save {
-        let model = SavedModel::new(&args.log.display().to_string(), &catalogue(), done);
+        let catalogue = catalogue();
+        let model = SavedModel::new(&args.log.display().to_string(), &catalogue, done).with_forecast(observed, &catalogue, done);
         out.push((path, toml::to_string(&model).into_diagnostic()?));
     }
     Ok(out)

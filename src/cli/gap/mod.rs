@@ -1,5 +1,6 @@
 //! `retroflex gap …`: the gap between model and machine.
 
+pub mod apply;
 pub mod check;
 pub mod diagnose;
 pub mod exam;
@@ -17,6 +18,8 @@ pub enum Gap {
     Diagnose(diagnose::Args),
     /// Apply a saved model to a fresh log of the same unit.
     Check(check::Args),
+    /// Write what a calibration file can hold of a saved model.
+    Apply(apply::Args),
     /// Design a schedule that separates effects.
     Excite(excite::Args),
     /// Test the diagnosis on logs of the built-in plant with hidden labels.
@@ -31,6 +34,7 @@ pub fn run(command: &Gap) -> Result<CommandOutcome> {
     match command {
         Gap::Diagnose(args) => diagnose::run(args),
         Gap::Check(args) => check::run(args),
+        Gap::Apply(args) => apply::run(args),
         Gap::Excite(args) => excite::run(args),
         Gap::Exam(args) => exam::run(args),
     }

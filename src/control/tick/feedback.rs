@@ -120,7 +120,8 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
     }
     let rested_s = state.feedback.standstill_s;
     let just_settled = rested_s >= LEARN_AFTER_S && rested_s - dt_s < LEARN_AFTER_S;
-    if !just_settled {
+    // the gains of a described machine were identified together with its effects
+    if !just_settled || config.feedforward.is_some() {
         return;
     }
     let bend = observed.settled;

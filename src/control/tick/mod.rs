@@ -34,7 +34,7 @@ use pistons::PistonOutput;
 /// One tick of the loop.
 pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame {
     sense::estimate(config, state, input);
-    let from_pistons = pistons::follow_steps(config, state, &input.steps);
+    let from_pistons = pistons::follow_steps(config, state, &input.steps, input.dt_s);
     let Some(estimate) = state.fusion.estimate() else {
         return frame(config, state, input, &Observation::without_estimate(from_pistons), PistonOutput::resting(state));
     };

@@ -37,15 +37,22 @@ impl PistonOutput {
 /// Bend that the counted steps cause according to the transmission model. The play operator gives the output from which
 /// the gains are learned. The error is taken against the output that the inverse intended: the two differ while a feedback
 /// reversal has crossed only a share of the backlash, and then the integrator must act on the intended one.
-pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps) -> Bend {
-    let piston_mm = config.drive.piston_mm(steps);
+pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &Steps, dt_s: f64) -> Bend {
+    let mut piston_mm = config.drive.piston_mm(steps);
     let t = &mut state.transmission;
+    let mut described = config.feedforward.as_deref().zip(t.described.as_mut());
+    if let Some((machine, state)) = &mut described {
+        piston_mm = state.pistons(machine, &piston_mm);
+    }
     t.pushes.follow(&piston_mm);
     for i in 0..3 {
         t.play_output_mm[i] = t.lines[i].play(t.play_output_mm[i], piston_mm[i]);
         t.intended_mm[i] = realised(&t.lines[i], &t.sides[i], t.intended_mm[i], piston_mm[i]);
     }
-    t.intended_shape(&config.geometry).bend
+    match described {
+        Some((machine, state)) => state.advance(machine, &t.intended_mm, dt_s).bend,
+        None => t.intended_shape(&config.geometry).bend,
+    }
 }
 
 /// Commands the pistons for the set-point plus feedback.
@@ -109,6 +116,8 @@ fn invert_transmission(
 ) -> Vector3<f64> {
     let by_feedback = config.feedback.is_some_and(|f| f.learn_backlash) && !moving;
     let (lines, backlash) = (&mut state.transmission, &mut state.feedback.backlash);
+    let mut described = config.feedforward.as_deref().zip(lines.described.as_mut());
+    let bellow_mm = described.as_mut().map_or(*bellow_mm, |(machine, state)| state.invert(machine, bellow_mm));
     let mut reversed = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {
         let reach = if by_feedback { backlash.share(i) } else { 1.0 };
@@ -118,6 +127,7 @@ fn invert_transmission(
         lines.sides[i] = next;
         piston_mm
     });
+    let piston_mm = described.map_or(piston_mm, |(machine, state)| state.counted(machine, &piston_mm));
     if !by_feedback {
         backlash.forget();
         return piston_mm;

@@ -2,6 +2,7 @@
 
 use super::types::LoopConfig;
 use crate::control::backlash_adaptation::BacklashAdaptation;
+use crate::control::feedforward::FeedforwardState;
 use crate::control::follow::Follower;
 use crate::control::hunting::HuntingDetector;
 use crate::control::learning::dynamics::DynamicsBank;
@@ -18,6 +19,9 @@ use crate::model::bend::Bend;
 use crate::model::transmission::{Line, SideState};
 use crate::primitives::units::{Mm, Steps};
 use nalgebra::{Vector1, Vector2, Vector3};
+
+/// Time for which the pistons of a restart count as having stood, s.
+const SETTLED_S: f64 = 10.0;
 
 /// State of the loop.
 #[derive(Debug, Clone)]
@@ -80,6 +84,8 @@ pub(super) struct Transmission {
     pub(super) intended_mm: Vector3<f64>,
     /// Sides of the backlash at the counted steps.
     pub(super) pushes: Sides,
+    /// State of the effects, with a feedforward through a described machine.
+    pub(super) described: Option<FeedforwardState>,
 }
 
 impl Transmission {
@@ -181,6 +187,7 @@ impl LoopState {
                 play_output_mm: Vector3::zeros(),
                 intended_mm: Vector3::zeros(),
                 pushes: Sides::default(),
+                described: config.feedforward.as_deref().map(FeedforwardState::new),
             },
             dynamics: config.dynamics.range(),
             feedback: Feedback::default(),
@@ -207,9 +214,11 @@ impl LoopState {
         self.learning.refine.sigma()
     }
 
-    /// Replaces the transmission gains after a calibration.
+    /// Replaces the transmission gains after a calibration. A described machine keeps its own, which belong to its effects.
     pub fn set_lines(&mut self, lines: [Line; 3]) {
-        self.transmission.lines = lines;
+        if self.transmission.described.is_none() {
+            self.transmission.lines = lines;
+        }
     }
 
     /// The pistons rest at these counts and the tip shall stay at `at`. The difference to the bend from the pistons
@@ -226,7 +235,12 @@ impl LoopState {
             lines.intended_mm[i] = w_mm;
             lines.sides[i] = SideState { w_mm, side, way: if side == 0.0 { 0.0 } else { side.signum() } };
         }
-        let given = lines.intended_shape(&config.geometry);
+        let mut given = lines.intended_shape(&config.geometry);
+        if let Some(machine) = config.feedforward.as_deref() {
+            let mut described = FeedforwardState::new(machine);
+            given = described.advance(machine, &lines.intended_mm, SETTLED_S);
+            lines.described = Some(described);
+        }
         let length = given.length.0.clamp(0.5 * config.geometry.rest_length_mm, 2.0 * config.geometry.rest_length_mm);
         self.setpoint = SetPoint::resting(Shape { bend: at, length: Mm(length) });
         let feedback = given.bend.0 - at.0;

@@ -14,12 +14,14 @@ use crate::estimation::imu_calibration::Correction;
 use crate::estimation::imu_calibration::motor::MotorField;
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
+use crate::model::described::DescribedMachine;
 use crate::model::drive::Drive;
 use crate::model::transmission::{Line, Side};
 use crate::motion::DriveLimits;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Mm, Seconds, Steps};
 use nalgebra::{Vector2, Vector3};
+use std::sync::Arc;
 
 /// Configuration of the loop. It stays constant while the loop runs.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,6 +48,8 @@ pub struct LoopConfig {
     pub limits: ActuatorLimits,
     /// Settings of the outer loop; `None` for an open loop.
     pub feedback: Option<FeedbackConfig>,
+    /// The machine as a diagnosis describes it, for the feedforward; `None` for the nominal model. Its gains are [`Self::lines`].
+    pub feedforward: Option<Arc<DescribedMachine>>,
     /// Online refinement of k_ε.
     pub refine: RefineConfig,
     /// Orientation estimation.
@@ -59,6 +63,12 @@ pub struct LoopConfig {
 }
 
 impl LoopConfig {
+    /// The same loop with a feedforward through `machine`, with the gains of the machine.
+    #[must_use]
+    pub fn fed_forward(self, machine: Arc<DescribedMachine>) -> Self {
+        Self { lines: machine.chain().lines, feedforward: Some(machine), ..self }
+    }
+
     /// The calibrated gains with their standard deviations.
     #[must_use]
     pub fn line_priors(&self) -> [Prior; 3] {

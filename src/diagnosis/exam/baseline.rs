@@ -7,7 +7,8 @@
 //!   rest solved again until every share exceeds a threshold.
 //! * **Nearest signature**: the effect whose tangent makes the smallest angle with the nominal residual.
 
-use crate::diagnosis::chain::{Model, NOMINAL, nominal_theta};
+use crate::diagnosis::chain::Model;
+use crate::model::chain::{NOMINAL, nominal_theta};
 use crate::diagnosis::fit::fit;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::Problem;

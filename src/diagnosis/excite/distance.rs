@@ -6,7 +6,8 @@
 //! weighted residual differences. Imitation is linearised about the points of each effect (slopes at the first point,
 //! and the other points as directions).
 
-use crate::diagnosis::chain::{Model, NOMINAL, nominal_theta, run};
+use crate::diagnosis::chain::{Model, run};
+use crate::model::chain::{NOMINAL, nominal_theta};
 use crate::diagnosis::excite::points::Rival;
 use crate::diagnosis::excite::rows::{Machine, Row};
 use crate::diagnosis::excite::synthetic;

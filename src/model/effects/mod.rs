@@ -270,21 +270,36 @@ pub fn by_name(name: &str) -> Option<Box<dyn Effect>> {
     catalogue().into_iter().find(|e| e.name() == name)
 }
 
-/// The catalogue as a Markdown table, for the documentation command.
+/// What closes the gap of an effect, for people.
+fn remedy(e: &dyn Effect) -> &'static str {
+    if e.info().is_event {
+        "mend the cause: it happens once"
+    } else if e.stage() == Stage::Timing {
+        "dead time in the calibration"
+    } else if e.sensing_only() {
+        "`calibrate imu`"
+    } else {
+        "feedforward"
+    }
+}
+
+/// The catalogue as a Markdown table, for the documentation.
 #[must_use]
 pub fn describe() -> String {
-    let mut out = String::from("| effect | stage | signature | confused with | separated by | parameters |\n|---|---|---|---|---|---|\n");
+    let mut out =
+        String::from("| effect | stage | signature | confused with | separated by | parameters | remedy |\n|---|---|---|---|---|---|---|\n");
     for e in catalogue() {
         let confused = e.info().confused_with.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
         // writing to a String cannot fail
         let _ = writeln!(
             out,
-            "| `{}` | {} | {} | {confused} | {} | {} |",
+            "| `{}` | {} | {} | {confused} | {} | {} | {} |",
             e.name(),
             e.stage().name(),
             e.info().signature,
             e.info().separated_by,
             param::summary(e.params()),
+            remedy(e.as_ref()),
         );
     }
     out

@@ -1,7 +1,7 @@
 //! Data of the charts: residuals of the bins with pose and time, and measured and predicted signals.
 
 use crate::diagnosis::bins::G_M_S2;
-use crate::diagnosis::chain::lines;
+use crate::model::chain::lines;
 use crate::diagnosis::diagnose::Diagnosed;
 use crate::diagnosis::holdout::HeldOut;
 use crate::diagnosis::location::{commanded_bend, polar_deg};

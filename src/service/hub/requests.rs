@@ -116,6 +116,7 @@ impl Hub {
             lines: next.tick.lines,
             line_sigmas: next.tick.line_sigmas,
             dynamics: next.tick.dynamics,
+            feedforward: next.tick.feedforward,
             ..assembled
         };
         self.io.rings.orders.push(Message::Reload(Box::new(next.clone()))).map_err(|_| too_many())?;

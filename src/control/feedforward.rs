@@ -1,0 +1,234 @@
+//! Feedforward through the machine that a diagnosis describes: the laws of its effects forward, and their inverse.
+//!
+//! The forward part follows the play outputs and keeps the memory of every effect. The inverse looks for the play outputs whose
+//! shape, once they have been held for a short horizon, is the wanted one: over a horizon also an effect that delays has an
+//! answer. Broyden's method (*Math. Comp.* 1965) starts from the last solution with the last slope, so a tick needs one or two
+//! evaluations of the laws and never more than [`ROUNDS`]. Nothing allocates after [`FeedforwardState::new`].
+
+use crate::model::arc::Shape;
+use crate::model::bend::Bend;
+use crate::model::chain::Chain;
+use crate::model::described::{DescribedMachine, orientation};
+use crate::model::effects::{Effect, Memory, Moment};
+use crate::primitives::frames::Rotation;
+use crate::primitives::units::Mm;
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use std::sync::Arc;
+
+/// Time for which the play outputs are held in the inverse, s. A longer horizon leads a slow line less.
+const HORIZON_S: f64 = 0.3;
+/// Largest number of evaluations per tick.
+const ROUNDS: usize = 5;
+/// Error of a bellow at which the inverse is solved, mm: 0.03° of bend.
+const SOLVED_MM: f64 = 0.002;
+/// Largest change of a bellow per evaluation, mm.
+const CHANGE_MAX_MM: f64 = 1.0;
+/// Largest distance of the solution from the nominal one, mm of bellow: a law far outside its log is not followed further.
+const CORRECTION_MAX_MM: f64 = 4.0;
+/// Least product, in units of the squared change, with which the slope is updated.
+const SLOPE_MIN: f64 = 0.05;
+/// Evaluations of the drive's inverse.
+const DRIVE_ROUNDS: usize = 6;
+
+type Laws<'a> = Chain<'a, Arc<dyn Effect>>;
+
+/// State of the effects, and the solution of the last tick.
+#[derive(Debug, Clone)]
+pub struct FeedforwardState {
+    memory: Vec<Memory>,
+    trial: Vec<Memory>,
+    t_s: f64,
+    up_base: Vector3<f64>,
+    /// Orientation of the described tip at rest, by which zero is defined.
+    rest: UnitQuaternion<f64>,
+    /// Nominal bellow lengths that give the wanted shape, mm.
+    solution_mm: Vector3<f64>,
+    /// Change of the solution per change of the shape, both as bellow lengths.
+    slope: Matrix3<f64>,
+}
+
+impl FeedforwardState {
+    /// At rest.
+    #[must_use]
+    pub fn new(machine: &DescribedMachine) -> Self {
+        let memory = machine.memory();
+        let mut state = Self {
+            trial: memory.clone(),
+            memory,
+            t_s: 0.0,
+            up_base: Vector3::zeros(),
+            rest: UnitQuaternion::identity(),
+            solution_mm: Vector3::zeros(),
+            slope: Matrix3::identity(),
+        };
+        state.zero(machine, machine.rest.up);
+        state
+    }
+
+    /// Defines zero for a base in which `up` is up.
+    pub fn zero(&mut self, machine: &DescribedMachine, up: Vector3<f64>) {
+        if up == self.up_base {
+            return;
+        }
+        self.up_base = up;
+        let chain = machine.chain();
+        let at = self.moment(&chain, HORIZON_S);
+        self.trial.clone_from(&self.memory);
+        self.rest = orientation(&chain.pose(&mut self.trial, &at, &Vector3::zeros()));
+    }
+
+    fn moment(&self, chain: &Laws<'_>, dt_s: f64) -> Moment {
+        Moment { t_s: self.t_s + dt_s, ..chain.moment(self.up_base, dt_s) }
+    }
+
+    /// Advances the effects by `dt_s` with the play outputs at `play_output_mm`; returns the shape there.
+    pub fn advance(&mut self, machine: &DescribedMachine, play_output_mm: &Vector3<f64>, dt_s: f64) -> Shape {
+        let chain = machine.chain();
+        let at = self.moment(&chain, dt_s);
+        self.t_s += dt_s;
+        shape(&chain, &mut self.memory, &at, &self.rest, play_output_mm)
+    }
+
+    /// Nominal bellow lengths, mm, whose play outputs give the `wanted` shape, itself given as bellow lengths.
+    pub fn invert(&mut self, machine: &DescribedMachine, wanted_mm: &Vector3<f64>) -> Vector3<f64> {
+        let chain = machine.chain();
+        let at = self.moment(&chain, HORIZON_S);
+        let mut before: Option<(Vector3<f64>, Vector3<f64>)> = None;
+        for _ in 0..ROUNDS {
+            self.trial.clone_from(&self.memory);
+            let play_output_mm = Vector3::from_fn(|i, _| chain.lines[i].play_output_mm(self.solution_mm[i]));
+            let reached = chain.geometry.lengths(&shape(&chain, &mut self.trial, &at, &self.rest, &play_output_mm));
+            if let Some((solution, shape)) = before {
+                self.learn_slope(&(self.solution_mm - solution), &(reached - shape));
+            }
+            let missing = wanted_mm - reached;
+            if missing.amax() < SOLVED_MM {
+                break;
+            }
+            before = Some((self.solution_mm, reached));
+            let step = self.slope * missing;
+            let size = step.amax();
+            let share = if size > CHANGE_MAX_MM { CHANGE_MAX_MM / size } else { 1.0 };
+            let next = self.solution_mm + step * share;
+            self.solution_mm = wanted_mm + (next - wanted_mm).map(|d| d.clamp(-CORRECTION_MAX_MM, CORRECTION_MAX_MM));
+        }
+        self.solution_mm
+    }
+
+    /// Broyden's update of the inverse slope; without a usable direction the nominal slope takes its place.
+    fn learn_slope(&mut self, step: &Vector3<f64>, reached: &Vector3<f64>) {
+        let projected = self.slope.transpose() * step;
+        let product = projected.dot(reached);
+        if product > SLOPE_MIN * step.norm_squared() {
+            self.slope += (step - self.slope * reached) * projected.transpose() / product;
+        } else if step.norm() > SOLVED_MM {
+            self.slope = Matrix3::identity();
+        }
+    }
+
+    /// Counted pistons that put the true pistons at `piston_mm`.
+    #[must_use]
+    pub fn counted(&mut self, machine: &DescribedMachine, piston_mm: &Vector3<f64>) -> Vector3<f64> {
+        let chain = machine.chain();
+        let at = self.moment(&chain, 0.0);
+        let mut counted = *piston_mm;
+        for _ in 0..DRIVE_ROUNDS {
+            self.trial.clone_from(&self.memory);
+            counted += piston_mm - chain.pistons(&mut self.trial, &at, &counted);
+        }
+        counted
+    }
+
+    /// True pistons for counted ones.
+    #[must_use]
+    pub fn pistons(&mut self, machine: &DescribedMachine, counted_mm: &Vector3<f64>) -> Vector3<f64> {
+        let chain = machine.chain();
+        let at = self.moment(&chain, 0.0);
+        chain.pistons(&mut self.memory, &at, counted_mm)
+    }
+}
+
+/// Shape relative to rest, at play outputs.
+fn shape(chain: &Laws<'_>, memory: &mut [Memory], at: &Moment, rest: &UnitQuaternion<f64>, play_output_mm: &Vector3<f64>) -> Shape {
+    let bellow_mm = chain.bellows(memory, at, play_output_mm);
+    let pose = chain.pose(memory, at, &bellow_mm);
+    let tip = rest.inverse() * orientation(&pose);
+    Shape { bend: Bend::nearest(&Rotation::assert_frames(tip)), length: Mm(chain.geometry.rest_length_mm + bellow_mm.sum() / 3.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::arc::Geometry;
+    use crate::model::chain::nominal_theta;
+    use crate::model::described::RestReadings;
+    use crate::model::effects::by_name;
+    use crate::model::transmission::Line;
+
+    const DT_S: f64 = 0.005;
+
+    fn machine(causes: &[(&str, &[f64])]) -> DescribedMachine {
+        let rest = RestReadings { up: Vector3::new(0.6, -0.3, 0.742).normalize(), ..RestReadings::default() };
+        let lines = [2.1, 2.5, 2.3].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.9 });
+        let causes = causes.iter().map(|(name, p)| (by_name(name).unwrap(), p.to_vec())).collect();
+        DescribedMachine::new(Geometry::default(), rest, &nominal_theta(&lines, 0.02), causes)
+    }
+
+    /// Bends held one after the other: the largest error at the ends of the holds, degrees, with and without the inverse.
+    fn errors(machine: &DescribedMachine) -> [f64; 2] {
+        let chain = machine.chain();
+        [true, false].map(|inverted| {
+            let mut state = FeedforwardState::new(machine);
+            let mut worst: f64 = 0.0;
+            for (bend_deg, dir_deg) in [(40.0, 20.0), (70.0, 20.0), (30.0, 200.0), (0.0, 0.0), (60.0, 300.0), (55.0, 120.0)] {
+                let wanted = Bend::from_deg(bend_deg, dir_deg);
+                let wanted_mm = chain.geometry.lengths(&Shape { bend: wanted, length: Mm(chain.geometry.rest_length_mm) });
+                let mut reached = Bend::STRAIGHT;
+                for _ in 0..500 {
+                    let bellow_mm = if inverted { state.invert(machine, &wanted_mm) } else { wanted_mm };
+                    let play_output_mm = Vector3::from_fn(|i, _| chain.lines[i].play_output_mm(bellow_mm[i]));
+                    reached = state.advance(machine, &play_output_mm, DT_S).bend;
+                }
+                worst = worst.max((reached.0 - wanted.0).norm().to_degrees());
+            }
+            worst
+        })
+    }
+
+    #[test]
+    fn the_inverse_reaches_the_wanted_shape_through_every_kind_of_law() {
+        let all: [&[(&str, &[f64])]; 4] = [
+            &[("curvature", &[0.3, 0.2]), ("gravity", &[0.08, 0.8])],
+            &[("hysteresis", &[0.2, 0.2, 0.1, 0.1, 0.0, 0.1, -0.1]), ("creep", &[0.1, 0.1, 2.0])],
+            &[("leak", &[0.01, 0.004, 0.008, 0.5]), ("asymmetry", &[0.2, 0.1, 0.15])],
+            &[("line_lag", &[0.5, 0.4, 0.6, 0.1]), ("clocking", &[0.1, -0.05, 0.08])],
+        ];
+        for causes in all {
+            let [inverted, nominal] = errors(&machine(causes));
+            assert!(nominal > 1.0, "{causes:?} disturbs by {nominal}°");
+            assert!(inverted < 0.1, "{causes:?}: {inverted}° with the inverse, {nominal}° without");
+        }
+    }
+
+    #[test]
+    fn without_effects_the_inverse_is_the_nominal_one() {
+        let machine = machine(&[]);
+        let mut state = FeedforwardState::new(&machine);
+        let wanted = Vector3::new(-3.0, 1.0, 2.0);
+        for _ in 0..3 {
+            assert!((state.invert(&machine, &wanted) - wanted).amax() < SOLVED_MM);
+        }
+        assert!((state.counted(&machine, &wanted) - wanted).amax() < 1e-12);
+    }
+
+    #[test]
+    fn the_pistons_of_a_periodic_gear_come_back() {
+        let machine = machine(&[("gear_periodic", &[0.2, -0.1, 0.15, 0.1, 0.05, -0.1, 3.14])]);
+        let mut state = FeedforwardState::new(&machine);
+        for k in 0..40 {
+            let wanted = Vector3::new(0.3, -0.2, 0.4) * f64::from(k);
+            let counted = state.counted(&machine, &wanted);
+            assert!((state.pistons(&machine, &counted) - wanted).amax() < 0.02, "{k}");
+        }
+    }
+}

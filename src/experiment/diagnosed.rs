@@ -1,0 +1,73 @@
+//! The arm `diagnosed`: a log of the standard schedule on a world of its own, and the machine that its diagnosis describes.
+
+use crate::control::tick::LoopConfig;
+use crate::diagnosis::chain::Model;
+use crate::diagnosis::excite::rows::Machine;
+use crate::diagnosis::excite::standard;
+use crate::diagnosis::foretell::foretelling;
+use crate::diagnosis::observe::Observed;
+use crate::diagnosis::rig::Rig;
+use crate::diagnosis::search::recalibrated;
+use crate::experiment::identify::IdentifyError;
+use crate::experiment::rig::RigError;
+use crate::log::bend_log::{BendLog, ImuColumns};
+use crate::model::described::DescribedMachine;
+use crate::model::effects::{by_name, catalogue};
+use crate::simulation::world::World;
+use crate::supervisor::machine::MachineError;
+use nalgebra::Vector3;
+
+/// Time of a row of the log, s.
+const ROW_S: f64 = 0.02;
+/// Time over which the corners of the path are rounded, s.
+const ROUNDED_S: f64 = 0.12;
+
+/// Records a log with the gains of `config` and describes the machine. The reference of the world is not used. The search for
+/// the smallest set that explains the log, which names causes, is left out: a feedforward needs the set that foretells best.
+///
+/// # Errors
+/// [`IdentifyError`] from the world, or if the log cannot be diagnosed.
+pub fn described(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Result<DescribedMachine, IdentifyError> {
+    let rig = Rig { geometry: config.geometry, ..*rig };
+    let log = record(config, &rig, world).map_err(RigError::from)?;
+    let (log, catalogue) = (Observed::new(&log, &rig)?, catalogue());
+    let nominal = recalibrated(&log, &config.lines);
+    let found = foretelling(&log, &catalogue, &nominal, &nominal);
+    let model = Model::named(&catalogue, &found.names);
+    let causes = model.each(&found.fitted.theta).filter_map(|(e, p)| Some((by_name(e.name())?, p.to_vec()))).collect();
+    Ok(DescribedMachine::new(rig.geometry, log.rest(), &found.fitted.theta, causes).foreseeable())
+}
+
+/// Drives the standard schedule in open loop and records pistons and tip IMU, each row a mean over [`ROW_S`].
+fn record(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Result<BendLog, MachineError> {
+    let machine = Machine::new(*rig, config.lines);
+    let rows: Vec<_> = standard::rows(&machine).into_iter().filter(|r| machine.reaches(r)).collect();
+    let period_s = world.info().period_s;
+    let of = |time_s: f64| ((time_s / period_s).round() as usize).max(1);
+    let path = machine.drive(&rows, period_s).rounded(of(ROUNDED_S)).piston_mm;
+    let nan = Vector3::repeat(f64::NAN);
+    let mut log = BendLog { imu: Some(ImuColumns { acc: vec![], gyr: vec![], mag: vec![] }), ..BendLog::default() };
+    for (n, row) in path.chunks_exact(of(ROW_S)).enumerate() {
+        let (mut piston, mut sums, mut samples) = (Vector3::zeros(), [Vector3::zeros(); 3], [0.0; 3]);
+        for at in row {
+            let counts = config.drive.steps(at);
+            piston += config.drive.piston_mm(&counts);
+            let Some(sample) = world.step(&counts)?.imu.map(|s| config.imu.apply(&s)) else { continue };
+            let readings = [Some(sample.acc_m_s2), Some(sample.gyro_rad_s), sample.mag_ut];
+            for (k, value) in readings.into_iter().enumerate().filter_map(|(k, v)| Some((k, v?))) {
+                (sums[k], samples[k]) = (sums[k] + value, samples[k] + 1.0);
+            }
+        }
+        let [acc, gyr, mag] = std::array::from_fn(|k| if samples[k] > 0.0 { sums[k] / samples[k] } else { nan });
+        // the mean of the times of a row
+        log.t_s.push(((n * row.len()) as f64 + 0.5 * (row.len() + 1) as f64) * period_s);
+        log.piston_mm.push(piston / row.len() as f64);
+        log.command.push(nan);
+        if let Some(imu) = &mut log.imu {
+            imu.acc.push(acc);
+            imu.gyr.push(gyr);
+            imu.mag.push(mag);
+        }
+    }
+    Ok(log)
+}
