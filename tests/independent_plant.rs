@@ -76,7 +76,8 @@ fn arguments(case: &Case) -> Vec<String> {
 fn measure(folder: &tempfile::TempDir, case: &Case) -> Figures {
     let plant = folder.path().join("plant");
     let config = assemble(&twin(), &calibration(&plant, case), &Gains::default());
-    let plan = Plan { config, identify: false, arms: vec![Arm::Backlash, Arm::Closed], seed: case.seed, rig: Rig::default(), feedforward: None };
+    let plan =
+        Plan { config, identify: false, arms: vec![Arm::Backlash, Arm::Closed], seed: case.seed, rig: Rig::default(), feedforward: None };
     let program = plant.to_str().unwrap();
     let mut open = |_| Ok(Box::new(Link::start(program, &arguments(case))?) as Box<dyn World>);
     let e = run(&plan, &mut open, &mut |_| ()).unwrap();

@@ -9,8 +9,8 @@ use crate::config::calib::Calibration;
 use crate::config::source;
 use crate::experiment::arm::ArmResult;
 use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose};
-use crate::report::evaluation as pictures;
 use crate::model::described::DescribedMachine;
+use crate::report::evaluation as pictures;
 use crate::simulation::described::Described;
 use crate::simulation::link::Link;
 use crate::simulation::sim::Sim;
@@ -100,7 +100,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
     let plant = Plant::new(args, &board)?;
-    let feedforward = inputs::feedforward(args.feedforward.as_deref(), args.calib.as_deref(), calibration.as_ref().unwrap_or(&Calibration::default()));
+    let feedforward =
+        inputs::feedforward(args.feedforward.as_deref(), args.calib.as_deref(), calibration.as_ref().unwrap_or(&Calibration::default()));
     let feedforward = feedforward.map(|path| inputs::described(&path, &board)).transpose()?;
     let plan = Plan {
         identify: calibration.is_none(),

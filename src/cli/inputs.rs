@@ -87,7 +87,8 @@ pub fn described(path: &Path, board: &Board) -> Result<Arc<DescribedMachine>> {
 pub fn feedforward(given: Option<&Path>, calib: Option<&Path>, calibration: &Calibration) -> Option<PathBuf> {
     let named = || {
         let name = Path::new(&calibration.feedforward);
-        (!calibration.feedforward.is_empty()).then(|| calib.and_then(Path::parent).map_or_else(|| name.to_owned(), |folder| folder.join(name)))
+        (!calibration.feedforward.is_empty())
+            .then(|| calib.and_then(Path::parent).map_or_else(|| name.to_owned(), |folder| folder.join(name)))
     };
     given.map(Path::to_owned).or_else(named)
 }
@@ -114,9 +115,8 @@ pub fn described_by(origin: &str, model: SavedModel, board: &Board) -> Result<Ar
 /// # Errors
 /// A report that says what is missing.
 pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
-    let line = plant
-        .strip_prefix("exec:")
-        .ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…` or `model:MODEL.toml`"))?;
+    let line =
+        plant.strip_prefix("exec:").ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…` or `model:MODEL.toml`"))?;
     let mut words = link::words(line).map_err(|why| miette!("--plant `{plant}`: {why}"))?.into_iter();
     let program = words.next().ok_or_else(|| miette!("--plant `{plant}`: no program is named after `exec:`"))?;
     Ok((program, words.collect()))

@@ -3,7 +3,7 @@
 //! The forward part follows the play outputs and keeps the memory of every effect. The inverse looks for the play outputs whose
 //! shape, once they have been held for a short horizon, is the wanted one: over a horizon also an effect that delays has an
 //! answer. Broyden's method (*Math. Comp.* 1965) starts from the last solution with the last slope, so a tick needs one or two
-//! evaluations of the laws and never more than [`ROUNDS`]. Nothing allocates after [`FeedforwardState::new`].
+//! evaluations of the laws and never more than five. Nothing allocates after [`FeedforwardState::new`].
 
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;

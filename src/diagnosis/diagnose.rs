@@ -2,7 +2,6 @@
 
 use crate::diagnosis::bins::Bin;
 use crate::diagnosis::chain::{Model, run};
-use crate::model::chain::{lines, nominal_theta};
 use crate::diagnosis::credit::{credits, stages};
 use crate::diagnosis::decide::{Verdict, decide};
 use crate::diagnosis::document::{Diagnosis, EffectEntry, Gap, Location, ParamValue, Rival, UnknownEntry, VerdictEntry};
@@ -12,6 +11,7 @@ use crate::diagnosis::location::BeforeAfter;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::search::{Candidate, Candidates, search};
 use crate::diagnosis::sense::{every_bin, sense};
+use crate::model::chain::{lines, nominal_theta};
 use crate::model::effects::Effect;
 use crate::model::transmission::Line;
 use nalgebra::Vector3;

@@ -37,7 +37,8 @@ const WORSE_MAX: f64 = 1.02;
 /// The model that leaves the least on unseen blocks, among those between `nominal` and the whole catalogue.
 #[must_use]
 pub fn foretelling(log: &Observed, catalogue: &[Box<dyn Effect>], nominal: &Candidate, chosen: &Candidate) -> Candidate {
-    let named: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).filter(|e| is_steady(*e) || chosen.names.contains(&e.name())).collect();
+    let named: Vec<&dyn Effect> =
+        catalogue.iter().map(AsRef::as_ref).filter(|e| is_steady(*e) || chosen.names.contains(&e.name())).collect();
     let mut base = fitted(log, &named, &start(&named, catalogue, chosen));
     let mut all = vec![candidate(&base)];
     for _ in 0..ADDED_MAX {
@@ -48,7 +49,8 @@ pub fn foretelling(log: &Observed, catalogue: &[Box<dyn Effect>], nominal: &Cand
     let least = |all: Vec<Candidate>| all.into_iter().min_by(|a, b| a.energy().total_cmp(&b.energy()));
     let whole = least(all).unwrap_or_else(|| chosen.clone());
     let spared = if whole.names == base.problem.model.names() { weak(&base) } else { vec![] };
-    let kept: Vec<&dyn Effect> = Model::named(catalogue, &whole.names).effects.into_iter().filter(|e| !spared.contains(&e.name())).collect();
+    let kept: Vec<&dyn Effect> =
+        Model::named(catalogue, &whole.names).effects.into_iter().filter(|e| !spared.contains(&e.name())).collect();
     let reduced = candidate(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
     let best = if reduced.energy() <= WORSE_MAX * whole.energy() { reduced } else { whole };
     [nominal, chosen].into_iter().fold(best, |best, other| if other.energy() < best.energy() { other.clone() } else { best })
@@ -95,11 +97,7 @@ fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> B
 
 fn candidate(base: &BaseFit<'_>) -> Candidate {
     let BaseFit { problem, point, tangent } = base;
-    Candidate {
-        names: problem.model.names(),
-        fitted: Fitted::new(problem, point, tangent),
-        held_out: leave_out(problem, point, tangent),
-    }
+    Candidate { names: problem.model.names(), fitted: Fitted::new(problem, point, tangent), held_out: leave_out(problem, point, tangent) }
 }
 
 /// Effects whose parameters the log does not separate from their vanishing point.

@@ -1,9 +1,9 @@
 //! A model to be fitted to a log: priors, limits and the weighted residuals at a point of its parameter space.
 
 use crate::diagnosis::chain::{LAG_MAX_S, Model, Motion, run};
-use crate::model::chain::NOMINAL;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::sense::{Residuals, every_bin, sense};
+use crate::model::chain::NOMINAL;
 
 /// Slope of the priors, residual per unit of scale. One prior σ is one scale for white residuals; neighbouring bins
 /// are correlated, so a prior counts as much as four bins.

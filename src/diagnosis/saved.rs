@@ -1,7 +1,6 @@
 //! A diagnosis saved as TOML, and its check on a fresh log of the same unit.
 
 use crate::diagnosis::chain::{LAG_MAX_S, Model, run};
-use crate::model::chain::{lines, nominal_theta};
 use crate::diagnosis::confusion::confused_with;
 use crate::diagnosis::diagnose::Diagnosed;
 use crate::diagnosis::foretell::foretelling;
@@ -10,6 +9,7 @@ use crate::diagnosis::observe::Observed;
 use crate::diagnosis::search::Candidate;
 use crate::diagnosis::sense::{every_bin, sense};
 use crate::model::arc::Geometry;
+use crate::model::chain::{lines, nominal_theta};
 use crate::model::described::{DescribedMachine, RestReadings};
 use crate::model::effects::{Effect, Param, catalogue};
 use crate::model::transmission::Line;
@@ -175,7 +175,12 @@ impl SavedModel {
             gyro_bias_rad_s: r.gyro_bias_rad_s.into(),
         });
         let cause = |e: Box<dyn Effect>| params_of(effects, e.as_ref()).map(|p| (e, p));
-        DescribedMachine::new(geometry, rest, &nominal_theta(&gains.lines(), gains.lag_s), catalogue().into_iter().filter_map(cause).collect())
+        DescribedMachine::new(
+            geometry,
+            rest,
+            &nominal_theta(&gains.lines(), gains.lag_s),
+            catalogue().into_iter().filter_map(cause).collect(),
+        )
     }
 
     /// Parameters of an effect in catalogue order; `None` if the model does not have it.

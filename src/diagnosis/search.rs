@@ -5,13 +5,13 @@
 //! checks whether a pair needs both members.
 
 use crate::diagnosis::chain::Model;
-use crate::model::chain::nominal_theta;
 use crate::diagnosis::fit::{Fitted, fit};
 use crate::diagnosis::holdout::{CLAIM_DEG, HeldOut, leave_out};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::Problem;
 use crate::diagnosis::start::{best_start, dated_again};
 use crate::diagnosis::tangent::BaseFit;
+use crate::model::chain::nominal_theta;
 use crate::model::effects::Effect;
 use crate::model::transmission::Line;
 use rayon::prelude::*;

@@ -4,8 +4,8 @@
 //! fit, and the fits without a block, which are close enough to the full fit for one step along the tangent.
 
 use crate::diagnosis::chain::run;
-use crate::model::chain::NOMINAL;
 use crate::diagnosis::problem::{PRIOR_SLOPE, Point, Problem};
+use crate::model::chain::NOMINAL;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 

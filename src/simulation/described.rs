@@ -56,8 +56,7 @@ impl Described {
         let periods = |time_s: f64| (time_s / PERIOD_S).round() as usize;
         let late: f64 = chain.each().map(|(e, p)| e.latency_s(p)).sum();
         let behind: f64 = chain.each().map(|(e, p)| e.transport_s(p)).sum();
-        let info =
-            MachineInfo { name: "model".to_owned(), period_s: PERIOD_S, step_mm, rest_length_mm: machine.geometry.rest_length_mm };
+        let info = MachineInfo { name: "model".to_owned(), period_s: PERIOD_S, step_mm, rest_length_mm: machine.geometry.rest_length_mm };
         Self {
             info,
             memory: machine.memory(),

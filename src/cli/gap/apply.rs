@@ -76,7 +76,9 @@ fn place(model: &SavedModel, e: &dyn Effect) -> Place {
 
 /// The calibration that a model implies.
 fn calibration(model: &SavedModel, path: &Path, out: &Path) -> Result<Calibration> {
-    let value = |name: &str| by_name(name).filter(|e| place(model, e.as_ref()) == Place::Calibration).and_then(|e| Some((model.params_of(e.as_ref())?, e)));
+    let value = |name: &str| {
+        by_name(name).filter(|e| place(model, e.as_ref()) == Place::Calibration).and_then(|e| Some((model.params_of(e.as_ref())?, e)))
+    };
     let date = today();
     let entry = |name: &str, unit: fn(f64) -> f64| {
         let (values, e) = value(name)?;

@@ -26,9 +26,11 @@ pub(super) fn estimate(config: &LoopConfig, state: &mut LoopState, input: &Input
         other => other,
     };
     let still = motors.still_s >= STILL_AFTER_S;
-    if let (Some(machine), Some(described), Some(rest)) =
-        (config.feedforward.as_deref(), state.transmission.described.as_mut(), state.fusion.alignment().filter(|_| config.feedback.is_some()))
-    {
+    if let (Some(machine), Some(described), Some(rest)) = (
+        config.feedforward.as_deref(),
+        state.transmission.described.as_mut(),
+        state.fusion.alignment().filter(|_| config.feedback.is_some()),
+    ) {
         described.zero(machine, rest.acc_rest_m_s2.normalize());
     }
     state.fusion.update(&config.fuse, &FusionInput { now: input.t, tip, base: input.base_imu, coils_ut, still });

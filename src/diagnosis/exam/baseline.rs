@@ -8,12 +8,12 @@
 //! * **Nearest signature**: the effect whose tangent makes the smallest angle with the nominal residual.
 
 use crate::diagnosis::chain::Model;
-use crate::model::chain::{NOMINAL, nominal_theta};
 use crate::diagnosis::fit::fit;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::Problem;
 use crate::diagnosis::search::{Candidate, Candidates};
 use crate::diagnosis::tangent::{BaseFit, Tangent};
+use crate::model::chain::{NOMINAL, nominal_theta};
 use crate::model::effects::Effect;
 use crate::model::transmission::Line;
 use nalgebra::{DMatrix, DVector};

@@ -1,7 +1,7 @@
 //! Bend logs of the built-in plant.
 
-use crate::diagnosis::excite::rows::Machine;
 use crate::diagnosis::exam::schedule::{self, DT_S};
+use crate::diagnosis::excite::rows::Machine;
 use crate::diagnosis::rig::Rig;
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::transmission::Line;

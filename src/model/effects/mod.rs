@@ -286,8 +286,9 @@ fn remedy(e: &dyn Effect) -> &'static str {
 /// The catalogue as a Markdown table, for the documentation.
 #[must_use]
 pub fn describe() -> String {
-    let mut out =
-        String::from("| effect | stage | signature | confused with | separated by | parameters | remedy |\n|---|---|---|---|---|---|---|\n");
+    let mut out = String::from(
+        "| effect | stage | signature | confused with | separated by | parameters | remedy |\n|---|---|---|---|---|---|---|\n",
+    );
     for e in catalogue() {
         let confused = e.info().confused_with.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
         // writing to a String cannot fail

@@ -1,13 +1,13 @@
 //! Data of the charts: residuals of the bins with pose and time, and measured and predicted signals.
 
 use crate::diagnosis::bins::G_M_S2;
-use crate::model::chain::lines;
 use crate::diagnosis::diagnose::Diagnosed;
 use crate::diagnosis::holdout::HeldOut;
 use crate::diagnosis::location::{commanded_bend, polar_deg};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::quantity::Quantity;
 use crate::model::bend::Bend;
+use crate::model::chain::lines;
 use crate::primitives::frames::Rotation;
 use crate::report::polar::{Cell, RING_DEG, SECTORS};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
