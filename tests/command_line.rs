@@ -192,7 +192,7 @@ fn results_have_the_documented_form() {
     assert!(stdout.contains("seed 4") && stdout.contains("closed"), "{stdout}");
     let r = json(&result);
     let names: Vec<_> = r["arms"].as_array().unwrap().iter().map(|a| a["name"].as_str().unwrap().to_owned()).collect();
-    assert_eq!(names, ["none", "extension", "backlash", "closed"]);
+    assert_eq!(names, ["none", "extension", "backlash", "diagnosed", "closed"]);
     for a in r["arms"].as_array().unwrap() {
         assert_eq!(a["states"], 120);
         assert!(
