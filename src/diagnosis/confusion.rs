@@ -2,6 +2,10 @@
 
 use crate::model::effects::by_name;
 
+/// Pairs that are reported as equivalent if a log without a tracker leaves the same with either. The tip IMU observes
+/// only the sum of the two delays; to first order in the bend, turned bellows look like a turned sensor.
+pub const EQUIVALENT_WITHOUT_TRACKER: [[&str; 2]; 2] = [["transport_delay", "sensor_latency"], ["clocking", "mount_misalignment"]];
+
 /// Pairs that no motion separates, and whether a tracker separates them. Displaced bellows multiply the bend by a
 /// constant matrix, and so does an anisotropic stiffness.
 const INSEPARABLE_BY_MOTION: [([&str; 2], bool); 2] =

@@ -1,7 +1,7 @@
 //! Puts a diagnosis together: size of the gap, location, effects, verdict.
 
-use crate::diagnosis::bins::Bin;
 use crate::diagnosis::chain::{Model, run};
+use crate::diagnosis::confusion::EQUIVALENT_WITHOUT_TRACKER;
 use crate::diagnosis::credit::{credits, stages};
 use crate::diagnosis::decide::{Verdict, decide};
 use crate::diagnosis::document::{Diagnosis, EffectEntry, Gap, Location, ParamValue, Rival, UnknownEntry, VerdictEntry};
@@ -9,6 +9,7 @@ use crate::diagnosis::holdout::score;
 use crate::diagnosis::interval::{Compared, closed_ci95};
 use crate::diagnosis::location::BeforeAfter;
 use crate::diagnosis::observe::Observed;
+use crate::diagnosis::quantity::Quantity;
 use crate::diagnosis::search::{Candidate, Candidates, search};
 use crate::diagnosis::sense::{every_bin, sense};
 use crate::model::chain::{lines, nominal_theta};
@@ -20,8 +21,8 @@ use nalgebra::Vector3;
 const TEMPERATURE: f64 = 0.04;
 /// Handicap, in natural logarithms, of every set other than the verdict's, and the same per effect of difference in size.
 const HANDICAP: f64 = 2.0;
-/// Distance of two fitted sets below which the log cannot separate them, standard deviations.
-const APART: f64 = 3.0;
+/// Energies closer than this share of the gap are equal.
+const EQUAL_SHARE: f64 = 0.02;
 /// Residuals are correlated over about this long, s: one independent observation per stretch.
 const CORRELATED_S: f64 = 2.0;
 /// Compared sets of each size in the document.
@@ -160,33 +161,16 @@ impl Assembly<'_> {
         e.params().iter().enumerate().map(one).collect()
     }
 
-    /// Groups of effects, one of them in the verdict, that this log cannot separate: given the other effects of the verdict,
-    /// the fitted predictions of the members differ by less than [`APART`].
+    /// Groups of effects, one of them in the verdict, that this log cannot separate.
     fn equivalent(&self, verdict: &Verdict) -> Vec<Vec<&'static str>> {
-        let group = |&name: &&'static str| {
-            let others: Vec<&str> = verdict.names.iter().copied().filter(|n| *n != name).collect();
-            let instead = |c: &&Candidate| {
-                c.names.len() == others.len() + 1 && others.iter().all(|n| c.names.contains(n)) && !c.names.contains(&name)
-            };
-            let sets = self.found.singles.iter().chain(&self.found.pairs).filter(instead).filter(|c| self.distance(c) < APART);
-            let alike = sets.filter_map(|c| c.names.iter().find(|n| !others.contains(n)).copied());
-            let mut members: Vec<&'static str> = alike.chain([name]).collect();
-            members.sort_by_key(|n| self.catalogue.iter().position(|e| e.name() == *n));
-            members
-        };
-        verdict.names.iter().map(|n| group(&n)).filter(|g| g.len() > 1).collect()
-    }
-
-    /// Distance of a candidate's predictions from those of the chosen one, standard deviations of one independent stretch.
-    fn distance(&self, other: &Candidate) -> f64 {
-        let log = self.log;
-        let apart = |k: usize, b: &Bin| {
-            let of = |q| (self.chosen.held_out.residual[q][k] - other.held_out.residual[q][k]).norm_squared() * b.weight[q].powi(2);
-            log.quantities().map(of).sum::<f64>()
-        };
-        let sum: f64 = log.bins.iter().enumerate().map(|(k, b)| apart(k, b)).sum();
-        let bins = log.bins.len() as f64 * CORRELATED_S / log.duration_s();
-        (sum / bins.max(1.0)).sqrt()
+        let equal = EQUAL_SHARE * (self.found.nominal.energy() - self.log.noise_energy());
+        let energy = |name: &str| self.found.single(name).map(Candidate::energy);
+        EQUIVALENT_WITHOUT_TRACKER
+            .iter()
+            .filter(|pair| pair.iter().any(|n| verdict.names.contains(n)) && !self.log.has[Quantity::Reference])
+            .filter(|[a, b]| matches!((energy(a), energy(b)), (Some(a), Some(b)) if (a - b).abs() < equal))
+            .map(|pair| self.found.singles.iter().map(|s| s.names[0]).filter(|n| pair.contains(n)).collect())
+            .collect()
     }
 
     /// Stages of each group that spans more than one.

@@ -1,8 +1,6 @@
 //! Bend logs of the built-in plant.
 
-use crate::diagnosis::exam::schedule::{self, DT_S};
-use crate::diagnosis::excite::rows::Machine;
-use crate::diagnosis::rig::Rig;
+use crate::diagnosis::exam::schedule::{self, DT_S, drive};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::transmission::Line;
 use crate::primitives::units::Steps;
@@ -23,9 +21,7 @@ const TRACKER_DEG: f64 = 0.12;
 /// [`PlantError`] for a plant that cannot run.
 pub fn record(plant: &PlantConfig, lines: &[Line; 3], seed: u64, lab: bool) -> Result<BendLog, PlantError> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let rows = schedule::draw(&mut rng);
-    let driven = Machine::new(Rig::default(), *lines).drive(&rows, DT_S).rounded(rng.random_range(8..20));
-    let path = &driven.piston_mm;
+    let (path, command) = drive(&schedule::draw(&mut rng), lines, rng.random_range(8..20));
     let step_mm = plant.drive.step_mm;
     let mut tip = Plant::new(plant, rng.random())?;
     let n = path.len();
@@ -50,7 +46,7 @@ pub fn record(plant: &PlantConfig, lines: &[Line; 3], seed: u64, lab: bool) -> R
     Ok(BendLog {
         file: "exam".to_owned(),
         t_s: (1..=n).map(|k| k as f64 * DT_S).collect(),
-        command: driven.row.iter().map(|&r| Vector3::new(rows[r].bend_deg, rows[r].dir_deg, rows[r].len_mm)).collect(),
+        command,
         piston_mm,
         imu: Some(imu),
         base: None,

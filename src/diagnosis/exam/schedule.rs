@@ -1,9 +1,13 @@
 //! Random schedules of an exam, about 250 s long.
 //!
 //! A tour of directions at increasing bends, ladders out and back at several lengths, sweeps around the cone, long holds
-//! with a return to rest between them, and quick moves.
+//! with a return to rest between them, and quick moves. The pistons follow Eq. 16 with the calibration on straight lines
+//! at the speed of the fastest piston, with rounded corners.
 
 use crate::diagnosis::excite::rows::Row;
+use crate::model::arc::Geometry;
+use crate::model::transmission::Line;
+use nalgebra::Vector3;
 use rand::RngExt;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -46,4 +50,41 @@ pub fn draw(rng: &mut StdRng) -> Vec<Row> {
     }
     out.push(rest(4.0));
     out
+}
+
+/// Counted pistons row by row, mm, and the commanded bend, direction and length.
+pub fn drive(rows: &[Row], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f64>>, Vec<Vector3<f64>>) {
+    let geometry = Geometry::default();
+    let (mut at, mut play_output, mut side) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+    let (mut path, mut command) = (Vec::new(), Vec::new());
+    for row in rows {
+        let q = row.lengths(&geometry);
+        let want = Vector3::from_fn(|i, _| lines[i].play_output_mm(q[i]));
+        for i in 0..3 {
+            let ahead: f64 = want[i] - play_output[i];
+            if ahead.abs() > 0.02 {
+                side[i] = ahead.signum();
+            }
+        }
+        play_output = want;
+        let to = Vector3::from_fn(|i, _| want[i] + lines[i].k_lambda_mm * side[i]);
+        let moving = ((to - at).amax() / row.speed_mm_s / DT_S).ceil().max(1.0) as usize;
+        let still = (row.hold_s / DT_S) as usize;
+        path.extend((1..=moving).map(|k| at + (to - at) * (k as f64 / moving as f64)));
+        path.extend((0..still).map(|_| to));
+        command.extend((0..moving + still).map(|_| Vector3::new(row.bend_deg, row.dir_deg, row.len_mm)));
+        at = to;
+    }
+    (rounded(&path, rounding), command)
+}
+
+/// Moving average over a window of rows: corners become ramps of speed.
+fn rounded(path: &[Vector3<f64>], window: usize) -> Vec<Vector3<f64>> {
+    let mut sum = path[0] * window as f64;
+    (0..path.len())
+        .map(|k| {
+            sum += path[k] - path[k.saturating_sub(window)];
+            sum / window as f64
+        })
+        .collect()
 }

@@ -106,8 +106,8 @@ impl Machine {
         let side = Side::Band { band_mm: BAND_MM };
         let mut states = [SideState::default(); 3];
         let (mut from, mut begun_s) = (Vector3::zeros(), 0.0);
-        let mut out = Driven { t_s: vec![], piston_mm: vec![], row: vec![], duration_s: 0.0 };
-        for (n, row) in rows.iter().enumerate() {
+        let mut out = Driven { t_s: vec![], piston_mm: vec![], duration_s: 0.0 };
+        for row in rows {
             let q = row.lengths(&self.rig.geometry);
             let to = Vector3::from_fn(|i, _| {
                 let (piston, next) = side.invert(&self.lines[i], states[i], &Wanted { q_mm: q[i], dt_s: 1.0, reach: 1.0 });
@@ -123,7 +123,6 @@ impl Machine {
                 }
                 let share = if move_s > 0.0 { ((t - begun_s) / move_s).min(1.0) } else { 1.0 };
                 out.t_s.push(t);
-                out.row.push(n);
                 out.piston_mm.push(from + (to - from) * share);
             }
             (from, begun_s) = (to, end_s);
@@ -146,8 +145,6 @@ pub struct Driven {
     pub t_s: Vec<f64>,
     /// Pistons, mm.
     pub piston_mm: Vec<Vector3<f64>>,
-    /// Index of the row that is being driven.
-    pub row: Vec<usize>,
     /// End of the last hold, s.
     pub duration_s: f64,
 }
