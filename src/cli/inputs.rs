@@ -115,8 +115,7 @@ pub fn described_by(origin: &str, model: SavedModel, board: &Board) -> Result<Ar
 /// # Errors
 /// A report that says what is missing.
 pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
-    let line =
-        plant.strip_prefix("exec:").ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…` or `model:MODEL.toml`"))?;
+    let line = plant.strip_prefix("exec:").ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…`"))?;
     let mut words = link::words(line).map_err(|why| miette!("--plant `{plant}`: {why}"))?.into_iter();
     let program = words.next().ok_or_else(|| miette!("--plant `{plant}`: no program is named after `exec:`"))?;
     Ok((program, words.collect()))
