@@ -1,8 +1,8 @@
 //! Feedforward through the machine that a diagnosis describes: the laws of its effects forward, and their inverse.
 //!
 //! The forward part follows the play outputs and keeps the memory of every effect. The inverse looks for the play outputs whose
-//! shape, once they have been held for a short horizon, is the wanted one: over a horizon also an effect that delays has an
-//! answer. Broyden's method (*Math. Comp.* 1965) starts from the last solution with the last slope, so a tick needs one or two
+//! shape, once they have been held for a short horizon, is the wanted one. The horizon is the shortest at which the shape shows
+//! most of the response, so that an effect that delays has an answer too. Broyden's method (*Math. Comp.* 1965) starts from the last solution with the last slope, so a tick needs one or two
 //! evaluations of the laws and never more than five. Nothing allocates after [`FeedforwardState::new`].
 
 use crate::model::arc::Shape;
@@ -15,8 +15,12 @@ use crate::primitives::units::Mm;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::sync::Arc;
 
-/// Time for which the play outputs are held in the inverse, s. A longer horizon leads a slow line less.
-const HORIZON_S: f64 = 0.3;
+/// Times for which the inverse may hold the play outputs, s. A longer horizon leads a slow line less, and follows creep later.
+const HORIZONS_S: [f64; 5] = [0.02, 0.05, 0.1, 0.2, 0.3];
+/// Least share of the response at the longest horizon that the shape must show at the one that is used.
+const RESPONSE_MIN: f64 = 0.7;
+/// Probe of the response, mm of play output.
+const PROBE_MM: Vector3<f64> = Vector3::new(2.0, -1.0, -1.0);
 /// Largest number of evaluations per tick.
 const ROUNDS: usize = 5;
 /// Error of a bellow at which the inverse is solved, mm: 0.03° of bend.
@@ -38,6 +42,7 @@ pub struct FeedforwardState {
     memory: Vec<Memory>,
     trial: Vec<Memory>,
     t_s: f64,
+    horizon_s: f64,
     up_base: Vector3<f64>,
     /// Orientation of the described tip at rest, by which zero is defined.
     rest: UnitQuaternion<f64>,
@@ -56,13 +61,25 @@ impl FeedforwardState {
             trial: memory.clone(),
             memory,
             t_s: 0.0,
+            horizon_s: HORIZONS_S[0],
             up_base: Vector3::zeros(),
             rest: UnitQuaternion::identity(),
             solution_mm: Vector3::zeros(),
             slope: Matrix3::identity(),
         };
         state.zero(machine, machine.rest.up);
+        let response = HORIZONS_S.map(|horizon_s| state.response(machine, horizon_s));
+        let enough = response.iter().position(|r| *r >= RESPONSE_MIN * response[HORIZONS_S.len() - 1]);
+        state.horizon_s = HORIZONS_S[enough.unwrap_or(HORIZONS_S.len() - 1)];
         state
+    }
+
+    /// Bend, rad, after the probe has been held for the horizon.
+    fn response(&mut self, machine: &DescribedMachine, horizon_s: f64) -> f64 {
+        let chain = machine.chain();
+        let at = self.moment(&chain, horizon_s);
+        self.trial.clone_from(&self.memory);
+        shape(&chain, &mut self.trial, &at, &self.rest, &PROBE_MM).bend.0.norm()
     }
 
     /// Defines zero for a base in which `up` is up.
@@ -72,7 +89,7 @@ impl FeedforwardState {
         }
         self.up_base = up;
         let chain = machine.chain();
-        let at = self.moment(&chain, HORIZON_S);
+        let at = self.moment(&chain, self.horizon_s);
         self.trial.clone_from(&self.memory);
         self.rest = orientation(&chain.pose(&mut self.trial, &at, &Vector3::zeros()));
     }
@@ -92,7 +109,7 @@ impl FeedforwardState {
     /// Nominal bellow lengths, mm, whose play outputs give the `wanted` shape, itself given as bellow lengths.
     pub fn invert(&mut self, machine: &DescribedMachine, wanted_mm: &Vector3<f64>) -> Vector3<f64> {
         let chain = machine.chain();
-        let at = self.moment(&chain, HORIZON_S);
+        let at = self.moment(&chain, self.horizon_s);
         let mut before: Option<(Vector3<f64>, Vector3<f64>)> = None;
         for _ in 0..ROUNDS {
             self.trial.clone_from(&self.memory);
