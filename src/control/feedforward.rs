@@ -240,7 +240,7 @@ mod tests {
 
     #[test]
     fn the_pistons_of_a_periodic_gear_come_back() {
-        let machine = machine(&[("gear_periodic", &[0.2, -0.1, 0.15, 0.1, 0.05, -0.1, 3.14])]);
+        let machine = machine(&[("gear_periodic", &[0.2, -0.1, 0.15, 0.1, 0.05, -0.1, 3.2])]);
         let mut state = FeedforwardState::new(&machine);
         for k in 0..40 {
             let wanted = Vector3::new(0.3, -0.2, 0.4) * f64::from(k);

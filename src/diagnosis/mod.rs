@@ -16,7 +16,7 @@ pub mod document;
 pub mod exam;
 pub mod excite;
 pub mod fit;
-pub mod foretell;
+pub mod forecast;
 pub mod holdout;
 pub mod interval;
 pub mod location;

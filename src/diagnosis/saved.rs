@@ -3,7 +3,7 @@
 use crate::diagnosis::chain::{LAG_MAX_S, Model, run};
 use crate::diagnosis::confusion::confused_with;
 use crate::diagnosis::diagnose::Diagnosed;
-use crate::diagnosis::foretell::foretelling;
+use crate::diagnosis::forecast::best_predicting;
 use crate::diagnosis::holdout::score;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::search::Candidate;
@@ -64,7 +64,7 @@ pub struct SavedModel {
     pub effect: Vec<SavedEffect>,
     /// Readings at rest.
     pub rest: Option<SavedRest>,
-    /// The model that foretells best, for a feedforward or a simulation; it may have more effects than the verdict.
+    /// The model that predicts best, for a feedforward or a simulation; it may have more effects than the verdict.
     pub forecast: Option<SavedForecast>,
 }
 
@@ -153,10 +153,10 @@ impl SavedModel {
         }
     }
 
-    /// Adds the model that foretells the log best.
+    /// Adds the model that predicts the log best.
     #[must_use]
     pub fn with_forecast(self, log: &Observed, catalogue: &[Box<dyn Effect>], done: &Diagnosed) -> Self {
-        let best = foretelling(log, catalogue, &done.found.nominal, &done.chosen);
+        let best = best_predicting(log, catalogue, &done.found.nominal, &done.chosen);
         let rest = log.rest();
         Self {
             rest: Some(SavedRest { up: rest.up.into(), field_ut: rest.field_ut.into(), gyro_bias_rad_s: rest.gyro_bias_rad_s.into() }),

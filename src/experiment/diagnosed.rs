@@ -4,7 +4,7 @@ use crate::control::tick::LoopConfig;
 use crate::diagnosis::chain::Model;
 use crate::diagnosis::excite::rows::Machine;
 use crate::diagnosis::excite::standard;
-use crate::diagnosis::foretell::foretelling;
+use crate::diagnosis::forecast::best_predicting;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::rig::Rig;
 use crate::diagnosis::search::recalibrated;
@@ -23,7 +23,7 @@ const ROW_S: f64 = 0.02;
 const ROUNDED_S: f64 = 0.12;
 
 /// Records a log with the gains of `config` and describes the machine. The reference of the world is not used. The search for
-/// the smallest set that explains the log, which names causes, is left out: a feedforward needs the set that foretells best.
+/// the smallest set that explains the log, which names causes, is left out: a feedforward needs the set that predicts best.
 ///
 /// # Errors
 /// [`IdentifyError`] from the world, or if the log cannot be diagnosed.
@@ -32,7 +32,7 @@ pub fn described(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Resul
     let log = record(config, &rig, world).map_err(RigError::from)?;
     let (log, catalogue) = (Observed::new(&log, &rig)?, catalogue());
     let nominal = recalibrated(&log, &config.lines);
-    let found = foretelling(&log, &catalogue, &nominal, &nominal);
+    let found = best_predicting(&log, &catalogue, &nominal, &nominal);
     let model = Model::named(&catalogue, &found.names);
     let causes = model.each(&found.fitted.theta).filter_map(|(e, p)| Some((by_name(e.name())?, p.to_vec()))).collect();
     Ok(DescribedMachine::new(rig.geometry, log.rest(), &found.fitted.theta, causes).foreseeable())

@@ -72,7 +72,7 @@ pub fn evaluate(seed: u64, arms: &[Arm]) -> Evaluation {
 pub fn described() -> DescribedMachine {
     let lines = [2.0, 2.4, 1.9].map(|k_epsilon| Line { k_epsilon, k_lambda_mm: 0.7 });
     let causes: [(&str, &[f64]); 6] = [
-        ("gear_periodic", &[0.05, -0.05, 0.04, 0.02, 0.03, -0.02, 3.14]),
+        ("gear_periodic", &[0.05, -0.05, 0.04, 0.02, 0.03, -0.02, 3.2]),
         ("leak", &[0.004, 0.002, 0.003, 1.0]),
         ("line_lag", &[0.15, 0.2, 0.18, 0.1]),
         ("hysteresis", &[0.1, 0.1, 0.1, 0.1, 0.0, 0.1, -0.1]),

@@ -1,4 +1,4 @@
-//! The model that foretells best, for a feedforward or a simulation.
+//! The model that predicts best, for a feedforward or a simulation.
 //!
 //! A verdict names as few causes as the log proves. A prediction may use more: every effect that acts all the time and has few
 //! valleys is fitted at once, under the priors of the catalogue. An effect with many valleys joins them if one step of it
@@ -36,7 +36,7 @@ const WORSE_MAX: f64 = 1.02;
 
 /// The model that leaves the least on unseen blocks, among those between `nominal` and the whole catalogue.
 #[must_use]
-pub fn foretelling(log: &Observed, catalogue: &[Box<dyn Effect>], nominal: &Candidate, chosen: &Candidate) -> Candidate {
+pub fn best_predicting(log: &Observed, catalogue: &[Box<dyn Effect>], nominal: &Candidate, chosen: &Candidate) -> Candidate {
     let named: Vec<&dyn Effect> =
         catalogue.iter().map(AsRef::as_ref).filter(|e| is_steady(*e) || chosen.names.contains(&e.name())).collect();
     let mut base = fitted(log, &named, &start(&named, catalogue, chosen));
@@ -66,12 +66,12 @@ fn is_steady(e: &dyn Effect) -> bool {
 /// The effects of `base` with the one more that promises most, and its starting point.
 fn promising<'a>(log: &'a Observed, catalogue: &'a [Box<dyn Effect>], base: &BaseFit<'a>) -> Option<(Vec<&'a dyn Effect>, Start)> {
     let known = base.problem.model.names();
-    let tried = |e: &'a Box<dyn Effect>| {
+    let tried = |e: &'a dyn Effect| {
         let names: Vec<&str> = known.iter().copied().chain([e.name()]).collect();
         let to = Problem::new(log, Model::named(catalogue, &names));
-        best_start(base, &to, e.as_ref()).map(|s| (to.model.effects, s))
+        best_start(base, &to, e).map(|s| (to.model.effects, s))
     };
-    let fresh = catalogue.par_iter().filter(|e| !known.contains(&e.name()));
+    let fresh = catalogue.par_iter().map(Box::as_ref).filter(|e| !known.contains(&e.name()));
     let best = fresh.filter_map(tried).min_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted))?;
     (best.1.predicted < PROMISE * base.point.total()).then_some(best)
 }
