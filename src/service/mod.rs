@@ -10,9 +10,9 @@
 //! ```
 //!
 //! The loop thread ([`rt_loop`]) uses no lock, no file and no allocator. Each socket has a thread ([`port`]); those of
-//! `stop` ([`stop_socket`]) and of the commands pass a stop to the loop directly. The hub ([`hub`]) does everything else and writes no file. If it is
-//! late, frames are lost and counted, and the loop is not affected. The loop watches the age of the other threads
-//! ([`shared`]).
+//! `stop` ([`stop_socket`]) and of the commands pass a stop to the loop directly. The hub ([`hub`]) does everything else
+//! and writes no file. If it is late, frames are lost and counted, and the loop is not affected. The loop watches the age
+//! of the other threads ([`shared`]).
 
 pub mod belief;
 pub mod calibrate;

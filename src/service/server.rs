@@ -2,8 +2,9 @@
 //!
 //! Every operation is non-blocking and every resource is bounded: the connections accepted per round, the number of
 //! clients, the length of a line, the lines of one client per round, its unanswered requests and the bytes queued for it.
-//! A new connection always finds a place: when all are taken, the user who has the most, and of his processes the one that
-//! has the most, loses the connection that has been silent for longest. A client that does not read, does not end its line or is idle for too long is disconnected.
+//! A new connection always finds a place: when all are taken, the process with the most connections, of the user with the
+//! most, loses the one that has been silent for longest. A client that does not read, does not end its line or is idle for
+//! too long is disconnected.
 
 #![allow(unsafe_code)]
 
@@ -22,6 +23,7 @@ const LINES_PER_ROUND: usize = 64;
 const LINES_MIN: usize = 2;
 /// Connections accepted per round, so that a flood of them does not keep clients from being read.
 const ACCEPTED_PER_ROUND: usize = CLIENTS_MAX;
+
 /// Ends the wait of a [`Server::round`] from another thread.
 #[derive(Debug)]
 pub struct Waker(UnixStream);
@@ -151,8 +153,8 @@ impl Server {
         }
     }
 
-    /// Disconnects, of the user with the most clients, and of his processes of the one with the most, the client whose last line
-    /// is oldest; clients that wait for an answer go last, and protected ones stay. False if nobody could be disconnected.
+    /// Disconnects the client whose last line is oldest, of the process with the most clients, of the user with the most. Clients
+    /// that wait for an answer go last, and protected ones stay. False if nobody could be disconnected.
     fn make_room(&mut self) -> bool {
         let share = |same: &dyn Fn(&Peer) -> bool| self.clients.iter().filter(|c| same(&c.peer)).count();
         let key = |c: &Client| {
