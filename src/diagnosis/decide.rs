@@ -29,6 +29,8 @@ const CONFUSABLE_SHARE: f64 = 0.06;
 const PER_PARAMETER: f64 = 0.012;
 /// Parameters per effect beyond which no surcharge is added.
 const PARAMETERS_MAX: usize = 6;
+/// Surcharge for parameters that no usual form of the cause has ([`crate::model::effects::Effect::unusual`]), in the same shares.
+const UNUSUAL: f64 = 1.0;
 /// Part of the noise below which remainders are not compared.
 const NOISE_SHARE: f64 = 0.1;
 
@@ -106,11 +108,11 @@ pub fn decide<'a>(log: &Observed, found: &'a Candidates) -> (Verdict, &'a Candid
     (Verdict { kind, names: chosen.names.clone(), doubt, predictable_deg_s }, chosen)
 }
 
-/// What a set leaves above the noise, deg², with a surcharge for its parameters; less is better.
+/// What a set leaves above the noise, deg², with a surcharge for its parameters and for unusual ones; less is better.
 fn merit(c: &Candidate, found: &Candidates, noise: f64) -> f64 {
     let own = c.fitted.theta.len() - found.nominal.fitted.theta.len();
     let counted = own.min(PARAMETERS_MAX * c.names.len().max(1));
-    excess(c.energy(), noise) * (1.0 + PER_PARAMETER * counted as f64)
+    excess(c.energy(), noise) * (1.0 + PER_PARAMETER * counted as f64 + UNUSUAL * c.unusual)
 }
 
 fn excess(energy: f64, noise: f64) -> f64 {

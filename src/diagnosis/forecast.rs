@@ -7,8 +7,7 @@
 //! seen is returned.
 
 use crate::diagnosis::chain::Model;
-use crate::diagnosis::fit::{Fitted, fit};
-use crate::diagnosis::holdout::leave_out;
+use crate::diagnosis::fit::fit;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::Problem;
 use crate::diagnosis::search::Candidate;
@@ -40,18 +39,18 @@ pub fn best_predicting(log: &Observed, catalogue: &[Box<dyn Effect>], nominal: &
     let named: Vec<&dyn Effect> =
         catalogue.iter().map(AsRef::as_ref).filter(|e| is_steady(*e) || chosen.names.contains(&e.name())).collect();
     let mut base = fitted(log, &named, &start(&named, catalogue, chosen));
-    let mut all = vec![candidate(&base)];
+    let mut all = vec![Candidate::new(&base)];
     for _ in 0..ADDED_MAX {
         let Some((effects, start)) = promising(log, catalogue, &base) else { break };
         base = fitted(log, &effects, &start.theta);
-        all.push(candidate(&base));
+        all.push(Candidate::new(&base));
     }
     let least = |all: Vec<Candidate>| all.into_iter().min_by(|a, b| a.energy().total_cmp(&b.energy()));
     let whole = least(all).unwrap_or_else(|| chosen.clone());
     let spared = if whole.names == base.problem.model.names() { weak(&base) } else { vec![] };
     let kept: Vec<&dyn Effect> =
         Model::named(catalogue, &whole.names).effects.into_iter().filter(|e| !spared.contains(&e.name())).collect();
-    let reduced = candidate(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
+    let reduced = Candidate::new(&fitted(log, &kept, &start(&kept, catalogue, &whole)));
     let best = if reduced.energy() <= WORSE_MAX * whole.energy() { reduced } else { whole };
     [nominal, chosen].into_iter().fold(best, |best, other| if other.energy() < best.energy() { other.clone() } else { best })
 }
@@ -59,7 +58,7 @@ pub fn best_predicting(log: &Observed, catalogue: &[Box<dyn Effect>], nominal: &
 /// Whether an effect acts all the time, can be fed forward or disturbs the readings, and has few valleys.
 fn is_steady(e: &dyn Effect) -> bool {
     let info = e.info();
-    let steady = !info.is_event && !matches!(info.stage, Stage::Timing | Stage::Base) && e.starts().len() <= STARTS_MAX;
+    let steady = !info.is_event() && !matches!(info.stage, Stage::Timing | Stage::Base) && e.starts().len() <= STARTS_MAX;
     steady && (info.stage != Stage::Sensor || info.params.len() <= PARAMETERS_MAX)
 }
 
@@ -93,11 +92,6 @@ fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> B
     let problem = Problem::new(log, Model::new(effects));
     let (point, tangent) = fit(&problem, start, ROUNDS);
     BaseFit { problem, point, tangent }
-}
-
-fn candidate(base: &BaseFit<'_>) -> Candidate {
-    let BaseFit { problem, point, tangent } = base;
-    Candidate { names: problem.model.names(), fitted: Fitted::new(problem, point, tangent), held_out: leave_out(problem, point, tangent) }
 }
 
 /// Effects whose parameters the log does not separate from their vanishing point.

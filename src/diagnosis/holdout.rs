@@ -11,6 +11,7 @@ use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::{Point, Problem};
 use crate::diagnosis::quantity::PerQuantity;
 use crate::diagnosis::sense::{Residuals, sense};
+use crate::diagnosis::start::dates;
 use crate::diagnosis::tangent::{Sums, Tangent};
 use nalgebra::Vector3;
 
@@ -97,7 +98,8 @@ fn predicted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, folds: &[O
     residual
 }
 
-/// Residuals of the fit without a fold: the step along the tangent, shortened until it lowers the cost.
+/// Residuals of the fit without a fold: the step along the tangent, shortened until it lowers the cost. Nothing but the bins around
+/// an event tells its time, so the dates of the whole log are kept.
 fn refitted(problem: &Problem<'_>, point: &Point, sums: &Sums, mask: &impl Fn(usize) -> bool) -> Residuals {
     let log = problem.log;
     let cost = |residual: &Residuals, theta: &[f64]| {
@@ -107,7 +109,11 @@ fn refitted(problem: &Problem<'_>, point: &Point, sums: &Sums, mask: &impl Fn(us
     };
     let unchanged = sense(log, &problem.model, &point.theta, &point.motion, mask);
     let before = cost(&unchanged, &point.theta);
-    let Some(mut theta) = step(&point.theta, &problem.bounds, sums, DAMPING) else { return unchanged };
+    let mut bounds = problem.bounds.clone();
+    for i in dates(problem) {
+        (bounds[i].low, bounds[i].high) = (point.theta[i], point.theta[i]);
+    }
+    let Some(mut theta) = step(&point.theta, &bounds, sums, DAMPING) else { return unchanged };
     for _ in 0..ATTEMPTS {
         let residual = sense(log, &problem.model, &theta, &run(log, &problem.model, &theta), mask);
         if cost(&residual, &theta) <= before {

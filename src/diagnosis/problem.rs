@@ -95,6 +95,14 @@ impl<'a> Problem<'a> {
         weighted(self.log, &sense(self.log, &self.model, theta, motion, every_bin))
     }
 
+    /// Weighted residuals at `theta`; gravity, field and gyroscope bias are solved on the rest before `until_s`, s after the start.
+    #[must_use]
+    pub fn residual_from_rest(&self, theta: &[f64], until_s: f64) -> Vec<f64> {
+        let (log, motion) = (self.log, run(self.log, &self.model, theta));
+        let resting = |k: usize| k == 0 || log.bins[k].t_s - log.start_s() < until_s;
+        weighted(log, &sense(log, &self.model, theta, &motion, resting))
+    }
+
     /// Sum of squares of the priors.
     #[must_use]
     pub fn prior(&self, theta: &[f64]) -> f64 {

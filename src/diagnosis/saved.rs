@@ -212,7 +212,7 @@ impl SavedModel {
             score(log, sense(log, &model, &theta, &run(log, &model, &theta), every_bin), every_bin).energy()
         };
         let known = Model::named(catalogue, &self.effect.iter().map(|e| e.name.as_str()).collect::<Vec<_>>());
-        let (events, lasting): (Vec<&dyn Effect>, Vec<&dyn Effect>) = known.effects.iter().copied().partition(|e| e.info().is_event);
+        let (events, lasting): (Vec<&dyn Effect>, Vec<&dyn Effect>) = known.effects.iter().copied().partition(|e| e.info().is_event());
         let names: Vec<&'static str> = lasting.iter().map(|e| e.name()).collect();
         let (before, after) = (energy(&self.nominal, &[]), energy(&self.with_effects, &names));
         let closed = ((before - after) / (before - log.noise_energy()).max(1e-9)).min(1.0);

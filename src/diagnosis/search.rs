@@ -8,9 +8,9 @@ use crate::diagnosis::chain::Model;
 use crate::diagnosis::fit::{Fitted, fit};
 use crate::diagnosis::holdout::{CLAIM_DEG, HeldOut, leave_out};
 use crate::diagnosis::observe::Observed;
-use crate::diagnosis::problem::Problem;
+use crate::diagnosis::problem::{Point, Problem};
 use crate::diagnosis::start::{best_start, dated_again};
-use crate::diagnosis::tangent::BaseFit;
+use crate::diagnosis::tangent::{BaseFit, Tangent};
 use crate::model::chain::nominal_theta;
 use crate::model::effects::Effect;
 use crate::model::transmission::Line;
@@ -22,8 +22,8 @@ const ROUNDS: usize = 8;
 const BEAM: usize = 3;
 /// Pairs that are fitted from each single.
 const GROWN: usize = 5;
-/// Times that events are dated again after a fit.
-const DATED: usize = 2;
+/// Most rounds in which events are dated again after a fit.
+const DATED: usize = 4;
 /// A fit with events dated again is kept if it leaves less than this part of the cost.
 const DATED_GAIN: f64 = 0.99;
 
@@ -36,9 +36,23 @@ pub struct Candidate {
     pub fitted: Fitted,
     /// Held-out scores.
     pub held_out: HeldOut,
+    /// Sum over the effects of [`Effect::unusual`].
+    pub unusual: f64,
 }
 
 impl Candidate {
+    /// The candidate of a fit.
+    #[must_use]
+    pub fn new(fit: &BaseFit<'_>) -> Self {
+        let BaseFit { problem, point, tangent } = fit;
+        Self {
+            names: problem.model.names(),
+            fitted: Fitted::new(problem, point, tangent),
+            held_out: leave_out(problem, point, tangent),
+            unusual: problem.model.each(&point.theta).map(|(e, p)| e.unusual(p)).sum(),
+        }
+    }
+
     /// Held-out energy, deg².
     #[must_use]
     pub fn energy(&self) -> f64 {
@@ -118,19 +132,13 @@ fn sort_by_energy(list: &mut [Candidate]) {
 fn settle<'a>(problem: Problem<'a>, start: &[f64]) -> (Candidate, BaseFit<'a>) {
     let (mut point, mut tangent) = fit(&problem, start, ROUNDS);
     for _ in 0..DATED {
-        let Some(dated) = dated_again(&problem, &point) else { break };
-        let again = fit(&problem, &dated, ROUNDS);
-        if again.0.data() > DATED_GAIN * point.data() {
-            break;
-        }
-        (point, tangent) = again;
+        let again = |slow_too| dated_again(&problem, &point, slow_too).map(|dated| fit(&problem, &dated, ROUNDS));
+        let better = |(p, _): &(Point, Tangent)| p.data() < DATED_GAIN * point.data();
+        let Some(next) = again(false).filter(better).or_else(|| again(true).filter(better)) else { break };
+        (point, tangent) = next;
     }
-    let candidate = Candidate {
-        names: problem.model.names(),
-        fitted: Fitted::new(&problem, &point, &tangent),
-        held_out: leave_out(&problem, &point, &tangent),
-    };
-    (candidate, BaseFit { problem, point, tangent })
+    let base = BaseFit { problem, point, tangent };
+    (Candidate::new(&base), base)
 }
 
 /// The most promising pairs of a single with another effect, except the `known` ones.

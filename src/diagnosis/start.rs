@@ -10,16 +10,16 @@ use crate::diagnosis::tangent::{BaseFit, Tangent};
 use crate::model::effects::{Effect, Stage};
 use nalgebra::{DVector, Matrix3, Vector3};
 
-/// Events per effect.
-const EVENTS: usize = 2;
-/// Time to which an event is moved so that its offsets act on the whole log, s after the start.
-const EARLY_S: f64 = 0.5;
+/// Time to which an event is moved so that its offsets act on the whole log, s after the start: within the rest.
+const EARLY_S: f64 = 1.5;
 /// Duration of the events that a scan looks for, s; slower events have starting points of their own.
 const SCANNED_S: f64 = 0.5;
 /// Longest event that the step of a scan approximates, s.
 const QUICK_S: f64 = 5.0;
-/// Part of the sum of squares that a second event must remove.
-const SECOND_EVENT: f64 = 0.02;
+/// Times that every event is dated while the others stay.
+const DATED_ROUNDS: usize = 2;
+/// Part of the sum of squares that every event after the first must remove.
+const FURTHER_EVENT: f64 = 0.02;
 /// Least part of the sum of squares that a tangent can be trusted to leave.
 const CREDIBLE: f64 = 0.02;
 /// Damping of the step that predicts the gain.
@@ -67,16 +67,17 @@ struct Event {
 impl Event {
     fn all(problem: &Problem<'_>, effect: usize) -> Vec<Self> {
         let (e, first) = (problem.model.effects[effect], problem.model.at[effect]);
-        if !e.info().is_event {
+        if !e.info().is_event() {
             return vec![];
         }
-        let size = e.params().len() / EVENTS;
+        let events = e.info().events;
+        let size = e.params().len() / events;
         let group = |from: usize| Self {
             time: from,
             lasting: (size > 4).then_some(from + 1),
             offsets: std::array::from_fn(|i| from + size - 3 + i),
         };
-        (0..EVENTS).map(|k| group(first + k * size)).collect()
+        (0..events).map(|k| group(first + k * size)).collect()
     }
 
     /// Sets time and offsets to those that lower the sum of squares most; `false` if they lower it by less than `least`.
@@ -84,11 +85,12 @@ impl Event {
         let mut early = theta.to_vec();
         early[self.time] = EARLY_S;
         self.offsets.iter().for_each(|&o| early[o] = 0.0);
-        let r0 = problem.at(early.clone()).residual;
+        // gravity and field solved on the whole log would follow the event
+        let r0 = problem.residual_from_rest(&early, EARLY_S);
         let columns = self.offsets.map(|o| {
             let (mut moved, scale) = (early.clone(), problem.bounds[o].scale);
             moved[o] += scale;
-            problem.at(moved).residual.iter().zip(&r0).map(|(x, y)| (x - y) / scale).collect()
+            problem.residual_from_rest(&moved, EARLY_S).iter().zip(&r0).map(|(x, y)| (x - y) / scale).collect()
         });
         let (gain, bin, offsets) = best_time(problem.log.bins.len(), &columns, &r0);
         if gain < least {
@@ -102,7 +104,8 @@ impl Event {
     }
 }
 
-/// Parameters of an event effect at the events that explain most of what the base fit leaves, the largest first.
+/// Parameters of an event effect at the events that explain most of what the base fit leaves, the largest first. Each is then
+/// dated again while the others stay.
 fn scan(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
     let effect = to.model.effects.iter().position(|e| e.name() == added.name())?;
     let fresh: Vec<f64> = added.params().iter().map(|p| p.start).collect();
@@ -112,40 +115,63 @@ fn scan(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Vec<
         theta[lasting] = SCANNED_S;
     }
     for (k, event) in events.iter().enumerate() {
-        let least = if k == 0 { 0.0 } else { SECOND_EVENT * base.point.total() };
+        let least = if k == 0 { 0.0 } else { FURTHER_EVENT * base.point.total() };
         if !event.date(to, &mut theta, least) {
             break;
         }
     }
+    for _ in 0..DATED_ROUNDS {
+        events.iter().for_each(|e| _ = e.date(to, &mut theta, 0.0));
+    }
     (!events.is_empty()).then(|| to.model.of(&theta, effect).to_vec())
 }
 
-/// The parameters with every quick event dated again, each while all others stay as fitted; `None` if the model has no
-/// quick events.
+/// Indices in θ of the times and durations of all events.
 #[must_use]
-pub fn dated_again(problem: &Problem<'_>, point: &Point) -> Option<Vec<f64>> {
-    let mut theta = point.theta.clone();
-    let events: Vec<Event> = (0..problem.model.effects.len()).flat_map(|i| Event::all(problem, i)).collect();
-    let quick: Vec<&Event> = events.iter().filter(|e| e.lasting.is_none_or(|l| theta[l] <= QUICK_S)).collect();
-    for event in &quick {
-        event.date(problem, &mut theta, 0.0);
-    }
-    (!quick.is_empty()).then_some(theta)
+pub fn dates(problem: &Problem<'_>) -> Vec<usize> {
+    let events = (0..problem.model.effects.len()).flat_map(|i| Event::all(problem, i));
+    events.flat_map(|e| [Some(e.time), e.lasting]).flatten().collect()
 }
 
-/// The step of three offsets that lowers the squares of `r` most: its gain, its first bin, and the offsets.
+/// The parameters with every quick event dated again, each while all others stay as fitted; `None` if the model has no
+/// quick events. With `slow_too` the slow events become quick ones; `None` if there are none.
+#[must_use]
+pub fn dated_again(problem: &Problem<'_>, point: &Point, slow_too: bool) -> Option<Vec<f64>> {
+    let mut theta = point.theta.clone();
+    let events: Vec<Event> = (0..problem.model.effects.len()).flat_map(|i| Event::all(problem, i)).collect();
+    let quick: Vec<&Event> = events.iter().filter(|e| e.lasting.is_none_or(|l| slow_too || theta[l] <= QUICK_S)).collect();
+    for lasting in quick.iter().filter_map(|e| e.lasting).filter(|_| slow_too) {
+        theta[lasting] = SCANNED_S;
+    }
+    for _ in 0..DATED_ROUNDS {
+        quick.iter().for_each(|e| _ = e.date(problem, &mut theta, 0.0));
+    }
+    let new = !quick.is_empty() && (!slow_too || quick.iter().any(|e| e.lasting.is_some_and(|l| point.theta[l] > QUICK_S)));
+    new.then_some(theta)
+}
+
+/// The step of three offsets that lowers the squares of `r` most: its gain, its first bin, and the offsets. Offsets of the whole
+/// log, such as a wrong base frame, are fitted beside it.
 fn best_time(bins: usize, columns: &[Vec<f64>; 3], r: &[f64]) -> (f64, usize, Vector3<f64>) {
     let stride = r.len() / bins.max(1);
+    let sums = |from: usize, to: usize| {
+        (from..to).fold((Matrix3::zeros(), Vector3::zeros()), |(n, s): (Matrix3<f64>, Vector3<f64>), i| {
+            let d = Vector3::new(columns[0][i], columns[1][i], columns[2][i]);
+            (n + d * d.transpose(), s + d * r[i])
+        })
+    };
+    let solved = |n: Matrix3<f64>, s: &Vector3<f64>| (n + Matrix3::identity() * 1e-6).try_inverse().map(|inverse| inverse * s);
+    let (whole, of_whole) = sums(0, r.len());
     let (mut n, mut s) = (Matrix3::zeros(), Vector3::zeros());
     let mut best = (0.0, 0, Vector3::zeros());
     for k in (1..bins).rev() {
-        for i in k * stride..(k + 1) * stride {
-            let d = Vector3::new(columns[0][i], columns[1][i], columns[2][i]);
-            n += d * d.transpose();
-            s += d * r[i];
-        }
-        let Some(x) = (n + Matrix3::identity() * 1e-6).try_inverse().map(|inv| inv * s) else { continue };
-        let gain = s.dot(&x);
+        let (dn, ds) = sums(k * stride, (k + 1) * stride);
+        (n, s) = (n + dn, s + ds);
+        // the offsets of the whole log are eliminated first
+        let Some(shared) = (whole + Matrix3::identity() * 1e-6).try_inverse().map(|inverse| n * inverse) else { continue };
+        let rest = s - shared * of_whole;
+        let Some(x) = solved(n - shared * n, &rest) else { continue };
+        let gain = rest.dot(&x);
         if gain > best.0 {
             best = (gain, k, -x);
         }

@@ -52,7 +52,7 @@ impl DescribedMachine {
     /// The machine without the effects that happen once: they cannot be foretold.
     #[must_use]
     pub fn foreseeable(mut self) -> Self {
-        let kept = |e: &Arc<dyn Effect>| !e.info().is_event;
+        let kept = |e: &Arc<dyn Effect>| !e.info().is_event();
         let mut theta = self.theta[..NOMINAL].to_vec();
         self.chain().each().zip(&self.effects).filter(|(_, e)| kept(e)).for_each(|((_, p), _)| theta.extend(p));
         self.effects.retain(kept);

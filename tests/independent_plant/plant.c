@@ -222,10 +222,14 @@ static double delayed(double back_s, int i) {
 static double balance(int i, double x) {
     double k = ratio[i], q = x / k;
     if (p_boyle > 0) {
-        /* isothermal gas: compressed air yields less per mm the higher the pressure */
-        double p = q * 0.03;
-        for (int n = 0; n < 8; n++) p = 0.03 * (x / k) * (1 - p_boyle * 12 * p / (1 + fabs(12 * p)) * 0.5);
-        q = p / 0.03;
+        /* isothermal gas: x is what the piston displaces; the gas gives way by V0 (1 - p0/(p0 + p)), p in atmospheres */
+        double volume = (k - 1) * 5 / p_boyle, low = -4.9 / p_boyle, high = 60;
+        for (int n = 0; n < 60; n++) {
+            double mid = 0.5 * (low + high), p = mid * p_boyle / 5;
+            if (mid + volume * (1 - 1 / (1 + p)) < x) low = mid;
+            else high = mid;
+        }
+        q = 0.5 * (low + high);
     }
     if (p_stiff > 0) q = 6.0 / sqrt(3 * p_stiff) * tanh(q * sqrt(3 * p_stiff) / 6.0);
     if (p_asym != 0) q += p_asym * 0.5 * (sqrt(q * q + 0.04) - 0.2);

@@ -27,7 +27,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "an offset of the accelerometer alone; its norm depends on the pose",
     confused_with: &["gravity", "mount_misalignment", "base_motion"],
     separated_by: "many attitudes",
-    is_event: false,
+    events: 0,
     params: &Param::new("", "m/s²", 0.0, 0.3, (-3.0, 3.0)).named(["x", "y", "z"]),
 };
 

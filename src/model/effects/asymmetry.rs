@@ -33,7 +33,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "slope of a channel changes at zero",
     confused_with: &["gas_compression", "crosstalk"],
     separated_by: "amplitudes of both signs, with the length offset",
-    is_event: false,
+    events: 0,
     params: &Param::new("difference", "", 0.0, 0.1, (-0.6, 0.6)).each(),
 };
 

@@ -34,7 +34,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "gain of the bend is two-fold in the direction",
     confused_with: &["crosstalk", "clocking", "stiffening"],
     separated_by: "length changes at several directions",
-    is_event: false,
+    events: 0,
     params: &Param::new("", "", 0.0, 0.1, (-0.5, 0.5)).named(["along", "aslant", "along_grow", "aslant_grow"]),
 };
 

@@ -28,7 +28,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "an error periodic in the bend direction that rotates the bend plane",
     confused_with: &["mount_misalignment", "crosstalk", "cable_stiffness"],
     separated_by: "a full circle of directions; a reference for a turn of all three",
-    is_event: false,
+    events: 0,
     params: &Param::new("angle", "rad", 0.0, 0.1, (-0.5, 0.5)).each(),
 };
 
@@ -38,6 +38,13 @@ impl Effect for Clocking {
     }
     fn starts(&self) -> Starts {
         vec![vec![0.01; 3]]
+    }
+    /// One bellow is off its place, or all are alike: the part of the angles that the nearest of these four forms leaves.
+    fn unusual(&self, p: &[f64]) -> f64 {
+        let size = p.iter().map(|a| a * a).sum::<f64>();
+        let alike = p.iter().sum::<f64>().powi(2) / 3.0;
+        let explained = p.iter().map(|a| a * a).fold(alike, f64::max);
+        if size > 0.0 { 1.0 - explained / size } else { 0.0 }
     }
     /// Memory holds the angles and, from 3 on, the 2 × 3 matrix that follows from them, column by column.
     fn shape(&self, p: &[f64], m: &mut Memory, at: &Moment, pose: &mut Pose) {

@@ -40,7 +40,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "an error only beyond a line in the bend plane",
     confused_with: &["missed_steps", "cable_stiffness", "stiffening"],
     separated_by: "approaching the same bend from another side",
-    is_event: false,
+    events: 0,
     params: &[
         Param::new("direction", "rad", 0.0, 2.0, (-TAU, TAU)),
         Param::new("distance", "rad", 0.7, 0.3, (0.1, 1.8)),

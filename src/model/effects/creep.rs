@@ -34,7 +34,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "drift in holds that grows the motion and recovers after the return",
     confused_with: &["leak", "line_lag", "thermal_drift", "hysteresis"],
     separated_by: "hold, return, hold",
-    is_event: false,
+    events: 0,
     params: &[
         Param::new("fast", "", 0.0, 0.08, (0.0, 0.8)),
         Param::new("slow", "", 0.0, 0.08, (0.0, 0.8)),

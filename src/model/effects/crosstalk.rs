@@ -36,7 +36,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "other channels move when one is pressurised, not when it is evacuated",
     confused_with: &["asymmetry", "clocking", "cable_stiffness", "gas_compression"],
     separated_by: "single-channel moves of both signs; common-mode length",
-    is_event: false,
+    events: 0,
     params: &Param::new("", "", 0.0, 0.1, (-0.2, 0.6)).named(["c12", "c13", "c21", "c23", "c31", "c32"]),
 };
 

@@ -32,7 +32,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "bend is off by a function of the bend angle, alike in all directions",
     confused_with: &["stiffening", "gravity"],
     separated_by: "the same bends at another length; a shape sensor",
-    is_event: false,
+    events: 0,
     params: &[Param::new("bow", "", 0.0, 0.1, (-0.8, 0.8)), Param::new("curl", "", 0.0, 0.2, (-1.0, 1.0))],
 };
 

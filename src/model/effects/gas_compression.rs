@@ -31,7 +31,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "gain grows with pressure and falls under vacuum: an even-order curve without a corner",
     confused_with: &["asymmetry", "stiffening", "crosstalk"],
     separated_by: "a pressure signal; common-mode length changes",
-    is_event: false,
+    events: 0,
     params: &[Param::new("boyle", "1/mm", 0.0, 0.04, (-0.05, 0.25))],
 };
 

@@ -32,7 +32,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "an error periodic in piston position, not in time",
     confused_with: &["hysteresis", "motor_field"],
     separated_by: "the same travel at two speeds",
-    is_event: false,
+    events: 0,
     params: &join::<7>(&[
         &Param::new("sin", "mm", 0.0, 0.15, (-0.7, 0.7)).each(),
         &Param::new("cos", "mm", 0.0, 0.15, (-0.7, 0.7)).each(),

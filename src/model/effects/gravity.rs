@@ -36,7 +36,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "an error of the bend that follows the world's vertical",
     confused_with: &["accel_bias", "curvature", "base_motion"],
     separated_by: "another attitude of the base",
-    is_event: false,
+    events: 0,
     params: &[Param::new("sag", "rad", 0.0, 0.06, (0.0, 0.5)), Param::new("lever", "", 0.5, 0.3, (0.0, 1.0))],
 };
 

@@ -36,7 +36,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "a slow drift of the gyroscope alone; the other sensors measure no motion",
     confused_with: &["thermal_drift", "base_motion"],
     separated_by: "still holds, early and late",
-    is_event: false,
+    events: 0,
     params: &Param::new("", "rad/s", 0.0, 0.02, (-0.3, 0.3)).named(NAMES),
 };
 

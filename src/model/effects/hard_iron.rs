@@ -26,7 +26,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "an offset of the magnetometer alone, fixed to the body",
     confused_with: &["motor_field", "torsion", "mount_misalignment"],
     separated_by: "many attitudes with the motors off",
-    is_event: false,
+    events: 0,
     params: &Param::new("", "µT", 0.0, 10.0, (-120.0, 120.0)).named(["x", "y", "z"]),
 };
 

@@ -43,7 +43,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "loops that do not depend on speed, with minor loops and return points that are wiped out",
     confused_with: &["creep", "line_lag", "gear_periodic"],
     separated_by: "nested loops, slow and fast",
-    is_event: false,
+    events: 0,
     params: &join::<7>(&[
         &Param::new("", "", 0.0, 0.15, (0.0, 1.5)).named(["small", "middle", "large"]),
         &[Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)), Param::new("waist", "", 0.0, 0.2, (-0.9, 0.9))],

@@ -36,7 +36,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "decay towards rest in holds, in proportion to pressure, then an offset the other way",
     confused_with: &["creep", "thermal_drift", "missed_steps"],
     separated_by: "long holds at two pressures, then a return to zero",
-    is_event: false,
+    events: 0,
     params: &join::<4>(&[
         &Param::new("rate", "1/s", 0.0, 0.01, (0.0, 0.3)).each(),
         &[Param::new("vacuum_ratio", "", 1.0, 0.5, (0.0, 4.0))],

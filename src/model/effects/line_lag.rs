@@ -34,7 +34,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "error in proportion to speed that rounds off steps and is gone within seconds of a hold",
     confused_with: &["transport_delay", "sensor_latency", "creep", "hysteresis"],
     separated_by: "steps and a chirp",
-    is_event: false,
+    events: 0,
     params: &join::<4>(&[&Param::new("tau", "s", 0.0, 0.2, (0.0, 3.0)).each(), &[Param::new("fill_drain", "", 0.0, 0.3, (-0.9, 0.9))]]),
 };
 

@@ -9,17 +9,18 @@
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
-//! | `t1_s`, `t2_s` times of two events | s | 60, 150 ± 100 | – |
-//! | `d1_1` … `d2_3` offsets | mm | 0 ± 2 | 0.5-23 (1-50 full steps) |
+//! | `t1_s` … `t4_s` times of four events | s | 60 … 240 ± 100 | – |
+//! | `d1_1` … `d4_3` offsets | mm | 0 ± 2 | 0.5-23 (1-50 full steps) |
 //!
 //! Signature: a persistent jump of one channel, at high acceleration. Similar to
 //! `base_motion` (all sensors turn, no bellow explains it) and a slip of the mount. Returning to a
 //! pose shows that the offset persists; a sweep of acceleration shows when it occurs.
 //!
-//! Away from the event the error surface is flat in its time, so a fit has to search `t1_s` and `t2_s`.
+//! Away from the event the error surface is flat in its time, so a fit has to search for the times.
 //! Orientation does not depend on the part that lengthens all bellows alike; of all parameters with the same
 //! orientations, those with the fewest channels are reported.
 
+use crate::model::effects::param::join;
 use crate::model::effects::smooth::onset;
 use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
 use nalgebra::Vector3;
@@ -27,13 +28,15 @@ use nalgebra::Vector3;
 /// How long an event takes, 10 to 90 %, s.
 const RISE_S: f64 = 0.05;
 
-/// Steps lost at up to two instants.
+/// Steps lost at up to four instants.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct MissedSteps;
 
-/// Offset of one channel at one event.
-const fn offset(name: &'static str, channel: u8) -> Param {
-    Param::new(name, "mm", 0.0, 2.0, (-24.0, 24.0)).on(channel)
+/// Parameters of one event: its time and the offset of each channel.
+const fn event(time_s: f64, [time, first, second, third]: [&'static str; 4]) -> [Param; 4] {
+    let offset = Param::new("", "mm", 0.0, 2.0, (-24.0, 24.0));
+    let [first, second, third] = offset.named([first, second, third]);
+    [Param::new(time, "s", time_s, 100.0, (0.0, 36_000.0)), first.on(1), second.on(2), third.on(3)]
 }
 
 /// The catalogue entry.
@@ -43,17 +46,13 @@ const INFO: EffectInfo = EffectInfo {
     signature: "a persistent jump of one channel, at high acceleration",
     confused_with: &["base_motion", "thermal_drift", "contact"],
     separated_by: "returning to a known pose; a sweep of acceleration",
-    is_event: true,
-    params: &[
-        Param::new("t1_s", "s", 60.0, 100.0, (0.0, 36_000.0)),
-        offset("d1_1", 1),
-        offset("d1_2", 2),
-        offset("d1_3", 3),
-        Param::new("t2_s", "s", 150.0, 100.0, (0.0, 36_000.0)),
-        offset("d2_1", 1),
-        offset("d2_2", 2),
-        offset("d2_3", 3),
-    ],
+    events: 4,
+    params: &join::<16>(&[
+        &event(60.0, ["t1_s", "d1_1", "d1_2", "d1_3"]),
+        &event(150.0, ["t2_s", "d2_1", "d2_2", "d2_3"]),
+        &event(200.0, ["t3_s", "d3_1", "d3_2", "d3_3"]),
+        &event(240.0, ["t4_s", "d4_1", "d4_2", "d4_3"]),
+    ]),
 };
 
 impl Effect for MissedSteps {
@@ -61,8 +60,11 @@ impl Effect for MissedSteps {
         &INFO
     }
     fn starts(&self) -> Starts {
-        let at = |first: f64, second: f64| vec![first, 0.2, 0.0, -0.2, second, 0.0, 0.0, 0.0];
-        vec![at(40.0, 160.0), at(80.0, 200.0), at(120.0, 40.0), at(160.0, 80.0), at(200.0, 120.0)]
+        let at = |t_s: [f64; 4]| {
+            let offsets = [[0.2, 0.0, -0.2], [0.0; 3], [0.0; 3], [0.0; 3]];
+            t_s.into_iter().zip(offsets).flat_map(|(t, [a, b, c])| [t, a, b, c]).collect()
+        };
+        vec![at([40.0, 160.0, 200.0, 240.0]), at([120.0, 40.0, 200.0, 240.0]), at([200.0, 120.0, 40.0, 240.0])]
     }
     fn pistons(&self, p: &[f64], _m: &mut Memory, at: &Moment, u_mm: &mut Vector3<f64>) {
         for event in p.chunks_exact(4) {

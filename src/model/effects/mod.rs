@@ -109,11 +109,19 @@ pub struct EffectInfo {
     pub confused_with: &'static [&'static str],
     /// The manoeuvre that separates it from those.
     pub separated_by: &'static str,
-    /// True for an effect that happens once, at a time of its own, and therefore cannot be predicted
-    /// from another log.
-    pub is_event: bool,
+    /// Number of events, for an effect that happens at times of its own and therefore cannot be predicted from another log;
+    /// 0 for one that acts all the time. The parameters of an event effect are one group per event.
+    pub events: usize,
     /// Parameters, in the order of the slices that the methods of [`Effect`] take.
     pub params: &'static [Param],
+}
+
+impl EffectInfo {
+    /// Whether the effect happens at times of its own.
+    #[must_use]
+    pub fn is_event(&self) -> bool {
+        self.events > 0
+    }
 }
 
 /// Starting points for a fit: several, where the error surface has several valleys.
@@ -211,6 +219,11 @@ pub trait Effect: Send + Sync {
     /// Replaces the parameters by those that a report names, among all that give the same orientations;
     /// `k_epsilon` are the nominal gains.
     fn canonical(&self, _p: &mut [f64], _k_epsilon: &Vector3<f64>) {}
+    /// Part of the squared size of the parameters, 0 to 1, that no usual form of the cause has. A law with more freedom than its
+    /// cause also fits other causes; this part then shows it.
+    fn unusual(&self, _p: &[f64]) -> f64 {
+        0.0
+    }
     /// Reading of the sensor.
     fn sensor(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _reading: &mut ImuPrediction) {}
     /// Dead time from command to motion, s.
@@ -272,7 +285,7 @@ pub fn by_name(name: &str) -> Option<Box<dyn Effect>> {
 
 /// What closes the gap of an effect, for people.
 fn remedy(e: &dyn Effect) -> &'static str {
-    if e.info().is_event {
+    if e.info().is_event() {
         "mend the cause: it happens once"
     } else if e.stage() == Stage::Timing {
         "dead time in the calibration"

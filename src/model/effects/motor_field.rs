@@ -52,7 +52,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "a disturbance of the magnetometer alone that follows the motors' microstep phase",
     confused_with: &["hard_iron", "gear_periodic"],
     separated_by: "motors on and off while the tip is still",
-    is_event: false,
+    events: 0,
     params: &join::<20>(&[
         &COIL.on(1).named(NAMES),
         &COIL.on(2).named(NAMES),

@@ -27,7 +27,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "a constant rotation of all sensors in their own frame",
     confused_with: &["clocking", "accel_bias", "hard_iron"],
     separated_by: "a known rotation of the base; a reference",
-    is_event: false,
+    events: 0,
     params: &Param::new("", "rad", 0.0, 0.1, (-0.6, 0.6)).named(["x", "y", "z"]),
 };
 

@@ -24,7 +24,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "all sensors are late by a constant time while the tip itself is on time",
     confused_with: &["transport_delay", "line_lag"],
     separated_by: "an outside reference; a chirp",
-    is_event: false,
+    events: 0,
     params: &[Param::new("latency", "s", 0.0, 0.08, (0.0, 0.5))],
 };
 

@@ -39,7 +39,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "gain changes only beyond the largest past stretch, and for good",
     confused_with: &["stiffening", "creep", "thermal_drift"],
     separated_by: "a rising amplitude, then the same again",
-    is_event: false,
+    events: 0,
     params: &join::<8>(&[
         &Param::new("fresh", "", 0.0, 0.15, (0.0, 0.8)).each(),
         &[

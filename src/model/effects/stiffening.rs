@@ -35,7 +35,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "an odd static curve of each channel: large moves fall short, both ways alike",
     confused_with: &["curvature", "gas_compression", "softening"],
     separated_by: "an amplitude ladder at two lengths",
-    is_event: false,
+    events: 0,
     params: &Param::new("extra", "", 0.0, 0.15, (0.0, 1.5)).each(),
 };
 

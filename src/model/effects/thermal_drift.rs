@@ -31,7 +31,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "a slow offset that depends on the time since the start, not on the command",
     confused_with: &["creep", "leak", "gyro_bias", "base_motion"],
     separated_by: "an idle hold; a pose repeated late",
-    is_event: false,
+    events: 0,
     params: &join::<4>(&[&Param::new("size", "mm", 0.0, 0.8, (-6.0, 6.0)).each(), &[Param::new("tau", "s", 60.0, 60.0, (5.0, 900.0))]]),
 };
 

@@ -28,7 +28,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "yaw of the tip grows with bend while the direction of its axis is correct",
     confused_with: &["hard_iron", "mount_misalignment", "clocking"],
     separated_by: "a reference or a clean magnetic field",
-    is_event: false,
+    events: 0,
     params: &[Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)), Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4))],
 };
 

@@ -24,7 +24,7 @@ const INFO: EffectInfo = EffectInfo {
     signature: "motion is late by a constant time: phase grows with frequency, without rounding",
     confused_with: &["sensor_latency", "line_lag"],
     separated_by: "a chirp; an outside reference",
-    is_event: false,
+    events: 0,
     params: &[Param::new("delay", "s", 0.0, 0.08, (0.0, 0.5))],
 };
 

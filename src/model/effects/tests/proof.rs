@@ -147,7 +147,7 @@ impl Effect for Absent {
             signature: "",
             confused_with: &[],
             separated_by: "",
-            is_event: false,
+            events: 0,
             params: &[],
         }
     }
