@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Files that the cases name. They are read in an empty folder, so that the messages do not depend on it.
-const FILES: [(&str, &str); 37] = [
+const FILES: [(&str, &str); 40] = [
     ("empty.csv", ""),
     ("other.csv", "a,b\n1,2\n"),
     ("no-rows.csv", "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n"),
@@ -44,6 +44,9 @@ const FILES: [(&str, &str); 37] = [
     ("part.model.toml", "schema = 1\nsource = \"x\"\n"),
     ("map.toml", "every = 0\noutput = \"y\"\n"),
     ("no-tape.csv", "time_s\n"),
+    ("one-row.path.csv", "t_s,bend_deg,dir_deg\n0,30,0\n"),
+    ("clock.path.csv", "t_s,bend_deg,dir_deg\n0,30,0\n1,30,90\n1,30,180\n"),
+    ("far.path.csv", "t_s,bend_deg,dir_deg\n0,30,0\n1,120,0\n"),
 ];
 
 /// Command lines, one or more for each command.
@@ -95,6 +98,12 @@ const CASES: &[&str] = &[
     "evaluate --gains range.gains.toml",
     "evaluate --board bare.toml",
     "evaluate --arms open",
+    "evaluate --live",
+    "evaluate --track no-rows.csv",
+    "evaluate --track one-row.path.csv",
+    "evaluate --track clock.path.csv --live",
+    "evaluate --track far.path.csv",
+    "evaluate --track none.path.csv",
     "evaluate --seed -1",
     "evaluate --plant ./plant",
     "evaluate --json folder",

@@ -17,7 +17,7 @@ fn the_open_loop_through_the_right_model_leaves_little_of_the_gap() {
     let step_mm = config.drive.step_mm;
     let config = retroflex::control::tick::LoopConfig { lines: machine.chain().lines, ..config };
     let arms = vec![Arm::Backlash, Arm::Diagnosed];
-    let plan = Plan { config, identify: false, arms, seed: 0, rig: Rig::default(), feedforward: Some(Arc::clone(&machine)) };
+    let plan = Plan { config, identify: false, arms, seed: 0, rig: Rig::default(), track: None, feedforward: Some(Arc::clone(&machine)) };
     let mut open = |_| Ok(Box::new(Described::new(machine.as_ref().clone(), step_mm, 1)) as Box<dyn World>);
     let e = evaluation::run(&plan, &mut open, &mut |_| ()).unwrap();
     let of = |arm| e.arm(arm).unwrap().bend_rmse_deg;

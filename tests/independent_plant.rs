@@ -76,8 +76,15 @@ fn arguments(case: &Case) -> Vec<String> {
 fn measure(folder: &tempfile::TempDir, case: &Case) -> Figures {
     let plant = folder.path().join("plant");
     let config = assemble(&twin(), &calibration(&plant, case), &Gains::default());
-    let plan =
-        Plan { config, identify: false, arms: vec![Arm::Backlash, Arm::Closed], seed: case.seed, rig: Rig::default(), feedforward: None };
+    let plan = Plan {
+        config,
+        identify: false,
+        arms: vec![Arm::Backlash, Arm::Closed],
+        seed: case.seed,
+        rig: Rig::default(),
+        track: None,
+        feedforward: None,
+    };
     let program = plant.to_str().unwrap();
     let mut open = |_| Ok(Box::new(Link::start(program, &arguments(case))?) as Box<dyn World>);
     let e = run(&plan, &mut open, &mut |_| ()).unwrap();
@@ -231,7 +238,7 @@ fn diagnosed(folder: &tempfile::TempDir, case: &Case) -> [f64; 2] {
     let plant = folder.path().join("plant");
     let config = assemble(&twin(), &calibration(&plant, case), &Gains::default());
     let arms = vec![Arm::Backlash, Arm::Diagnosed];
-    let plan = Plan { config, identify: false, arms, seed: case.seed, rig: Rig::default(), feedforward: None };
+    let plan = Plan { config, identify: false, arms, seed: case.seed, rig: Rig::default(), track: None, feedforward: None };
     let program = plant.to_str().unwrap();
     let mut open = |_| Ok(Box::new(Link::start(program, &arguments(case))?) as Box<dyn World>);
     let e = run(&plan, &mut open, &mut |_| ()).unwrap();

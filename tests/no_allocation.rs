@@ -5,11 +5,14 @@
 mod common;
 
 use common::{described, uncalibrated, unit};
-use retroflex::control::tick::{Command, Input, LoopConfig, LoopState, tick};
+use nalgebra::Vector2;
+use retroflex::control::tick::{Command, Input, LoopConfig, LoopState, Reference, tick};
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::schedule::paper;
+use retroflex::model::arc::Shape;
+use retroflex::model::bend::Bend;
 use retroflex::model::transmission::Line;
-use retroflex::primitives::units::{Mm, Seconds};
+use retroflex::primitives::units::{Mm, Rad, Seconds};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::world::World;
 use retroflex::supervisor::machine::Machine;
@@ -53,6 +56,14 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
+/// A circle of 30° in 5 s.
+fn on_a_circle(t: f64) -> Reference {
+    let rate = std::f64::consts::TAU / 5.0;
+    let at = Bend::from_polar(Rad(0.5), Rad(rate * t)).0;
+    let shape = Shape { bend: Bend(at), length: Mm(20.0) };
+    Reference { shape, rate: Vector2::new(-at.y, at.x) * rate, acceleration: -at * rate * rate }
+}
+
 /// Allocations during the ticks of an alignment, moves and holds in closed loop with all functions enabled.
 fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
     let mut state = LoopState::new(config);
@@ -65,6 +76,8 @@ fn during_ticks(config: &LoopConfig, world: &mut dyn World) -> u64 {
         if k > 3000 && k % 1500 == 0 {
             input.command = poses.next().map(|p| Command { bend: p.bend(), length: Mm(config.geometry.rest_length_mm) });
         }
+        // the last quarter follows a path
+        input.reference = (k >= 30_000).then(|| on_a_circle(f64::from(k) * input.dt_s));
         let before = taken();
         let frame = tick(config, &mut state, &input);
         during += taken() - before;

@@ -7,8 +7,11 @@ use crate::config::assemble;
 use crate::config::board::{Board, PlantSection};
 use crate::config::calib::Calibration;
 use crate::config::source;
+use crate::control::tick::LoopConfig;
 use crate::experiment::arm::ArmResult;
-use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose};
+use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, Track};
+use crate::experiment::path;
+use crate::experiment::track::TrackResult;
 use crate::model::described::DescribedMachine;
 use crate::report::evaluation as pictures;
 use crate::simulation::described::Described;
@@ -49,21 +52,27 @@ pub struct Args {
     /// Write the charts as one SVG drawing.
     #[arg(long)]
     svg: Option<PathBuf>,
-    /// Arms to run.
-    #[arg(long, value_delimiter = ',', default_value = "none,extension,backlash,diagnosed,closed")]
-    arms: Vec<Arm>,
+    /// Arms to run; by default all five, and none with --track.
+    #[arg(long, value_delimiter = ',')]
+    arms: Option<Vec<Arm>>,
+    /// Path to drive in closed loop (CSV: t_s, bend_deg, dir_deg and, if wanted, len_mm), after a move to its first point.
+    #[arg(long, value_name = "FILE")]
+    track: Option<PathBuf>,
+    /// With --track: each point of the path becomes known only at its time, as from a joystick.
+    #[arg(long, requires = "track")]
+    live: bool,
     /// Seed of the built-in plant; selects the simulated unit and its noise.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Instead of the arms: the closed loop and the best open loop over conditions, with the paper's calibration unless
     /// another is given; exit code 1 if a row fails.
-    #[arg(long, conflicts_with_all = ["plant", "html", "arms", "ablate"])]
+    #[arg(long, conflicts_with_all = ["plant", "html", "arms", "ablate", "track"])]
     sweep: bool,
     /// With --sweep: only the conditions whose name contains this text.
     #[arg(long, requires = "sweep", value_name = "TEXT")]
     only: Option<String>,
     /// Instead of the arms: the closed loop with each of its mechanisms off in turn.
-    #[arg(long, conflicts_with_all = ["plant", "html", "svg", "arms"])]
+    #[arg(long, conflicts_with_all = ["plant", "html", "svg", "arms", "track"])]
     ablate: bool,
 }
 
@@ -78,6 +87,8 @@ impl clap::ValueEnum for Arm {
 
 /// Closed-loop bend RMSE above which the command exits with 1, degrees.
 const GOOD_ENOUGH_DEG: f64 = 1.5;
+/// RMSE along a path, after its delay, above which the command exits with 1, degrees.
+const FOLLOWED_DEG: f64 = 3.0;
 
 /// Runs the command.
 ///
@@ -103,14 +114,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let feedforward =
         inputs::feedforward(args.feedforward.as_deref(), args.calib.as_deref(), calibration.as_ref().unwrap_or(&Calibration::default()));
     let feedforward = feedforward.map(|path| inputs::described(&path, &board)).transpose()?;
-    let plan = Plan {
-        identify: calibration.is_none(),
-        config: assemble(&board, &calibration.unwrap_or_default(), &gains),
-        arms: args.arms.clone(),
-        seed: args.seed,
-        rig: gap::input::rig(args.board.as_deref())?,
-        feedforward,
-    };
+    let identify = calibration.is_none();
+    let config = assemble(&board, &calibration.unwrap_or_default(), &gains);
+    let track = track(args, &config)?;
+    let arms = args.arms.clone().unwrap_or_else(|| if track.is_some() { Vec::new() } else { Arm::ALL.to_vec() });
+    let rig = gap::input::rig(args.board.as_deref())?;
+    let plan = Plan { identify, config, arms, track, seed: args.seed, rig, feedforward };
     let bar = output::bar(0, "{msg:<18} {pos} states held,");
     let result = evaluation::run(&plan, &mut |purpose| plant.open(purpose), &mut |what| {
         bar.set_message(what.to_owned());
@@ -126,19 +135,40 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         output::write(path, &pictures::svg(&result))?;
     }
     output::show(&summary(&result), args.json.as_deref());
+    if let Some(warning) = result.track.as_ref().and_then(too_fast) {
+        eprintln!("warning: {warning}");
+    }
     Ok(verdict(&result))
 }
 
 /// Refuses contradictory arguments before anything runs.
 fn check(args: &Args) -> Result<()> {
-    for (n, arm) in args.arms.iter().enumerate() {
-        if args.arms[..n].contains(arm) {
+    let arms = args.arms.as_deref().unwrap_or_default();
+    for (n, arm) in arms.iter().enumerate() {
+        if arms[..n].contains(arm) {
             return Err(miette!("--arms names `{}` twice; name each arm once", arm.name()));
         }
     }
     let results = [("--json", args.json.as_deref()), ("--html", args.html.as_deref()), ("--svg", args.svg.as_deref())];
-    let inputs: Vec<&Path> = [&args.board, &args.calib, &args.gains, &args.feedforward].into_iter().filter_map(|p| p.as_deref()).collect();
+    let inputs = [&args.board, &args.calib, &args.gains, &args.feedforward, &args.track];
+    let inputs: Vec<&Path> = inputs.into_iter().filter_map(|p| p.as_deref()).collect();
     output::check(&results, &inputs)
+}
+
+/// The path of `--track`, within the reach of the machine as far as it is known before an identification.
+fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
+    let Some(file) = &args.track else { return Ok(None) };
+    let path = path::Path::open(file, &config.geometry).into_diagnostic()?;
+    path.within(&config.limits, &config.geometry, &config.lines).into_diagnostic()?;
+    Ok(Some(Track { path, live: args.live }))
+}
+
+/// What is to be said of a path that the pistons cannot follow as it is.
+fn too_fast(t: &TrackResult) -> Option<String> {
+    (t.demand > 1.0).then(|| {
+        let done = if t.live { "a live path is not slowed down, so the tip falls behind" } else { "it was driven that much slower" };
+        format!("the path asks {:.2} times the speed that the pistons can follow; {done}", t.demand)
+    })
 }
 
 /// The plant that the arms run on.
@@ -188,12 +218,18 @@ fn noise_of(purpose: Purpose) -> u64 {
         Purpose::Identify => 0,
         Purpose::Arm(arm) => 1 + arm as u64,
         Purpose::Record => 1 + Arm::ALL.len() as u64,
+        Purpose::Track => 2 + Arm::ALL.len() as u64,
     }
 }
 
 fn verdict(e: &Evaluation) -> CommandOutcome {
     let bad = |a: &ArmResult| a.bend_rmse_deg > GOOD_ENOUGH_DEG;
-    if !e.converged || e.arm(Arm::Closed).is_some_and(bad) { CommandOutcome::NotGoodEnough } else { CommandOutcome::Good }
+    let lost = |t: &TrackResult| t.rmse_delayed_deg > FOLLOWED_DEG;
+    if !e.converged || e.track.as_ref().is_some_and(lost) || e.arm(Arm::Closed).is_some_and(bad) {
+        CommandOutcome::NotGoodEnough
+    } else {
+        CommandOutcome::Good
+    }
 }
 
 /// The table of arms and the gains, for people.
@@ -204,12 +240,15 @@ fn summary(e: &Evaluation) -> String {
         (n, true) => format!("Algorithm 1, {n} passes"),
         (n, false) => format!("Algorithm 1, NOT converged after {n} passes"),
     };
-    format!(
-        "plant {}, seed {}\n{}\nk_ε = {}   k_λ = {} mm   ({origin})\n",
-        e.plant,
-        e.seed,
-        output::table(&pictures::ARM_COLUMNS, 1..pictures::ARM_COLUMNS.len(), pictures::arm_rows(e)),
-        gains(&e.k_eps),
-        gains(&e.k_lambda_mm)
-    )
+    let arms = match e.arms.len() {
+        0 => String::new(),
+        _ => format!("{}\n", output::table(&pictures::ARM_COLUMNS, 1..pictures::ARM_COLUMNS.len(), pictures::arm_rows(e))),
+    };
+    let path = e.track.as_ref().map_or(String::new(), |t| {
+        format!(
+            "path of {:.1} s: RMSE {:.2}°, 95 % {:.2}°, at most {:.2}°; delay {:.3} s, RMSE after it {:.2}°\n",
+            t.duration_s, t.rmse_deg, t.p95_deg, t.max_deg, t.delay_s, t.rmse_delayed_deg
+        )
+    });
+    format!("plant {}, seed {}\n{arms}{path}k_ε = {}   k_λ = {} mm   ({origin})\n", e.plant, e.seed, gains(&e.k_eps), gains(&e.k_lambda_mm))
 }

@@ -39,7 +39,7 @@ const EXAMPLES: [(&str, [&str; 2]); 23] = [
     ("replay", ["replay today.csv", "replay /var/lib/retroflex/today.csv"]),
     ("gap", ["gap diagnose today.csv --html today.html --save model.toml", "gap check model.toml tomorrow.csv"]),
     ("demo", ["demo --html leak.html", "demo"]),
-    ("evaluate", ["evaluate --seed 7", "evaluate --seed 7 --json - --html figures.html"]),
+    ("evaluate", ["evaluate --seed 7 --html figures.html", "evaluate --track examples/circle.csv --json -"]),
     ("drill", ["drill --in-flight", "drill --only kink --json -"]),
     ("completions", ["completions bash", "completions fish"]),
     ("man", ["man .", "man target/man"]),

@@ -120,6 +120,11 @@ pub struct PiGains {
 /// Ratio of λ to the largest plausible error of the response time.
 const DELAY_MARGIN: f64 = 1.5;
 
+/// Share of the closed-loop time constant that the integral time has while the reference moves.
+const FOLLOWING_SHARE: f64 = 0.35;
+/// Proportional gain while the reference moves.
+const FOLLOWING_KP: f64 = 0.45;
+
 impl PiGains {
     /// Gains for the closed-loop time constant `tau_c_s`, stable for every plausible line. The proportional gain is
     /// bounded by `kp_max`, because it amplifies the noise of the estimate. `caution` ≥ 1 slows the loop down.
@@ -127,6 +132,15 @@ impl PiGains {
     pub fn new(range: &DynamicsRange, tau_c_s: f64, kp_max: f64, caution: f64) -> Self {
         let integral_s = tau_c_s.max(DELAY_MARGIN * range.error_max_s()) * caution;
         Self { integral_s, lag_s: range.lag_min_s.min(kp_max * integral_s) }
+    }
+
+    /// Quicker gains for a reference that moves. What the model does not explain then changes with the bend, and every
+    /// delay of the feedback is an error; the noise that it passes on does not matter, because the pistons move anyway. With
+    /// a proportional gain below 0.5 the loop is stable for every plausible line, as with [`PiGains::new`].
+    #[must_use]
+    pub fn following(range: &DynamicsRange, tau_c_s: f64, kp_max: f64, caution: f64) -> Self {
+        let integral_s = (FOLLOWING_SHARE * tau_c_s).max(DELAY_MARGIN * range.error_max_s()) * caution;
+        Self { integral_s, lag_s: FOLLOWING_KP.min(kp_max) * integral_s }
     }
 }
 

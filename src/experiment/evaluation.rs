@@ -5,8 +5,11 @@ use crate::diagnosis;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::diagnosed;
 use crate::experiment::identify::{self, Identified, IdentifyError};
+use crate::experiment::path::Path;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
+use crate::experiment::track::{self, TrackResult};
+use crate::log::error::ReadError;
 use crate::model::described::DescribedMachine;
 use crate::model::drive::Drive;
 use crate::model::transmission::Line;
@@ -14,6 +17,7 @@ use crate::simulation::world::World;
 use crate::supervisor::machine::MachineError;
 use serde::Serialize;
 use std::sync::Arc;
+use thiserror::Error;
 
 /// An arm: what the controller compensates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -70,6 +74,8 @@ pub enum Purpose {
     Record,
     /// One arm.
     Arm(Arm),
+    /// The path.
+    Track,
 }
 
 /// Opens a fresh world at rest for a purpose.
@@ -97,6 +103,9 @@ pub struct Evaluation {
     pub seed: u64,
     /// Arms in the requested order.
     pub arms: Vec<ArmResult>,
+    /// The path, if one was driven.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub track: Option<TrackResult>,
     /// Extension gains used.
     pub k_eps: [f64; 3],
     /// Backlash half-widths used, mm.
@@ -132,6 +141,8 @@ pub struct Plan {
     pub identify: bool,
     /// Arms to run.
     pub arms: Vec<Arm>,
+    /// Path to drive after the arms, in closed loop.
+    pub track: Option<Track>,
     /// Seed, for the record.
     pub seed: u64,
     /// The machine as the diagnosis knows it.
@@ -140,11 +151,37 @@ pub struct Plan {
     pub feedforward: Option<Arc<DescribedMachine>>,
 }
 
+/// A path to drive.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Track {
+    /// The path.
+    pub path: Path,
+    /// Each point becomes known only at its time.
+    pub live: bool,
+}
+
+/// Why an evaluation failed.
+#[derive(Debug, Error)]
+pub enum EvaluationError {
+    /// The world, the alignment or the identification failed.
+    #[error(transparent)]
+    Run(#[from] IdentifyError),
+    /// The path leaves the reach of the identified machine.
+    #[error(transparent)]
+    Path(#[from] ReadError),
+}
+
+impl From<RigError> for EvaluationError {
+    fn from(e: RigError) -> Self {
+        Self::Run(e.into())
+    }
+}
+
 /// Runs an evaluation; `progress` receives a description after every held state.
 ///
 /// # Errors
-/// [`IdentifyError`] from a world, or if the data do not determine the gains.
-pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> Result<Evaluation, IdentifyError> {
+/// [`EvaluationError`] from a world, if the data do not determine the gains, or if the path is out of reach.
+pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> Result<Evaluation, EvaluationError> {
     let mut base = plan.config.clone();
     let mut found = None;
     let mut plant = String::new();
@@ -178,7 +215,19 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
         let name = format!("arm {}", arm.name());
         arms.push(arm::run(arm.name(), &mut Rig::new(config, world.as_mut()), &arrivals(DIRECTIONS), &mut || progress(&name))?);
     }
-    Ok(gather(plan, &base, found.as_ref(), plant, arms))
+    let mut track = None;
+    if let Some(Track { path, live }) = &plan.track {
+        path.within(&base.limits, &base.geometry, &base.lines)?;
+        let mut world = open(Purpose::Track).map_err(RigError::from)?;
+        plant.clone_from(&world.info().name);
+        let config = for_world(&base, world.as_ref());
+        let config = match &plan.feedforward {
+            Some(machine) => config.fed_forward(Arc::clone(machine)),
+            None => config,
+        };
+        track = Some(track::run(&mut Rig::new(config, world.as_mut()), path, *live, &mut || progress("path"))?);
+    }
+    Ok(Evaluation { track, ..gather(plan, &base, found.as_ref(), plant, arms) })
 }
 
 /// The configuration with step and rest length of the world in place of those of the board.
@@ -196,6 +245,7 @@ fn gather(plan: &Plan, base: &LoopConfig, found: Option<&Identified>, plant: Str
         plant,
         seed: plan.seed,
         arms,
+        track: None,
         k_eps: base.lines.map(|l| l.k_epsilon),
         k_lambda_mm: base.lines.map(|l| l.k_lambda_mm),
         lag_s: base.dynamics.expected.lag_s,

@@ -1,12 +1,14 @@
 //! The paper's experiment (§V): 120 held states in open and closed loop, and the identification of the gains; over
-//! conditions, and with one mechanism off at a time.
+//! conditions, with one mechanism off at a time, and along paths.
 
 pub mod ablation;
 pub mod arm;
 pub mod diagnosed;
 pub mod evaluation;
 pub mod identify;
+pub mod path;
 pub mod pose;
 pub mod rig;
 pub mod schedule;
 pub mod sweep;
+pub mod track;

@@ -1,6 +1,6 @@
 //! A loop and a world in lockstep. The pistons follow the loop's targets as those of the hardware do ([`Lockstep`]).
 
-use crate::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
+use crate::control::tick::{Command, Frame, Input, LoopConfig, LoopState, Reference, tick};
 use crate::primitives::units::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::world::World;
@@ -32,6 +32,8 @@ pub struct Rig<'w> {
     pub config: LoopConfig,
     /// State of the loop.
     pub state: LoopState,
+    /// Moving reference of the next tick.
+    pub reference: Option<Reference>,
     machine: Lockstep<&'w mut dyn World>,
     input: Input,
     ticks: u64,
@@ -45,7 +47,7 @@ impl<'w> Rig<'w> {
         let input = Input { dt_s, ..Input::default() };
         let mut machine = Lockstep::new(world, &config.motion);
         machine.energise(true);
-        Self { config, state, machine, input, ticks: 0 }
+        Self { config, state, reference: None, machine, input, ticks: 0 }
     }
 
     /// One tick and one period of the world. The true orientation is in [`Sensed::truth`], for scoring.
@@ -54,6 +56,7 @@ impl<'w> Rig<'w> {
     /// Those of the world.
     pub fn advance(&mut self, command: Option<Command>) -> Result<(Frame, Sensed), RigError> {
         self.input.command = command;
+        self.input.reference = self.reference.take();
         let frame = tick(&self.config, &mut self.state, &self.input);
         self.ticks += 1;
         let now = Seconds(self.ticks as f64 * self.input.dt_s);
@@ -81,6 +84,12 @@ impl<'w> Rig<'w> {
     pub fn relearn(&mut self, lines: [crate::model::transmission::Line; 3]) {
         self.config.lines = lines;
         self.state.set_lines(lines);
+    }
+
+    /// Time of the next tick.
+    #[must_use]
+    pub fn now(&self) -> Seconds {
+        self.input.t
     }
 
     /// Period of the world, s.

@@ -56,12 +56,14 @@ pub fn plain(seed: u64, noise: u64) -> Sim {
 
 /// Identification and arms on unit `seed`, as the command does it.
 pub fn evaluate(seed: u64, arms: &[Arm]) -> Evaluation {
-    let plan = Plan { config: uncalibrated(), identify: true, arms: arms.to_vec(), seed, rig: Rig::default(), feedforward: None };
+    let plan =
+        Plan { config: uncalibrated(), identify: true, arms: arms.to_vec(), seed, rig: Rig::default(), track: None, feedforward: None };
     let mut open = |purpose: Purpose| {
         let noise = match purpose {
             Purpose::Identify => 0,
             Purpose::Arm(arm) => 1 + arm as u64,
             Purpose::Record => 1 + Arm::ALL.len() as u64,
+            Purpose::Track => 2 + Arm::ALL.len() as u64,
         };
         Ok(Box::new(unit(seed, noise)) as Box<dyn World>)
     };

@@ -1,8 +1,9 @@
 //! The outer loop of the tick: set-point, PI feedback and online learning.
 
 use super::observation::Observation;
+use super::path;
 use super::state::{Feedback, Hold, LoopState, shape_of};
-use super::types::LoopConfig;
+use super::types::{Input, LoopConfig};
 use crate::control::follow::Follower;
 use crate::control::learning::online::HeldPose;
 use crate::control::learning::sides::Sides;
@@ -44,16 +45,21 @@ pub(super) fn hold(config: &LoopConfig, state: &mut LoopState, steps: &Steps) ->
 }
 
 /// Moves the set-point towards the target. Both stay within the range of the bellows.
-pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, dt_s: f64) -> Cut {
-    let setpoint = &mut state.setpoint;
-    let (q, cut) = config.limits.bellows(&config.geometry.lengths(&setpoint.target), config.geometry.rest_length_mm);
-    if cut != Cut::None {
-        setpoint.target = config.geometry.shape(&q);
-    }
+pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Cut {
+    let dt_s = input.dt_s;
     let mut pace = config.bend_pace;
     if let Some(f) = &config.feedback {
         // the feedforward leads a slow line by τ r̈; a gentler start keeps that within the pace of the pistons
         pace.acceleration = pace.acceleration.min(LEAD_SHARE * pace.speed / (f.lead * state.dynamics.best.lag_s).max(1e-3));
+    }
+    if let Some(reference) = &input.reference {
+        return path::advance(config, state, reference, &pace, dt_s);
+    }
+    let setpoint = &mut state.setpoint;
+    setpoint.acceleration = None;
+    let (q, cut) = config.limits.bellows(&config.geometry.lengths(&setpoint.target), config.geometry.rest_length_mm);
+    if cut != Cut::None {
+        setpoint.target = config.geometry.shape(&q);
     }
     setpoint.bend.step(&setpoint.target.bend.0, &pace, dt_s);
     setpoint.length.step(&Vector1::new(setpoint.target.length.0), &config.length_pace, dt_s);
@@ -80,9 +86,16 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     outer.standstill_s = if outer.standstill.closed { outer.standstill_s + dt_s } else { 0.0 };
     outer.obstruction.step(&f.obstruction, moving, &outer.pi.feedback, &observed.settled, &to_go);
     if !outer.standstill.closed && !state.hold.is_holding() {
-        let gains = PiGains::new(&state.dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution);
+        let (gains, timing_s) = match state.setpoint.acceleration {
+            // an error of timing is part of the error of a path, so the feedback takes it too
+            Some(_) => (PiGains::following(&state.dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), 0.0),
+            None => {
+                let timing_s = TIMING_S + TIMING_SHARE * state.dynamics.best.response_s();
+                (PiGains::new(&state.dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), timing_s)
+            }
+        };
         outer.integral_s = gains.integral_s;
-        let timing = (TIMING_S + TIMING_SHARE * state.dynamics.best.response_s()) * observed.predicted_rate;
+        let timing = timing_s * observed.predicted_rate;
         let before = outer.pi;
         outer.integral_full = outer.pi.step(observed.unexplained, timing, &gains, f.integral_max_rad, dt_s);
         if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {

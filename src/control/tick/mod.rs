@@ -12,6 +12,7 @@
 
 mod feedback;
 mod observation;
+mod path;
 mod pistons;
 mod restart;
 mod sense;
@@ -20,7 +21,7 @@ mod types;
 
 pub use restart::{RestartRest, RestartState};
 pub use state::LoopState;
-pub use types::{Command, FeedbackConfig, Frame, Input, LoopConfig, Senses, TickPhase};
+pub use types::{Command, FeedbackConfig, Frame, Input, LoopConfig, Reference, Senses, TickPhase};
 
 use crate::control::limits::Cut;
 use crate::estimation::fusion::health::HealthAction;
@@ -45,7 +46,7 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
         state.setpoint.target_rests_s = 0.0;
     }
     let holding = feedback::hold(config, state, &input.steps);
-    let setpoint_cut = if holding { Cut::None } else { feedback::advance_setpoint(config, state, input.dt_s) };
+    let setpoint_cut = if holding { Cut::None } else { feedback::advance_setpoint(config, state, input) };
     let moving = !state.setpoint.has_arrived();
     let predicted_before = state.feedback.model.predicted();
     let predicted = state.feedback.model.step(from_pistons.0, &state.dynamics.best, input.dt_s);

@@ -1,5 +1,6 @@
 //! The command path of the tick: bend command → bellow lengths → transmission inverse → limits → piston targets.
 
+use super::path::{self, Passing};
 use super::state::{Hold, LoopState, SetPoint};
 use super::types::LoopConfig;
 use crate::control::backlash_adaptation::Patience;
@@ -57,7 +58,7 @@ pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &S
 
 /// Commands the pistons for the set-point plus feedback.
 pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, dt_s: f64) -> PistonOutput {
-    let lead_s = config.feedback.map_or(0.0, |f| f.lead * state.dynamics.best.lag_s);
+    let lead_s = lead_s(config, state);
     let setpoint = &state.setpoint;
     let bend = Bend(setpoint.bend.at + ahead_of(setpoint, lead_s) + state.feedback.pi.feedback);
     let bend = if state.feedback.obstruction.blocked { press(config, state, bend, estimate) } else { bend };
@@ -83,6 +84,11 @@ fn press(config: &LoopConfig, state: &LoopState, command: Bend, estimate: Bend) 
     let stiffest = state.transmission.lines.iter().map(|l| 1.0 + l.k_epsilon).fold(1.0, f64::max);
     let kpa_per_rad = config.limits.pressure_kpa_per_mm * stiffest * config.geometry.r_mm;
     Bend(estimate.0 + (command.0 - estimate.0).cap_magnitude(f.obstruction.press_kpa / kpa_per_rad))
+}
+
+/// Time by which the feedforward leads the set-point, s.
+fn lead_s(config: &LoopConfig, state: &LoopState) -> f64 {
+    config.feedback.map_or(0.0, |f| f.lead * state.dynamics.best.lag_s)
 }
 
 /// What the feedforward adds to the set-point, rad. Beyond a target at rest it would have to come back, and a reversal
@@ -115,6 +121,7 @@ fn invert_transmission(
     dt_s: f64,
 ) -> Vector3<f64> {
     let by_feedback = config.feedback.is_some_and(|f| f.learn_backlash) && !moving;
+    let motion = path::bellow_motion(config, &state.setpoint, lead_s(config, state));
     let (lines, backlash) = (&mut state.transmission, &mut state.feedback.backlash);
     let mut described = config.feedforward.as_deref().zip(lines.described.as_mut());
     let bellow_mm = described.as_mut().map_or(*bellow_mm, |(machine, state)| state.invert(machine, bellow_mm));
@@ -122,7 +129,13 @@ fn invert_transmission(
     let piston_mm = Vector3::from_fn(|i, _| {
         let reach = if by_feedback { backlash.share(i) } else { 1.0 };
         let wanted = Wanted { q_mm: bellow_mm[i], dt_s, reach };
-        let (piston_mm, next) = config.side.invert(&lines.lines[i], lines.sides[i], &wanted);
+        let (piston_mm, next) = match motion {
+            Some([speed, acceleration]) => {
+                let passing = Passing { q_mm: bellow_mm[i], speed: speed[i], acceleration: acceleration[i] };
+                path::invert(&lines.lines[i], lines.sides[i], &passing, &config.motion.limits, dt_s)
+            }
+            None => config.side.invert(&lines.lines[i], lines.sides[i], &wanted),
+        };
         reversed[i] = next.way != lines.sides[i].way;
         lines.sides[i] = next;
         piston_mm

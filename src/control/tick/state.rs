@@ -58,17 +58,20 @@ pub(super) struct SetPoint {
     /// Time since the last target, s.
     pub(super) target_rests_s: f64,
     pub(super) bend: Follower<2>,
+    /// Acceleration of the reference that the set-point follows, rad/s²; `None` for a target.
+    pub(super) acceleration: Option<Vector2<f64>>,
     pub(super) length: Follower<1>,
 }
 
 impl SetPoint {
     fn resting(at: Shape) -> Self {
         let length = Follower::resting(Vector1::new(at.length.0));
-        Self { target: at, target_rests_s: f64::INFINITY, bend: Follower::resting(at.bend.0), length }
+        Self { target: at, target_rests_s: f64::INFINITY, bend: Follower::resting(at.bend.0), acceleration: None, length }
     }
 
     pub(super) fn has_arrived(&self) -> bool {
-        self.bend.arrived(&self.target.bend.0) && self.length.arrived(&Vector1::new(self.target.length.0))
+        let stands = self.bend.velocity == Vector2::zeros();
+        stands && self.bend.arrived(&self.target.bend.0) && self.length.arrived(&Vector1::new(self.target.length.0))
     }
 }
 
@@ -200,6 +203,12 @@ impl LoopState {
             hold: Hold::RELEASED,
             targets_mm: Vector3::zeros(),
         }
+    }
+
+    /// Time from the command of a tick until the tip answers it, without the lag, which the feedforward leads, s.
+    #[must_use]
+    pub fn answers_after_s(&self, config: &LoopConfig, dt_s: f64) -> f64 {
+        self.dynamics.best.delay_s + config.motion.lead_s.max(dt_s)
     }
 
     /// Transmission gains in use.

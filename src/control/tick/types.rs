@@ -109,6 +109,17 @@ pub struct Command {
     pub length: Mm,
 }
 
+/// Where a moving tip is to be, for the time at which it answers the command of this tick ([`super::LoopState::answers_after_s`]).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reference {
+    /// Bend and length.
+    pub shape: Shape,
+    /// Rate of the bend vector, rad/s.
+    pub rate: Vector2<f64>,
+    /// Acceleration of the bend vector, rad/s².
+    pub acceleration: Vector2<f64>,
+}
+
 /// Input of one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Input {
@@ -122,6 +133,8 @@ pub struct Input {
     pub base_imu: Option<ImuSample>,
     /// A new target.
     pub command: Option<Command>,
+    /// The moving reference of this tick, in place of targets.
+    pub reference: Option<Reference>,
     /// Microsteps counted so far.
     pub steps: Steps,
     /// Requests a new alignment because the base was turned.
@@ -137,6 +150,7 @@ impl Default for Input {
             imu: ImuReading::Nothing,
             base_imu: None,
             command: None,
+            reference: None,
             steps: Steps::default(),
             realign: false,
         }

@@ -65,6 +65,7 @@ impl Supervisor {
 
     fn tick_input(&mut self, sensed: &Sensed, dt_s: f64) -> Input {
         Input {
+            reference: None,
             t: sensed.t,
             // a late cycle does not let the set-point jump
             dt_s: dt_s.max(0.0).min(2.0 * self.config.gate.tick_s),
