@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Files that the cases name. They are read in an empty folder, so that the messages do not depend on it.
-const FILES: [(&str, &str); 37] = [
+const FILES: [(&str, &str); 39] = [
     ("empty.csv", ""),
     ("other.csv", "a,b\n1,2\n"),
     ("no-rows.csv", "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n"),

@@ -57,7 +57,8 @@ macro_rules! fields {
         pub const FIELDS: &[&str] = &[$(stringify!($name),)* $(stringify!($own)),*];
 
         fn digests($output: &CycleOutput) -> (u32, Vec<u8>) {
-            let Frame { $($name),* } = &$output.frame;
+            // the time is input
+            let Frame { t: _, $($name),* } = &$output.frame;
             let all = [$(field($name),)* $(field(&$output.$own)),*];
             ((fnv(all.iter().flat_map(|x| x.to_le_bytes())) >> 32) as u32, all.iter().map(|x| (x >> 56) as u8).collect())
         }
@@ -66,7 +67,7 @@ macro_rules! fields {
 
 fields! {
     output:
-    t, phase, target, setpoint, estimate, bend_from_pistons, predicted, unexplained, feedback, command, bellow_mm,
+    phase, target, setpoint, estimate, bend_from_pistons, predicted, unexplained, feedback, command, bellow_mm,
     piston_target_mm, steps, k_epsilon, k_lambda_mm, dynamics, cut, at_rest, blocked, hunting, integral_s, saturation, senses,
     base_moved, base_doubted | steps, mode, energise, latched, stopped
 }

@@ -2,7 +2,7 @@
 
 use crate::service::flight::channels::{Channels, RATE_HZ, schema};
 use crate::service::flight::cycle::{Cycle, encode};
-use crate::service::flight::start::{Event, Header, Logged, hash};
+use crate::service::flight::start::{Event, Logged, hash};
 use mcap::records::Metadata;
 use mcap::{Attachment, Channel, McapResult, Message, Schema, WriteOptions, Writer};
 use serde_json::{Value, json};
