@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Files that the cases name. They are read in an empty folder, so that the messages do not depend on it.
-const FILES: [(&str, &str); 40] = [
+const FILES: [(&str, &str); 42] = [
     ("empty.csv", ""),
     ("other.csv", "a,b\n1,2\n"),
     ("no-rows.csv", "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n"),
@@ -43,10 +43,12 @@ const FILES: [(&str, &str); 40] = [
     ("range.gains.toml", "[loop]\ntau_c_s = 100\n"),
     ("part.model.toml", "schema = 1\nsource = \"x\"\n"),
     ("map.toml", "every = 0\noutput = \"y\"\n"),
-    ("no-tape.csv", "time_s\n"),
     ("one-row.path.csv", "t_s,bend_deg,dir_deg\n0,30,0\n"),
     ("clock.path.csv", "t_s,bend_deg,dir_deg\n0,30,0\n1,30,90\n1,30,180\n"),
     ("far.path.csv", "t_s,bend_deg,dir_deg\n0,30,0\n1,120,0\n"),
+    ("no-flight.csv", "time_s\n"),
+    ("garbage.mcap", "not an MCAP file\n"),
+    ("empty.mcap", ""),
 ];
 
 /// Command lines, one or more for each command.
@@ -155,7 +157,17 @@ const CASES: &[&str] = &[
     "gap exam --every few",
     "replay folder",
     "replay missing.csv",
-    "replay no-tape.csv",
+    "replay no-flight.csv",
+    "replay garbage.mcap",
+    "replay empty.mcap",
+    "log",
+    "log info folder",
+    "log info missing.mcap",
+    "log info garbage.mcap",
+    "log export garbage.mcap --csv out.csv",
+    "log cut garbage.mcap --out cut.mcap",
+    "log cut garbage.mcap --from 3 --to 2 --out cut.mcap",
+    "log cut garbage.mcap --from long --out cut.mcap",
     "drill --kills many",
     "drill --soak long",
     "run --board missing.toml",

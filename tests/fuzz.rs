@@ -11,7 +11,8 @@ use parsers::PARSERS;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use retroflex::primitives::units::{Seconds, Steps};
-use retroflex::service::{memory, slot, tape};
+use retroflex::service::flight::cycle;
+use retroflex::service::{memory, slot};
 use std::path::PathBuf;
 
 /// Number of mutated inputs per parser.
@@ -203,25 +204,23 @@ fn a_damaged_slot_never_passes_its_checksum() {
 }
 
 #[test]
-fn tapes_do_not_panic() {
-    let mut seed = Vec::new();
+fn flight_logs_do_not_panic() {
+    let sensed = |k: i32| retroflex::supervisor::machine::Sensed {
+        t: Seconds(f64::from(k)),
+        imu: retroflex::estimation::fusion::health::ImuReading::Nothing,
+        base_imu: None,
+        counted: Steps([k; 3]),
+        counted_age_s: 0.0,
+        energised: true,
+        inputs: retroflex::motion::lines::Inputs::default(),
+        alarm: None,
+        gauges: Default::default(),
+        truth: None,
+    };
+    let target =
+        retroflex::model::arc::Shape { bend: retroflex::model::bend::Bend::STRAIGHT, length: retroflex::primitives::units::Mm(20.0) };
     let order = retroflex::supervisor::cycle::order::Order::Arm;
-    for k in 0..4 {
-        let sensed = retroflex::supervisor::machine::Sensed {
-            t: Seconds(f64::from(k)),
-            imu: retroflex::estimation::fusion::health::ImuReading::Nothing,
-            base_imu: None,
-            counted: Steps([k; 3]),
-            counted_age_s: 0.0,
-            energised: true,
-            inputs: retroflex::motion::lines::Inputs::default(),
-            alarm: None,
-            gauges: Default::default(),
-            truth: None,
-        };
-        tape::write(&mut seed, &tape::Record { sensed, order: (k % 2 == 0).then_some(order), digest: 7 });
-    }
-    let mut seeds = corpus("tape", &[]);
-    seeds.push(seed);
-    fuzz("tape", &seeds);
+    let one = |k: i32| cycle::Cycle { sensed: sensed(k), order: (k % 2 == 0).then_some(order), target, digests: (7, vec![1, 2, 3]) };
+    let message = cycle::encode(9, &(0..4).map(one).collect::<Vec<_>>()).unwrap();
+    fuzz("flight", &[corpus("flight", &[]), vec![message]].concat());
 }

@@ -3,9 +3,12 @@
 
 use retroflex::drill::process::Daemon;
 use retroflex::log::bend_log;
+use retroflex::service::flight::cycle::{Cycle, FIELDS, encode};
+use retroflex::service::flight::file::FlightFile;
+use retroflex::service::flight::read::{Entry, messages};
 use retroflex::service::store::Store;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
@@ -79,23 +82,173 @@ fn a_session_from_start_to_end() {
     expect(&socket, &["status"], 3, "");
 }
 
-/// The recording is an ordinary bend log, its replay makes the same decisions, and one flipped bit is detected.
+/// A command without a service; returns its exit code and output.
+fn offline(args: &[&Path]) -> (i32, String) {
+    let Output { status, stdout, stderr } = Command::new(program()).args(args).output().unwrap();
+    (status.code().unwrap(), String::from_utf8_lossy(&stdout).into_owned() + &String::from_utf8_lossy(&stderr))
+}
+
+/// The recording is an ordinary bend log, its replay makes the same decisions, and one changed bit is found and named.
 fn replays(log: &Path) {
     let read = bend_log::read(log).unwrap();
     assert!(read.ignored.is_empty() && read.t_s.len() > 1000 && read.imu.is_some());
-    let replay = || {
-        let out = Command::new(program()).arg("replay").arg(log).output().unwrap();
-        (out.status.code(), String::from_utf8_lossy(&out.stdout).into_owned())
-    };
-    let (code, text) = replay();
-    assert!(code == Some(0) && text.contains(" 0 differ"), "{text}");
-    let tape = log.with_extension("gz.tape");
-    let mut bytes = Vec::new();
-    flate2::read::MultiGzDecoder::new(std::fs::File::open(&tape).unwrap()).read_to_end(&mut bytes).unwrap();
-    let at = bytes.len() - 3;
-    bytes[at] ^= 0x10;
-    std::fs::write(&tape, bytes).unwrap();
-    assert_eq!(replay().0, Some(1));
+    let replay = |path: &Path| offline(&[Path::new("replay"), path]);
+    let (code, text) = replay(log);
+    assert!(code == 0 && text.contains(" 0 differ") && !text.contains("gap"), "{text}");
+    let flight = log.with_file_name("day.mcap");
+    assert_eq!(replay(&flight).0, 0);
+
+    // the exported bend log has the rows of the recording, the last ones of which may come after its end
+    let exported = log.with_file_name("exported.csv");
+    let (code, text) = offline(&[Path::new("log"), Path::new("export"), &flight, Path::new("--csv"), &exported]);
+    assert_eq!(code, 0, "{text}");
+    let again = bend_log::read(&exported).unwrap();
+    let rows = again.t_s.len().min(read.t_s.len());
+    assert!(rows > 1000 && again.t_s[..rows] == read.t_s[..rows] && again.piston_mm[..rows] == read.piston_mm[..rows]);
+
+    let changed = log.with_file_name("changed.mcap");
+    rewrite(&flight, &changed, &mut |number, cycle| {
+        if number.is_multiple_of(1000) && number > 2000 {
+            let at = FIELDS.iter().position(|name| *name == "feedback").unwrap();
+            cycle.digests.1[at] ^= 1;
+        }
+        true
+    });
+    let (code, text) = replay(&changed);
+    assert!(code == 1 && text.contains("in feedback:") && text.contains("the software has changed"), "{text}");
+
+    let gapped = log.with_file_name("gapped.mcap");
+    rewrite(&flight, &gapped, &mut |number, _| !(3000..3100).contains(&number));
+    let (code, text) = replay(&gapped);
+    assert!(code == 0 && text.contains("gap: 100 cycles are missing") && !text.contains("software has changed"), "{text}");
+    let (code, text) = offline(&[Path::new("log"), Path::new("info"), &gapped]);
+    assert!(code == 0 && text.contains("gap: 100 cycles"), "{text}");
+
+    // a cut from the start can be replayed, one without it is refused
+    let cut = log.with_file_name("cut.mcap");
+    let (code, text) = offline(&["log", "cut", flight.to_str().unwrap(), "--to", "3", "--out", cut.to_str().unwrap()].map(Path::new));
+    assert_eq!(code, 0, "{text}");
+    let (code, text) = replay(&cut);
+    assert!(code == 0 && text.contains(" 0 differ"), "{text}");
+    let late = log.with_file_name("late.mcap");
+    let (code, text) = offline(&["log", "cut", flight.to_str().unwrap(), "--from", "3", "--out", late.to_str().unwrap()].map(Path::new));
+    assert_eq!(code, 0, "{text}");
+    let (code, text) = replay(&late);
+    assert!(code == 2 && text.contains("cannot be replayed"), "{text}");
+
+    // other gains change something, and the answer says that it is speculation
+    let gains = log.with_file_name("gains.toml");
+    std::fs::write(&gains, "[loop]\ntau_c_s = 1.0\n").unwrap();
+    let (code, text) = offline(&[Path::new("replay"), &flight, Path::new("--gains"), &gains]);
+    assert!(code == 0 && text.contains("speculation") && text.contains("feedback"), "{text}");
+}
+
+/// Copies the cycles of a log that `keep` accepts, as `keep` changes them.
+fn rewrite(from: &Path, to: &Path, keep: &mut dyn FnMut(u64, &mut Cycle) -> bool) {
+    let mut file = FlightFile::create(to, 0).unwrap();
+    let ending = messages(from, &mut |mut message| {
+        let Entry::Cycles(first, cycles) = Entry::of(&message)? else {
+            file.copy(&message).unwrap();
+            return Ok(());
+        };
+        let mut run: (u64, Vec<Cycle>) = (first, vec![]);
+        let mut put = |run: &(u64, Vec<Cycle>)| {
+            if !run.1.is_empty() {
+                message.data = encode(run.0, &run.1).unwrap().into();
+                file.copy(&message).unwrap();
+            }
+        };
+        for (number, mut cycle) in (first..).zip(cycles) {
+            if keep(number, &mut cycle) {
+                run.1.push(cycle);
+            } else {
+                put(&run);
+                run = (number + 1, vec![]);
+            }
+        }
+        put(&run);
+        Ok(())
+    });
+    assert_eq!(ending, Ok(None));
+    file.finish().unwrap();
+}
+
+/// The newest flight log of a service.
+fn flight(folder: &Path) -> PathBuf {
+    let mut all: Vec<PathBuf> = std::fs::read_dir(folder.join("state/flights")).unwrap().map(|e| e.unwrap().path()).collect();
+    all.sort();
+    all.pop().unwrap()
+}
+
+#[test]
+fn a_killed_service_leaves_a_log_to_its_last_second_that_replays() {
+    for kill in 0..6 {
+        let folder = tempfile::tempdir().unwrap();
+        let daemon = Daemon::start(program(), folder.path()).unwrap();
+        let socket = daemon.sockets()[0].clone();
+        if kill >= 3 {
+            daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
+            expect(&socket, &["arm"], 0, "");
+            expect(&socket, &["bend", "40"], 0, "");
+        }
+        std::thread::sleep(Duration::from_millis(1300 + 170 * kill));
+        let status = daemon.until(2.0, "status", |s| s["t"].is_number()).unwrap();
+        daemon.kill();
+        let mut last_s = 0.0;
+        let ending = messages(&flight(folder.path()), &mut |message| {
+            if let Entry::Cycles(_, cycles) = Entry::of(&message)? {
+                last_s = cycles.last().map_or(last_s, |c| c.sensed.t.0);
+            }
+            Ok(())
+        });
+        assert!(ending.clone().unwrap().is_some_and(|why| why.contains("last whole chunk")), "{ending:?}");
+        assert!(last_s > status["t"].as_f64().unwrap() - 1.0, "{last_s} s of {}", status["t"]);
+        let (code, text) = offline(&[Path::new("replay"), &flight(folder.path())]);
+        assert!(code == 0 && text.contains(" 0 differ") && text.contains("last whole chunk"), "{text}");
+    }
+}
+
+#[test]
+fn files_rotate_stay_bounded_and_replay_as_a_series() {
+    let folder = tempfile::tempdir().unwrap();
+    let board = folder.path().join("board.toml");
+    std::fs::write(&board, "base = \"sim\"\n[service]\nflight_file_s = 2.0\nflight_file_mib = 1.0\nflight_max_mib = 64.0\n").unwrap();
+    let daemon = Daemon::start_with(program(), folder.path(), &["--board", board.to_str().unwrap(), "--fast", "4"]).unwrap();
+    let socket = daemon.sockets()[0].clone();
+    daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
+    expect(&socket, &["arm"], 0, "");
+    expect(&socket, &["bend", "40", "--wait"], 0, "settled");
+    daemon.until(10.0, "some files", |s| s["t"].as_f64().unwrap() > 20.0).unwrap();
+    assert!(daemon.end().unwrap().0);
+    let last = flight(folder.path());
+    let part = last.to_str().unwrap().split('-').next_back().unwrap().to_owned();
+    assert!(part.as_str() > "003.mcap", "{part}");
+    let (code, text) = offline(&[Path::new("replay"), &last]);
+    assert!(code == 0 && text.contains(" 0 differ") && !text.contains("gap"), "{text}");
+    // without its beginning it cannot be replayed
+    std::fs::remove_file(last.with_file_name("flight-000001-001.mcap")).unwrap();
+    let (code, text) = offline(&[Path::new("replay"), &last]);
+    assert!(code == 2 && text.contains("cannot be replayed"), "{text}");
+}
+
+/// The official reader for Python, if it is installed, finds every channel, every schema and every checksum in order.
+#[test]
+fn the_official_reader_reads_a_log() {
+    let python = std::env::var("RETROFLEX_MCAP_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    if !Command::new(&python).args(["-c", "import mcap"]).output().is_ok_and(|out| out.status.success()) {
+        eprintln!("skipped: {python} has no package `mcap`");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start_with(program(), folder.path(), &["--board", "sim", "--fast", "10"]).unwrap();
+    daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
+    assert!(daemon.end().unwrap().0);
+    let out = Command::new(&python).arg("tests/tip/read_mcap.py").arg(flight(folder.path())).output().unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success(), "{text}");
+    for part in ["/angles", "/pistons", "/gains", "/mode", "/faults", "/tf", "/cycles", "/events", "board.toml", "calibration.toml"] {
+        assert!(text.contains(part), "{part} is missing: {text}");
+    }
 }
 
 #[test]

@@ -12,14 +12,14 @@ pub const GROUPS: [(&str, &[&str]); 7] = [
     ("Move", &["run", "arm", "bend", "stream", "play", "hold", "stop", "relax", "disarm", "status", "subscribe", "reset-fault", "reload"]),
     ("Bring up", &["board", "doctor", "release", "jog", "home", "commission", "bench"]),
     ("Calibrate", &["zero", "calibrate", "imu"]),
-    ("Diagnose", &["record", "replay", "gap"]),
+    ("Diagnose", &["record", "log", "replay", "gap"]),
     ("Simulate", &["demo", "evaluate"]),
     ("Prove", &["drill"]),
     ("Other", &["completions", "man", "help"]),
 ];
 
 /// Two examples of each command that has arguments. A command with commands of its own stands for all of them.
-const EXAMPLES: [(&str, [&str; 2]); 23] = [
+const EXAMPLES: [(&str, [&str; 2]); 24] = [
     ("run", ["run", "run --board boards/pi4.toml --calib calib/paper.toml"]),
     ("bend", ["bend 60 --toward 90 --wait", "bend 30 --speed 10 --length 21"]),
     ("play", ["play schedule.csv", "play schedule.csv --record today"]),
@@ -36,7 +36,8 @@ const EXAMPLES: [(&str, [&str; 2]); 23] = [
     ("calibrate", ["calibrate transmission --short", "calibrate imu gyro rest.csv --out tip.toml"]),
     ("imu", ["imu score recording.csv", "imu score --all --json - recording.csv"]),
     ("record", ["record start today", "record stop"]),
-    ("replay", ["replay today.csv", "replay /var/lib/retroflex/today.csv"]),
+    ("log", ["log info flight.mcap", "log export flight.mcap --csv flight.csv"]),
+    ("replay", ["replay today.csv.gz", "replay flight.mcap --gains gains.toml"]),
     ("gap", ["gap diagnose today.csv --html today.html --save model.toml", "gap check model.toml tomorrow.csv"]),
     ("demo", ["demo --html leak.html", "demo"]),
     ("evaluate", ["evaluate --seed 7 --html figures.html", "evaluate --track examples/circle.csv --json -"]),

@@ -18,6 +18,7 @@ pub mod home;
 pub mod imu;
 pub mod inputs;
 pub mod jog;
+pub mod log;
 pub mod logging;
 pub mod manual_motion;
 mod outcome;
@@ -78,6 +79,9 @@ enum Command {
     Drill(drill::Args),
     /// Take the current away from all drivers.
     Release(release::Args),
+    /// Show, export and cut flight logs.
+    #[command(subcommand)]
+    Log(log::Log),
     /// Run a recording through the current control loop and compare bit for bit.
     Replay(replay::Args),
     /// Print a completion script for a shell.
@@ -124,6 +128,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Drill(args) => drill::run(&args),
         Command::Release(args) => release::run(&args),
+        Command::Log(command) => log::run(&command),
         Command::Replay(args) => replay::run(&args),
         Command::Completions(args) => Ok(help::completions(&args, command())),
         Command::Man(args) => help::man(&args, command()),

@@ -1,94 +1,238 @@
 //! `retroflex replay LOG`: runs a recorded input through the present software and compares every decision bit for bit.
 
-use crate::cli::{CommandOutcome, inputs};
+use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::source;
 use crate::config::supervisor::assemble;
-use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::log::error::why_unreadable;
-use crate::log::table;
 use crate::model::transmission::Line;
-use crate::service::record::tape_path;
-use crate::service::start::Start;
-use crate::service::tape::{Header, Reader, digest};
-use crate::supervisor::cycle::Supervisor;
-use crate::supervisor::machine::MachineInfo;
-use miette::{Result, miette};
-use std::io::{self, Read};
+use crate::primitives::parameters::Check;
+use crate::service::flight::cycle::Cycle;
+use crate::service::flight::log::{part_path, run_and_part};
+use crate::service::flight::read::{Entry, messages};
+use crate::service::flight::start::{Event, Header};
+use crate::service::record::flight_path;
+use crate::service::start::{Start, with_gains};
+use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
+use miette::{IntoDiagnostic, Result, miette};
+use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Arguments of `replay`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Bend log that was recorded with a tape (`LOG.tape` beside it).
+    /// Flight log, or bend log that was recorded with one (`NAME.mcap` beside `NAME.csv.gz`).
     log: PathBuf,
+    /// Also run it with this gains file and show what would have changed; it is speculation, because the recorded machine does
+    /// not answer to it.
+    #[arg(long)]
+    gains: Option<PathBuf>,
+    /// As `--gains`, with this calibration file.
+    #[arg(long)]
+    calib: Option<PathBuf>,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// A report that names the defect of the tape.
+/// A report that names the defect of the log.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    if args.log.is_dir() || !args.log.exists() {
-        let error = std::io::ErrorKind::NotFound.into();
-        return Err(miette!("{}: {}", args.log.display(), why_unreadable(&args.log, &error)));
+    let path = flight_of(&args.log)?;
+    let mut replay = Replay {
+        gains: args.gains.as_deref().map(|path| inputs::gains(Some(path))).transpose()?,
+        calibration: args.calib.as_deref().map(|path| inputs::calibration(Some(path))).transpose()?,
+        ..Replay::default()
+    };
+    let mut ending = None;
+    for part in parts(&path) {
+        ending = messages(&part, &mut |message| replay.take(Entry::of(&message)?)).map_err(|e| miette!("{e}"))?;
     }
-    let tape = tape_path(&args.log);
-    let path = tape.display();
-    let bytes = read(&tape).map_err(|e| {
-        miette!("{path}: {}; a log has a tape only if it was recorded with `retroflex run --record LOG`, or with `retroflex record start` while disarmed at rest", why_unreadable(&tape, &e))
-    })?;
-    let end = bytes.iter().position(|b| *b == b'\n').ok_or_else(|| miette!("{path}: has no header line"))?;
-    let header: Header = serde_json::from_slice(&bytes[..end]).map_err(|e| miette!("{path}, line 1: {e}"))?;
-    if header.tape != 1 {
-        return Err(miette!("{path}, line 1: tape version {}; this program reads version 1", header.tape));
-    }
-    let program = header.program.clone();
-    let mut supervisor = supervisor(header)?;
-    let mut reader = Reader::new(&bytes[end + 1..]);
-    let (mut cycles, mut different, mut first) = (0u64, 0u64, None);
-    for record in &mut reader {
-        let output = supervisor.turn(&record.sensed, record.order);
-        cycles += 1;
-        if digest(&output) != record.digest {
-            different += 1;
-            first.get_or_insert((cycles, record.sensed.t.0));
-        }
-    }
+    let Replay { cycles, different, skipped, .. } = replay;
     if cycles == 0 {
-        return Err(miette!("{path}: has no records"));
+        return Err(miette!(
+            "{}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing",
+            path.display()
+        ));
     }
-    let cut = if reader.is_done() { "" } else { "; the tape is truncated" };
-    println!("{cycles} cycles replayed, {different} differ{cut}");
-    let Some((n, t)) = first else { return Ok(CommandOutcome::Good) };
-    eprintln!("the first difference is in cycle {n} at {t:.3} s: the software has changed since version {program} wrote the tape");
+    let ending = ending.map_or_else(String::new, |ending| format!("; {ending}"));
+    println!("{cycles} cycles replayed, {different} differ{ending}");
+    for (before, t_s, lost) in &replay.gaps {
+        println!("gap: {lost} cycles are missing before cycle {before} at {t_s:.3} s");
+    }
+    if skipped > 0 {
+        println!("{skipped} cycles after a gap are not compared, because nothing tells the state of the loop there");
+    }
+    if replay.altered.is_some() {
+        show(&replay.changes, cycles);
+    }
+    let Some(first) = replay.first else { return Ok(CommandOutcome::Good) };
+    eprintln!("the first difference is {first} wrote the log");
     Ok(CommandOutcome::NotGoodEnough)
 }
 
-/// The content of a tape, compressed or not; of a truncated one, what is there.
-fn read(path: &Path) -> io::Result<Vec<u8>> {
-    let mut content = Vec::new();
-    match table::reader(path)?.read_to_end(&mut content) {
-        Err(e) if e.kind() != io::ErrorKind::UnexpectedEof => Err(e),
-        _ => Ok(content),
+/// The flight log of a path: the file itself, or the one beside a bend log.
+///
+/// # Errors
+/// A report about a file that does not exist.
+pub fn flight_of(log: &Path) -> Result<PathBuf> {
+    if log.is_dir() || !log.exists() {
+        return Err(miette!("{}: {}", log.display(), why_unreadable(log, &std::io::ErrorKind::NotFound.into())));
+    }
+    let flight = flight_path(log);
+    let is_bend_log = log.extension().is_some_and(|e| e == "csv" || e == "gz");
+    let why = "there is no such file; a bend log has a flight log beside it only if it was recorded with `retroflex run --record LOG`, or with `retroflex record start` while disarmed at rest";
+    match flight.exists() {
+        true => Ok(flight),
+        false if is_bend_log => Err(miette!("{}: {why}", flight.display())),
+        false => Ok(log.to_owned()),
     }
 }
 
-fn supervisor(header: Header) -> Result<Supervisor> {
-    let board: Board = source::parse("board of the tape", &header.texts[0])?;
-    let gains: Gains = source::parse("gains of the tape", &header.texts[1])?;
-    let calibration: Calibration = source::parse("calibration of the tape", &header.texts[2])?;
-    let info =
-        MachineInfo { name: header.machine, period_s: header.period_s, step_mm: header.step_mm, rest_length_mm: header.rest_length_mm };
-    let mut config = assemble(&board, &calibration, &gains, &info);
-    if let Some(text) = header.texts.get(3) {
-        let machine = inputs::described_by("model of the tape", source::parse("model of the tape", text)?, &board)?;
-        config.tick = config.tick.fed_forward(machine);
+/// The parts of a run up to this one that are there.
+fn parts(path: &Path) -> Vec<PathBuf> {
+    let (Some((run, part)), Some(folder)) = (run_and_part(path), path.parent()) else { return vec![path.to_owned()] };
+    let before = (1..part).map(|n| part_path(folder, run, n)).filter(|p| p.exists());
+    before.chain([path.to_owned()]).collect()
+}
+
+/// A configuration text of the log.
+fn text<T: DeserializeOwned + Check>(text: &str) -> std::result::Result<T, String> {
+    source::parse("configuration in the log", text).map_err(|e| e.to_string())
+}
+
+#[derive(Default)]
+struct Replay {
+    /// Settings to speculate with.
+    gains: Option<Gains>,
+    calibration: Option<Calibration>,
+    /// The start of the present supervisor.
+    header: Option<Header>,
+    machine: Option<(Board, Calibration, SupervisorConfig)>,
+    /// `None` after a gap.
+    supervisor: Option<Supervisor>,
+    /// A supervisor with the other settings, and the differences that they make.
+    altered: Option<Supervisor>,
+    changes: [Change; QUANTITIES.len()],
+    /// Number of the next cycle.
+    next: u64,
+    cycles: u64,
+    different: u64,
+    skipped: u64,
+    /// Number and time of the cycle after each gap, and the cycles that are missing.
+    gaps: Vec<(u64, f64, u64)>,
+    first: Option<String>,
+}
+
+impl Replay {
+    fn take(&mut self, entry: Entry) -> std::result::Result<(), String> {
+        match entry {
+            Entry::Event(event) => match *event {
+                // repeated at the beginning of a part
+                Event::Start(header) if self.header.as_ref().is_some_and(|known| known.cycle == header.cycle) => {}
+                Event::Start(header) => self.start(header)?,
+                Event::Reload { gains, lines } => self.reload(&gains, lines)?,
+            },
+            Entry::Cycles(first, cycles) => (first..).zip(&cycles).for_each(|(number, cycle)| self.turn(number, cycle)),
+            Entry::Shown(_) => {}
+        }
+        Ok(())
     }
-    config.tick.lines = header.lines.map(|[k_epsilon, k_lambda_mm]| Line { k_epsilon, k_lambda_mm });
-    let [lag_s, delay_s, uncertainty_s] = header.dynamics;
-    config.tick.dynamics = DynamicsPrior { expected: Dynamics { lag_s, delay_s }, uncertainty_s };
-    Ok(Start { config, restart: header.restart, belief: header.belief, unverified: false }.supervisor())
+
+    fn start(&mut self, header: Header) -> std::result::Result<(), String> {
+        if header.log != 2 {
+            return Err(format!("log version {}; this program reads version 2", header.log));
+        }
+        let [board, gains, calibration, model @ ..] = header.texts.as_slice() else { return Err("has no configuration".to_owned()) };
+        let (board, gains, calibration): (Board, Gains, Calibration) = (text(board)?, text(gains)?, text(calibration)?);
+        let name = "model of the log";
+        let described = model.first().map(|text| inputs::described_by(name, source::parse(name, text).into_diagnostic()?, &board));
+        let described = described.transpose().map_err(|e| e.to_string())?;
+        let configured = |calibration, gains| {
+            let mut config = assemble(&board, calibration, gains, &header.machine);
+            if let Some(machine) = &described {
+                config.tick = config.tick.fed_forward(Arc::clone(machine));
+            }
+            config
+        };
+        let start = Start::of(&header, configured(&calibration, &gains));
+        if self.gains.is_some() || self.calibration.is_some() {
+            let used = self.calibration.as_ref().unwrap_or(&calibration);
+            let mut config = configured(used, self.gains.as_ref().unwrap_or(&gains));
+            if self.calibration.is_none() {
+                (config.tick.lines, config.tick.dynamics) = (start.config.tick.lines, start.config.tick.dynamics);
+            }
+            self.altered = Some(Start { config, ..start.clone() }.supervisor());
+        }
+        self.next = header.cycle;
+        self.header = Some(header);
+        self.machine = Some((board, calibration, start.config.clone()));
+        self.supervisor = Some(start.supervisor());
+        Ok(())
+    }
+
+    fn reload(&mut self, gains: &str, lines: [Line; 3]) -> std::result::Result<(), String> {
+        let (Some(supervisor), Some((board, calibration, config))) = (&mut self.supervisor, &mut self.machine) else { return Ok(()) };
+        let gains: Gains = text(gains)?;
+        config.tick.lines = lines;
+        *config = with_gains(config, board, calibration, &gains);
+        supervisor.reload(&mut config.clone());
+        Ok(())
+    }
+
+    fn turn(&mut self, number: u64, cycle: &Cycle) {
+        let t_s = cycle.sensed.t.0;
+        if number != self.next {
+            self.gaps.push((number, t_s, number.saturating_sub(self.next)));
+            self.supervisor = None;
+        }
+        self.next = number + 1;
+        let Some(supervisor) = &mut self.supervisor else {
+            self.skipped += 1;
+            return;
+        };
+        let output = supervisor.turn(&cycle.sensed, cycle.order);
+        self.cycles += 1;
+        let fields = cycle.differences(&output);
+        if !fields.is_empty() {
+            self.different += 1;
+            let program = self.header.as_ref().map_or("", |header| &header.program);
+            let why =
+                || format!("in cycle {number} at {t_s:.3} s, in {}: the software has changed since version {program}", fields.join(", "));
+            self.first.get_or_insert_with(why);
+        }
+        if let Some(altered) = &mut self.altered {
+            compare(&mut self.changes, t_s, &output, &altered.turn(&cycle.sensed, cycle.order));
+        }
+    }
+}
+
+/// How much a quantity differs between two runs: sum of squares, largest difference, and its time in s.
+type Change = (f64, f64, f64);
+
+const QUANTITIES: [&str; 5] = ["set-point, °", "estimated bend, °", "predicted bend, °", "feedback, °", "piston targets, mm"];
+
+fn compare(changes: &mut [Change], t_s: f64, run: &CycleOutput, other: &CycleOutput) {
+    let (a, b) = (&run.frame, &other.frame);
+    let setpoint = a.setpoint.bend.0 - b.setpoint.bend.0;
+    let estimate = a.estimate.zip(b.estimate).map_or(0.0, |(a, b)| (a.bend.0 - b.bend.0).norm());
+    let angles = [setpoint.norm(), estimate, (a.predicted - b.predicted).norm(), (a.feedback - b.feedback).norm()];
+    let pistons = (a.piston_target_mm - b.piston_target_mm).amax();
+    for ((squares, largest, at_s), x) in changes.iter_mut().zip(angles.map(f64::to_degrees).into_iter().chain([pistons])) {
+        *squares += x * x;
+        if x > *largest {
+            (*largest, *at_s) = (x, t_s);
+        }
+    }
+}
+
+fn show(changes: &[Change], cycles: u64) {
+    println!("\nWith the other settings, on the same input. This is speculation: the recorded machine did not follow them.");
+    let row = |(name, (squares, largest, at_s)): (&&str, &Change)| {
+        let rms = (squares / cycles as f64).sqrt();
+        vec![(*name).to_owned(), format!("{rms:.4}"), format!("{largest:.4}"), format!("{at_s:.3}")]
+    };
+    println!("{}", output::table(&["difference", "RMS", "largest", "at, s"], 1..4, QUANTITIES.iter().zip(changes).map(row)));
 }

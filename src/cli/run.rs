@@ -9,6 +9,7 @@ use crate::config::show;
 use crate::config::supervisor::assemble;
 use crate::hardware::machine::Hardware;
 use crate::service::error::ServiceError;
+use crate::service::flight::start::hash;
 use crate::service::start::RunConfig;
 use crate::service::{Claim, Setup, serve};
 use crate::simulation::link::{self, Link};
@@ -49,7 +50,7 @@ pub struct Args {
     /// Folder of the persistent state, instead of the board's.
     #[arg(long)]
     state: Option<PathBuf>,
-    /// Record a bend log with its tape from the first cycle on.
+    /// Record a bend log from the first cycle on, with a flight log beside it.
     #[arg(long)]
     record: Option<PathBuf>,
     /// Number of the simulated unit.
@@ -102,7 +103,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let config = RunConfig {
         supervisor,
         service: board.service.clone(),
-        config_hash: hash(&texts),
+        config_hash: hash(texts.iter().map(String::as_str)),
         texts,
         board,
         gains: args.gains.clone(),
@@ -153,10 +154,4 @@ fn open(args: &Args, path: Option<&Path>, board: &Board) -> Result<Box<dyn Machi
     })?;
     let sim = Sim::new(&section.make(), args.seed, 1, section.period_s).into_diagnostic()?;
     Ok(Box::new(Lockstep::new(sim, &board.drive_limits())))
-}
-
-/// FNV-1a over the texts, in hexadecimal.
-fn hash(texts: &[String]) -> String {
-    let bytes = texts.iter().flat_map(|t| t.bytes().chain([0]));
-    format!("{:016x}", bytes.fold(0xcbf2_9ce4_8422_2325u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)))
 }

@@ -34,10 +34,17 @@ parameters! {
         hold_max_s: Option<f64> = None, "s", 1.0..=1e6, "longer than any procedure holds one pose";
         /// Longest recording.
         record_max_s: f64 = 3600.0, "s", 1.0..=1e6, "an hour";
-        /// Largest recording, log and tape together. A larger value fills more of the disk.
+        /// Largest recording, bend log and flight log together. A larger value fills more of the disk.
         record_max_mib: f64 = 1024.0, "MiB", 1.0..=1e6, "1024 is some hours, compressed";
         /// A recording ends when less of the disk is free. A larger value leaves more to the state and to others.
         record_free_mib: f64 = 256.0, "MiB", 1.0..=1e6, "the state needs 1 MiB";
+        /// Flight logs of all runs together; the oldest files are deleted first. 0 writes none. A larger value keeps more runs and
+        /// fills more of the disk.
+        flight_max_mib: f64 = 1024.0, "MiB", 0.0..=1e6, "1024 is about ten hours";
+        /// A flight log continues in a new file when it is larger. A larger value makes fewer files.
+        flight_file_mib: f64 = 128.0, "MiB", 1.0..=1e5, "128 is about an hour";
+        /// A flight log continues in a new file after this time. A larger value makes fewer files.
+        flight_file_s: f64 = 3600.0, "s", 1.0..=1e6, "an hour";
         /// SCHED_FIFO priority of the loop, below that of the step thread; 0 requests none. A larger value displaces more of the
         /// system.
         priority: i32 = 70, "", 0..=99, "below the step thread; 0 requests none";

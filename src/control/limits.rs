@@ -24,7 +24,7 @@ pub struct ActuatorLimits {
 }
 
 /// The limit that cut a request; if several do, the last one of the command path.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub enum Cut {
     /// None.
     #[default]

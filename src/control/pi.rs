@@ -25,7 +25,7 @@
 use nalgebra::Vector2;
 
 /// Lag and dead time from the pistons to the estimated bend.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Dynamics {
     /// First-order lag τ, s.
     pub lag_s: f64,
@@ -42,7 +42,7 @@ impl Dynamics {
 }
 
 /// Lag and dead time before any motion, and how far they may be off.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DynamicsPrior {
     /// Expected values.
     pub expected: Dynamics,

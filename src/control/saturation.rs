@@ -7,7 +7,7 @@
 use crate::control::limits::Cut;
 
 /// The limit that the controller has reached.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub enum Saturation {
     /// None, or the tip is on target.
     #[default]

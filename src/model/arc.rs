@@ -29,7 +29,7 @@ impl Default for Geometry {
 }
 
 /// Bend and centre-line length: the paper's configuration space ψ (Eq. 3).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Shape {
     /// Bend vector.
     pub bend: Bend,

@@ -21,7 +21,7 @@ pub struct Levels {
 }
 
 /// Logical levels of all input lines; true means pressed or closed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Inputs {
     /// The emergency stop is pressed.
     pub emergency_stop: bool,

@@ -26,7 +26,7 @@ pub struct Tip;
 pub struct Sensor;
 
 /// Orientation of frame `B` in frame `A`: maps coordinates of `B` to coordinates of `A`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Rotation<A, B> {
     q: UnitQuaternion<f64>,
     frames: PhantomData<(A, B)>,

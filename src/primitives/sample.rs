@@ -4,7 +4,7 @@ use crate::primitives::units::Seconds;
 use nalgebra::Vector3;
 
 /// A 9-DoF sample in the [`crate::primitives::frames::Sensor`] frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ImuSample {
     /// When the sample was taken, seconds on the loop's monotonic clock.
     pub t: Seconds,

@@ -6,7 +6,7 @@
 //!                      │ ▲                      ▲ │
 //!                      ▼ │                orders│ │answers, frames, restart notes   (wait-free rings)
 //!  readers ═socket═ status ══ hub ──────────────┘ ▼
-//!                        └──▶ state writer (disk), recording (disk), systemd (notify socket)
+//!                        └──▶ state writer (disk), flight log (disk), recording (disk), systemd (notify socket)
 //! ```
 //!
 //! The loop thread ([`rt_loop`]) uses no lock, no file and no allocator. Each socket has a thread ([`port`]); those of
@@ -18,7 +18,9 @@ pub mod belief;
 pub mod calibrate;
 pub mod client;
 pub mod connection;
+pub mod disk;
 pub mod error;
+pub mod flight;
 pub mod hub;
 pub mod listener;
 pub mod memory;
@@ -37,8 +39,6 @@ pub mod status;
 pub mod stop;
 pub mod stop_socket;
 pub mod store;
-pub mod tape;
-pub mod tape_code;
 
 use crate::config::service::ServiceSection;
 use crate::hardware::rt::{self, RtRequest, RtStatus};

@@ -1,8 +1,8 @@
-//! Recordings: a bend log in the format that the diagnosis reads, and the tape beside it.
+//! Recordings: a bend log in the format that the diagnosis reads, and a flight log beside it (`NAME.csv.gz` and `NAME.mcap`).
 //!
 //! The log has one row per sample of the tip's IMU; numbers are written with the fewest digits that restore them
-//! exactly. A recording has a tape only if it starts with a freshly reset supervisor, because the internal state of a
-//! running one cannot be written down.
+//! exactly. A recording has a flight log of its own only if it starts with a freshly reset supervisor, because the internal
+//! state of a running one cannot be written down.
 //!
 //! The hub formats the rows; a thread of the recording's own creates, compresses and writes the files. A recording that
 //! reaches its limits, or whose disk is too slow, ends and reports why.
@@ -10,9 +10,10 @@
 use crate::config::service::ServiceSection;
 use crate::estimation::fusion::health::ImuReading;
 use crate::primitives::sample::ImuSample;
-use crate::service::tape;
-use crate::supervisor::cycle::CycleOutput;
-use crate::supervisor::machine::Sensed;
+use crate::service::disk::{free_bytes, mib};
+use crate::service::flight::cycle::Cycle;
+use crate::service::flight::file::FlightFile;
+use crate::service::flight::start::{Event, Logged};
 use flate2::{Compression, write::GzEncoder};
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -21,12 +22,12 @@ use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, TrySendError, 
 use std::time::{Duration, Instant};
 
 /// Columns, as in every bend log.
-const HEADER: &str = "time_s,cmd_bend_deg,cmd_dir_deg,cmd_len_mm,piston1_mm,piston2_mm,piston3_mm,\
+pub const HEADER: &str = "time_s,cmd_bend_deg,cmd_dir_deg,cmd_len_mm,piston1_mm,piston2_mm,piston3_mm,\
 acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s,mag_x_ut,mag_y_ut,mag_z_ut,temp_c,\
 pressure1_kpa,pressure2_kpa,pressure3_kpa\n";
 
 /// Time of the first row, s.
-const FIRST_ROW_S: f64 = 1e-3;
+pub const FIRST_ROW_S: f64 = 1e-3;
 /// Rows are handed to the thread this often, or when there are as many bytes of them.
 const CHUNK: (Duration, usize) = (Duration::from_millis(250), 64 * 1024);
 /// Chunks that may wait for the disk: at 500 rows a second, more than 20 s.
@@ -41,8 +42,8 @@ pub enum Progress {
     Ended(io::Result<Option<&'static str>>),
 }
 
-/// Rows of the log and records of the tape; no records end the tape.
-type Chunk = (Vec<u8>, Option<Vec<u8>>);
+/// Rows of the bend log and cycles of the flight log.
+type Chunk = (Vec<u8>, Vec<Logged>);
 
 /// A recording in progress.
 #[derive(Debug)]
@@ -50,7 +51,8 @@ pub struct Recording {
     path: PathBuf,
     /// Rows that wait to be handed over.
     log: Vec<u8>,
-    tape: Option<Vec<u8>>,
+    /// Cycles for the flight log, if there is one.
+    cycles: Option<Vec<Logged>>,
     handed_over: Instant,
     /// `None` once the recording is ending.
     chunks: Option<SyncSender<Chunk>>,
@@ -68,38 +70,35 @@ pub struct Recording {
     reason: Option<&'static str>,
 }
 
-/// Path of the tape of a log.
+/// Path of the flight log of a recording.
 #[must_use]
-pub fn tape_path(log: &Path) -> PathBuf {
-    let mut name = log.as_os_str().to_owned();
-    name.push(".tape");
-    PathBuf::from(name)
+pub fn flight_path(log: &Path) -> PathBuf {
+    let name = log.to_string_lossy();
+    let name = name.strip_suffix(".gz").unwrap_or(&name);
+    PathBuf::from(format!("{}.mcap", name.strip_suffix(".csv").unwrap_or(name)))
 }
 
 impl Recording {
-    /// Starts the thread, which creates the log, and with a header the tape. Existing files are not overwritten. A name that
-    /// ends in `.gz` compresses both.
+    /// Starts the thread, which creates the bend log and, if the recording shall be replayable, its flight log: then `flight` is
+    /// the time of the loop's zero, ns since 1970. Existing files are not overwritten. A name that ends in `.gz` compresses the
+    /// bend log.
     ///
     /// # Errors
     /// The operating system's, if there is no thread.
-    pub fn start(path: &Path, step_mm: f64, header: Option<&tape::Header>, bounds: &ServiceSection) -> io::Result<Self> {
-        let tape = header.map(serde_json::to_vec).transpose()?.map(|mut line| {
-            line.push(b'\n');
-            line
-        });
+    pub fn start(path: &Path, step_mm: f64, flight: Option<u64>, bounds: &ServiceSection) -> io::Result<Self> {
         let (chunks, work) = sync_channel(CHUNKS_MAX);
         let (report, progress) = channel();
-        let (own, has_tape, limits) = (path.to_owned(), tape.is_some(), bounds.clone());
+        let (own, limits) = (path.to_owned(), bounds.clone());
         std::thread::Builder::new().name("recording".into()).spawn(move || {
-            let ended = write(&own, has_tape, &limits, &work, &report);
+            let ended = write(&own, flight, &limits, &work, &report);
             // the hub is gone only when the service ends
             let _ = report.send(Progress::Ended(ended));
         })?;
         Ok(Self {
             path: path.to_owned(),
             log: HEADER.as_bytes().to_vec(),
-            waiting: tape.is_some(),
-            tape,
+            waiting: flight.is_some(),
+            cycles: flight.map(|_| Vec::new()),
             handed_over: Instant::now(),
             chunks: Some(chunks),
             progress,
@@ -124,10 +123,10 @@ impl Recording {
         self.last_s.max(0.0)
     }
 
-    /// True while the recording can be replayed.
+    /// True if the recording can be replayed.
     #[must_use]
-    pub fn has_tape(&self) -> bool {
-        self.tape.is_some()
+    pub fn is_replayable(&self) -> bool {
+        self.cycles.is_some()
     }
 
     /// True if no further row is accepted.
@@ -136,28 +135,27 @@ impl Recording {
         self.chunks.is_none()
     }
 
-    /// Ends the tape before an event that it cannot hold. The log continues.
-    pub fn end_tape(&mut self) {
-        // records that were not handed over are dropped: the tape replays up to its last whole record
-        (self.waiting, self.tape) = (false, None);
+    /// Records without a flight log, because no fresh supervisor begins.
+    pub fn give_up_replay(&mut self) {
+        (self.waiting, self.cycles) = (false, None);
     }
 
     /// Adds one cycle.
-    pub fn write(&mut self, output: &CycleOutput) {
-        self.waiting &= !output.first;
+    pub fn write(&mut self, logged: &Logged) {
+        self.waiting &= !logged.events.iter().any(|event| matches!(**event, Event::Start(_)));
         if self.waiting || self.is_ending() {
             return;
         }
-        if let Some(tape) = &mut self.tape {
-            let sensed = Sensed { truth: None, ..output.sensed };
-            tape::write(tape, &tape::Record { sensed, order: output.order, digest: tape::digest(output) });
+        if let Some(cycles) = &mut self.cycles {
+            cycles.push(logged.clone());
         }
+        let output = &logged.output;
         if let ImuReading::Sample(sample, _) = output.input.imu {
             let start_s = *self.start_s.get_or_insert(sample.t.0 - FIRST_ROW_S);
             let t = sample.t.0 - start_s;
             if t > self.last_s {
-                self.last_s = t;
-                self.row(t, &sample, output);
+                (self.last_s, self.rows) = (t, self.rows + 1);
+                row(&mut self.log, t, &sample, &output.into(), self.step_mm);
             }
         }
         if self.duration_s() > self.most_s {
@@ -168,27 +166,10 @@ impl Recording {
         }
     }
 
-    fn row(&mut self, t: f64, sample: &ImuSample, output: &CycleOutput) {
-        self.rows += 1;
-        let target = &output.frame.target;
-        let (bend, dir) = (target.bend.beta().to_degrees(), target.bend.delta().to_degrees());
-        let [p1, p2, p3] = output.counted.0.map(|n| f64::from(n) * self.step_mm);
-        let (a, g, length) = (sample.acc_m_s2, sample.gyro_rad_s, target.length.0);
-        let (mag, gauges) = (sample.mag_ut.unwrap_or_else(|| [f64::NAN; 3].into()), &output.sensed.gauges);
-        let pressure = gauges.pressure_kpa.unwrap_or([f64::NAN; 3]);
-        // writing to memory does not fail
-        let _ = write!(self.log, "{t:.6},{bend},{dir},{length},{p1},{p2},{p3},{},{},{},{},{},{}", a.x, a.y, a.z, g.x, g.y, g.z);
-        for value in [mag.x, mag.y, mag.z, gauges.tip_c.unwrap_or(f64::NAN)].into_iter().chain(pressure) {
-            // a field without a number is empty
-            let _ = if value.is_finite() { write!(self.log, ",{value}") } else { write!(self.log, ",") };
-        }
-        self.log.push(b'\n');
-    }
-
     fn hand_over(&mut self) {
         let Some(chunks) = &self.chunks else { return };
         self.handed_over = Instant::now();
-        let chunk = (std::mem::take(&mut self.log), self.tape.as_mut().map(std::mem::take));
+        let chunk = (std::mem::take(&mut self.log), self.cycles.as_mut().map(std::mem::take).unwrap_or_default());
         match chunks.try_send(chunk) {
             Ok(()) => {}
             Err(TrySendError::Full(_)) => {
@@ -223,14 +204,27 @@ impl Recording {
     }
 }
 
-fn mib(n: f64) -> u64 {
-    (n * 1024.0 * 1024.0) as u64
+/// Appends a row of a bend log: a sample at `t` s of the log, in this cycle.
+pub fn row(log: &mut Vec<u8>, t: f64, sample: &ImuSample, cycle: &Cycle, step_mm: f64) {
+    let target = &cycle.target;
+    let (bend, dir) = (target.bend.beta().to_degrees(), target.bend.delta().to_degrees());
+    let [p1, p2, p3] = cycle.sensed.counted.0.map(|n| f64::from(n) * step_mm);
+    let (a, g, length) = (sample.acc_m_s2, sample.gyro_rad_s, target.length.0);
+    let (mag, gauges) = (sample.mag_ut.unwrap_or_else(|| [f64::NAN; 3].into()), &cycle.sensed.gauges);
+    let pressure = gauges.pressure_kpa.unwrap_or([f64::NAN; 3]);
+    // writing to memory does not fail
+    let _ = write!(log, "{t:.6},{bend},{dir},{length},{p1},{p2},{p3},{},{},{},{},{},{}", a.x, a.y, a.z, g.x, g.y, g.z);
+    for value in [mag.x, mag.y, mag.z, gauges.tip_c.unwrap_or(f64::NAN)].into_iter().chain(pressure) {
+        // a field without a number is empty
+        let _ = if value.is_finite() { write!(log, ",{value}") } else { write!(log, ",") };
+    }
+    log.push(b'\n');
 }
 
 /// The thread: returns the reason if a limit ended the recording.
 fn write(
     path: &Path,
-    has_tape: bool,
+    flight: Option<u64>,
     limits: &ServiceSection,
     chunks: &Receiver<Chunk>,
     report: &Sender<Progress>,
@@ -240,18 +234,17 @@ fn write(
     }
     let compressed = path.extension().is_some_and(|e| e == "gz");
     let mut log = Output::create(path, compressed)?;
-    let mut tape = has_tape.then(|| Output::create(&tape_path(path), compressed)).transpose()?;
+    let mut flight = flight.map(|zero| FlightFile::create(&flight_path(path), zero)).transpose().map_err(io::Error::other)?;
     // the hub is gone only when the service ends
     let _ = report.send(Progress::Started);
     let mut reason = None;
-    for (rows, records) in chunks {
+    for (rows, cycles) in chunks {
         log.write(&rows)?;
-        match (&mut tape, records) {
-            (Some(file), Some(records)) => file.write(&records)?,
-            (Some(_), None) => tape.take().map_or(Ok(()), Output::finish)?,
-            (None, _) => {}
+        if let Some(flight) = &mut flight {
+            cycles.iter().try_for_each(|logged| flight.write(logged)).map_err(io::Error::other)?;
+            flight.flush(false).map_err(io::Error::other)?;
         }
-        if log.size()? + tape.as_ref().map_or(Ok(0), Output::size)? > mib(limits.record_max_mib) {
+        if log.size()? + flight.as_ref().map_or(Ok(0), FlightFile::size)? > mib(limits.record_max_mib) {
             reason = Some("it reached service.record_max_mib");
         } else if free_bytes(path)? < mib(limits.record_free_mib) {
             reason = Some("less than service.record_free_mib of the disk is free");
@@ -261,7 +254,7 @@ fn write(
         }
     }
     log.finish()?;
-    tape.map_or(Ok(()), Output::finish)?;
+    flight.map_or(Ok(()), FlightFile::finish).map_err(io::Error::other)?;
     Ok(reason)
 }
 
@@ -293,21 +286,4 @@ impl Output {
         drop(self.file);
         File::open(self.path)?.sync_all()
     }
-}
-
-/// Bytes of the file system that an ordinary user may still use.
-#[allow(unsafe_code)]
-fn free_bytes(path: &Path) -> io::Result<u64> {
-    use std::os::fd::AsRawFd;
-    let file = File::open(path)?;
-    let mut stat = std::mem::MaybeUninit::<libc::statvfs>::uninit();
-    // SAFETY: the descriptor is open, and `stat` is written in full when the call succeeds
-    let stat = unsafe {
-        if libc::fstatvfs(file.as_raw_fd(), stat.as_mut_ptr()) != 0 {
-            return Err(io::Error::last_os_error());
-        }
-        stat.assume_init()
-    };
-    #[allow(clippy::useless_conversion, reason = "narrower on computers of 32 bits")]
-    Ok(u64::from(stat.f_bavail) * u64::from(stat.f_frsize))
 }

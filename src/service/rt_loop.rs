@@ -56,6 +56,17 @@ pub struct RestartNote {
     pub unverified: bool,
 }
 
+/// The output of a cycle on its way to the hub.
+#[derive(Debug)]
+pub struct LoopFrame {
+    /// Number of the cycle.
+    pub number: u64,
+    /// Messages other than orders that the loop had carried out before it.
+    pub changes: u64,
+    /// The output.
+    pub output: CycleOutput,
+}
+
 /// Result of an order, with the id of its message.
 pub type Answer = (u64, Result<(), Refusal>);
 
@@ -64,7 +75,8 @@ pub struct LoopRings {
     orders: Consumer<Message>,
     setpoints: Consumer<Message>,
     answers: Producer<Answer>,
-    frames: Producer<CycleOutput>,
+    frames: Producer<LoopFrame>,
+    changes: u64,
     notes: Producer<RestartNote>,
     retired: Producer<Retired>,
 }
@@ -78,7 +90,7 @@ pub struct HubRings {
     /// Answers to orders.
     pub answers: Consumer<Answer>,
     /// The output of every cycle.
-    pub frames: Consumer<CycleOutput>,
+    pub frames: Consumer<LoopFrame>,
     /// Restart data, every `NOTE_EVERY` cycles.
     pub notes: Consumer<RestartNote>,
     /// Objects to drop.
@@ -109,6 +121,7 @@ pub fn rings() -> (LoopRings, HubRings) {
             setpoints: loop_setpoints,
             answers: loop_answers,
             frames: loop_frames,
+            changes: 0,
             notes: loop_notes,
             retired: loop_retired,
         },
@@ -188,14 +201,15 @@ impl Loop {
         if let (Some(id), Some(answer)) = (id, output.answer) {
             self.answer(id, answer);
         }
-        if self.rings.frames.push(output).is_err() {
+        let number = self.shared.cycles.fetch_add(1, Relaxed);
+        if self.rings.frames.push(LoopFrame { number, changes: self.rings.changes, output }).is_err() {
             self.shared.lost.fetch_add(1, Relaxed);
         }
         if let Some(number) = stop {
             // after the frame, so that a status that follows the answer reports the stop
             self.shared.stop.complete(number);
         }
-        if self.shared.cycles.fetch_add(1, Relaxed).is_multiple_of(NOTE_EVERY) {
+        if number.is_multiple_of(NOTE_EVERY) {
             let supervisor = &self.runner.supervisor;
             // if the ring is full the hub is late, and a newer note will replace this one
             let _ = self.rings.notes.push(RestartNote {
@@ -224,11 +238,13 @@ impl Loop {
             },
             Ok(Message::Reload(mut config)) => {
                 self.runner.supervisor.reload(&mut config);
+                rings.changes += 1;
                 self.retire(Retired::Config(config));
             }
             Ok(Message::ReplaceSupervisor(mut supervisor)) => {
                 supervisor.inherit(&self.runner.supervisor);
                 std::mem::swap(&mut self.runner.supervisor, &mut supervisor);
+                rings.changes += 1;
                 self.retire(Retired::Supervisor(supervisor));
             }
             Err(_) => {}

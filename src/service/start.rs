@@ -2,13 +2,15 @@
 
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
+use crate::config::gains::Gains;
 use crate::config::service::ServiceSection;
 use crate::control::pi::{Dynamics, DynamicsPrior};
-use crate::control::tick::RestartState;
+use crate::control::tick::{LoopConfig, RestartState};
 use crate::service::belief::Belief;
+use crate::service::flight::start::Header;
 use crate::service::memory::Memory;
-use crate::service::tape::Header;
 use crate::supervisor::cycle::{Supervisor, SupervisorConfig};
+use crate::supervisor::machine::MachineInfo;
 use std::path::PathBuf;
 
 /// The configuration of a running service.
@@ -27,7 +29,7 @@ pub struct RunConfig {
     pub tip: String,
     /// Hash of [`Self::texts`].
     pub config_hash: String,
-    /// Texts of board, gains, calibration and, with a feedforward, its model, for the tape.
+    /// Texts of board, gains, calibration and, with a feedforward, its model, for the flight log.
     pub texts: Vec<String>,
 }
 
@@ -82,22 +84,47 @@ impl Start {
         supervisor
     }
 
-    /// The header of a tape that starts here.
+    /// The start as the flight log holds it.
     #[must_use]
-    pub fn header(&self, texts: &[String], machine: &str) -> Header {
-        let tick = &self.config.tick;
+    pub fn header(&self, run: &RunConfig, machine: &str) -> Header {
+        let SupervisorConfig { tick, gate, .. } = &self.config;
+        let (name, rest_length_mm) = (machine.to_owned(), tick.geometry.rest_length_mm);
         Header {
-            tape: 1,
+            log: 2,
+            cycle: 0,
             program: env!("CARGO_PKG_VERSION").to_owned(),
-            texts: texts.to_vec(),
-            machine: machine.to_owned(),
-            period_s: self.config.gate.tick_s,
-            step_mm: self.config.gate.step_mm,
-            rest_length_mm: tick.geometry.rest_length_mm,
-            lines: tick.lines.map(|l| [l.k_epsilon, l.k_lambda_mm]),
-            dynamics: [tick.dynamics.expected.lag_s, tick.dynamics.expected.delay_s, tick.dynamics.uncertainty_s],
+            config_hash: run.config_hash.clone(),
+            texts: run.texts.clone(),
+            machine: MachineInfo { name, period_s: gate.tick_s, step_mm: gate.step_mm, rest_length_mm },
+            tip: run.tip.clone(),
+            lines: tick.lines,
+            dynamics: tick.dynamics,
             restart: self.restart,
             belief: self.belief,
+            unverified: self.unverified,
         }
     }
+
+    /// The start that a flight log holds.
+    #[must_use]
+    pub fn of(header: &Header, mut config: SupervisorConfig) -> Self {
+        (config.tick.lines, config.tick.dynamics) = (header.lines, header.dynamics);
+        Self { config, restart: header.restart, belief: header.belief, unverified: header.unverified }
+    }
+}
+
+/// A configuration after a reload: machine and calibration stay, the rest comes from the gains.
+#[must_use]
+pub fn with_gains(now: &SupervisorConfig, board: &Board, calibration: &Calibration, gains: &Gains) -> SupervisorConfig {
+    let mut next = now.clone();
+    next.tick = LoopConfig {
+        geometry: next.tick.geometry,
+        drive: next.tick.drive,
+        lines: next.tick.lines,
+        line_sigmas: next.tick.line_sigmas,
+        dynamics: next.tick.dynamics,
+        feedforward: next.tick.feedforward,
+        ..crate::config::assemble(board, calibration, gains)
+    };
+    next
 }

@@ -22,7 +22,7 @@ use crate::primitives::units::{Seconds, Steps};
 use thiserror::Error;
 
 /// What the machine reports in one cycle.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Sensed {
     /// Time of the cycle on the loop's clock.
     pub t: Seconds,
@@ -44,6 +44,7 @@ pub struct Sensed {
     /// Pressure and temperature, for the status; what exceeds a limit is an alarm.
     pub gauges: Gauges,
     /// True tip orientation, if the machine is simulated. It serves scoring only; the loop never reads it.
+    #[serde(skip)]
     pub truth: Option<Rotation<Base, Tip>>,
 }
 
@@ -86,7 +87,7 @@ impl Sensed {
 }
 
 /// Readings of the gauges that a machine has.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Gauges {
     /// Gauge pressure of each line, kPa; NaN while a sensor does not answer.
     pub pressure_kpa: Option<[f64; 3]>,
@@ -97,7 +98,7 @@ pub struct Gauges {
 }
 
 /// An alarm of the machine.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Alarm {
     /// A step was later than permitted.
     Late {
@@ -154,7 +155,7 @@ impl std::fmt::Display for Alarm {
 }
 
 /// Properties of a machine.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MachineInfo {
     /// Name, for reports.
     pub name: String,

@@ -7,14 +7,22 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::log::bend_log;
-use retroflex::service::{protocol, slot, tape};
+use retroflex::service::flight::{cycle, read};
+use retroflex::service::{protocol, slot};
 
 /// A parser and its name.
 pub type Parser = (&'static str, fn(&[u8]) -> bool);
 
 /// All parsers.
-pub const PARSERS: [Parser; 7] =
-    [("board", board), ("gains", gains), ("calib", calib), ("socket", socket), ("bend_log", bend_log), ("memory", memory), ("tape", tape)];
+pub const PARSERS: [Parser; 7] = [
+    ("board", board),
+    ("gains", gains),
+    ("calib", calib),
+    ("socket", socket),
+    ("bend_log", bend_log),
+    ("memory", memory),
+    ("flight", flight),
+];
 
 fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
@@ -74,9 +82,9 @@ pub fn memory(bytes: &[u8]) -> bool {
     read(bytes) || body
 }
 
-/// A tape.
-pub fn tape(bytes: &[u8]) -> bool {
-    let mut reader = tape::Reader::new(bytes);
-    while reader.next().is_some() {}
-    reader.is_done()
+/// A flight log: the input as a file, and as a message with cycles, of which most have no file around them.
+pub fn flight(bytes: &[u8]) -> bool {
+    let file = read::parse(bytes, &mut |message| read::Entry::of(&message).map(|_| ()));
+    assert!(file.as_ref().is_err_and(|why| !why.is_empty()) || file.is_ok(), "a refusal without a reason");
+    cycle::decode(bytes).is_ok() || file.is_ok()
 }

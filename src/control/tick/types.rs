@@ -101,7 +101,7 @@ pub struct FeedbackConfig {
 }
 
 /// A target for the tip.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Command {
     /// Bend vector, rad.
     pub bend: Bend,
@@ -158,7 +158,7 @@ impl Default for Input {
 }
 
 /// State of the sensors.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Senses {
     /// The most severe action that the sensor health requires.
     pub action: HealthAction,
@@ -171,7 +171,7 @@ pub struct Senses {
 }
 
 /// Phase of the loop.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub enum TickPhase {
     /// Waits for a still tip; the pistons stand.
     Aligning,
@@ -181,7 +181,7 @@ pub enum TickPhase {
     Holding,
 }
 
-/// Output and intermediates of one tick. The supervisor, the status, the bend log and the digest of the tape take their
+/// Output and intermediates of one tick. The supervisor, the status, the bend log and the flight log take their
 /// values from it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame {

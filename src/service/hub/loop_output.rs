@@ -2,8 +2,10 @@
 
 use super::state::{Caller, Hub, Mover, Pending, unix_s};
 use crate::service::calibrate::{Found, Next};
+use crate::service::flight::start::Logged;
 use crate::service::memory::{LearnedGains, RecordedFault};
 use crate::service::protocol::Failure;
+use crate::service::rt_loop::LoopFrame;
 use crate::service::status;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
@@ -22,9 +24,11 @@ impl Hub {
         // no more than are there now: a hub that is late still answers commands
         let waiting = self.io.rings.frames.slots();
         for _ in 0..waiting {
-            let Ok(output) = self.io.rings.frames.pop() else { break };
-            self.process(&output, waiting <= FRAMES_SENT_MAX);
-            self.last = Some(output);
+            let Ok(LoopFrame { number, changes, output }) = self.io.rings.frames.pop() else { break };
+            let due = self.changes.partition_point(|(change, _)| *change <= changes);
+            let logged = Logged { number, events: self.changes.drain(..due).map(|(_, event)| event).collect(), output };
+            self.process(&logged, waiting <= FRAMES_SENT_MAX);
+            self.last = Some(logged.output);
         }
         while let Ok((id, result)) = self.io.rings.answers.pop() {
             let Some(pending) = self.pending.remove(&id) else { continue };
@@ -78,10 +82,14 @@ impl Hub {
     }
 
     /// `sends`: subscribers receive the frame.
-    fn process(&mut self, output: &CycleOutput, sends: bool) {
+    fn process(&mut self, logged: &Logged, sends: bool) {
+        let output = &logged.output;
         self.log(output);
         if let Some(state) = &mut self.recording {
-            state.recording.write(output);
+            state.recording.write(logged);
+        }
+        if let Some(flight) = &mut self.flight {
+            flight.push(logged);
         }
         if sends {
             self.send_frames(output);

@@ -3,6 +3,9 @@
 use super::state::{Caller, Hub, RecordingState, Reply};
 use crate::service::belief::Belief;
 use crate::service::calibrate::Session;
+use crate::service::flight::file::zero_unix_ns;
+use crate::service::flight::log::FlightLog;
+use crate::service::flight::start::Event;
 use crate::service::paths::Paths;
 use crate::service::protocol::{Failure, RecordAction};
 use crate::service::record::{Progress, Recording};
@@ -15,6 +18,7 @@ use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::io;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
@@ -58,7 +62,30 @@ impl Hub {
         }
     }
 
-    /// Starts a recording. It has a tape if the supervisor is in its first cycle (`at_boot`) or can be replaced by a
+    /// Starts the flight log of this run. Without a thread for it, the service runs without one.
+    pub(super) fn start_flight(&mut self) {
+        let header = Start::new(&self.config, &self.memory, self.facts.belief).header(&self.config, self.machine());
+        self.changes.push_back((0, Arc::new(Event::Start(header))));
+        if self.config.service.flight_max_mib > 0.0 {
+            let folder = Paths::of(&self.config.service).state.join("flights");
+            match FlightLog::start(&folder, &self.config.service) {
+                Ok(flight) => self.flight = Some(flight),
+                Err(e) => tracing::error!(event = "flight_log", "there is no flight log: {e}"),
+            }
+        }
+    }
+
+    fn machine(&self) -> &str {
+        self.facts.remarks.first().map_or("", String::as_str)
+    }
+
+    /// Remembers what was sent to the loop, until its first cycle has come.
+    pub(super) fn note_change(&mut self, event: Event) {
+        self.changes_sent += 1;
+        self.changes.push_back((self.changes_sent, Arc::new(event)));
+    }
+
+    /// Starts a recording. It can be replayed if the supervisor is in its first cycle (`at_boot`) or can be replaced by a
     /// freshly reset one because the machine is disarmed at zero with a straight tip.
     pub(super) fn start_recording(&mut self, path: &Path, at_boot: bool) -> io::Result<()> {
         let straight_deg = self.config.supervisor.restart_check.straight_deg;
@@ -66,14 +93,16 @@ impl Hub {
             && self.is_at_zero()
             && self.last.as_ref().is_some_and(|t| t.latched.is_none() && !t.stopped)
             && self.hangs_deg().is_some_and(|deg| deg <= straight_deg);
-        let belief = if at_boot { self.facts.belief } else { Belief::Certain };
-        let start = Start::new(&self.config, &self.memory, belief);
-        let machine = self.facts.remarks.first().map_or("", String::as_str);
-        let header = (at_boot || idle).then(|| start.header(&self.config.texts, machine));
-        let mut recording = Recording::start(path, self.config.supervisor.gate.step_mm, header.as_ref(), &self.config.service)?;
-        tracing::info!(event = "record", path = %path.display(), replayable = recording.has_tape(), "recording started");
-        if !at_boot && idle && self.io.rings.orders.push(Message::ReplaceSupervisor(Box::new(start.supervisor()))).is_err() {
-            recording.end_tape();
+        let flight = (at_boot || idle).then(|| zero_unix_ns(self.last.as_ref().map_or(0.0, |last| last.sensed.t.0)));
+        let mut recording = Recording::start(path, self.config.supervisor.gate.step_mm, flight, &self.config.service)?;
+        tracing::info!(event = "record", path = %path.display(), replayable = recording.is_replayable(), "recording started");
+        if !at_boot && idle {
+            let start = Start::new(&self.config, &self.memory, Belief::Certain);
+            let header = start.header(&self.config, self.machine());
+            match self.io.rings.orders.push(Message::ReplaceSupervisor(Box::new(start.supervisor()))) {
+                Ok(()) => self.note_change(Event::Start(header)),
+                Err(_) => recording.give_up_replay(),
+            }
         }
         self.recording_ended = None;
         self.recording = Some(RecordingState { recording, owner: None, starting: None, ending: None });
@@ -90,7 +119,7 @@ impl Hub {
                     if let Some(caller) = state.starting.take() {
                         let hangs = self.hangs_deg().filter(|deg| *deg > self.config.supervisor.restart_check.straight_deg);
                         let remark = hangs.map(|deg| format!("the tip hangs {deg:.1}° away from straight"));
-                        let replayable = state.recording.has_tape();
+                        let replayable = state.recording.is_replayable();
                         self.reply(&caller, &Ok(json!({"path": path, "replayable": replayable, "remark": remark})));
                     }
                     self.recording = Some(state);
@@ -114,8 +143,11 @@ impl Hub {
         }
     }
 
-    /// Ends the recording with the service, and waits for the disk.
+    /// Ends the logs with the service, and waits for the disk.
     pub(super) fn end_recording(&mut self) {
+        if let Some(flight) = &mut self.flight {
+            flight.finish(END_MAX);
+        }
         if let Some(state) = &mut self.recording {
             state.recording.finish();
         }
@@ -162,6 +194,7 @@ impl Hub {
             "proposed": memory.proposed,
             "recording": self.recording.as_ref().map(|state| recording_json(&state.recording)),
             "recording_ended": self.recording_ended,
+            "flight_log": self.flight.as_ref().map(flight_json),
             "unverified": memory.unverified,
             "hangs_deg": self.hangs_deg(),
             "thread_age_s": Watched::ALL.iter().map(|w| (w.name(), shared.age_s(*w))).collect::<HashMap<_, _>>(),
@@ -189,5 +222,9 @@ fn next_name(folder: &Path) -> String {
 }
 
 fn recording_json(r: &Recording) -> Value {
-    json!({"path": r.path(), "rows": r.rows, "duration_s": r.duration_s(), "replayable": r.has_tape()})
+    json!({"path": r.path(), "rows": r.rows, "duration_s": r.duration_s(), "replayable": r.is_replayable()})
+}
+
+fn flight_json(flight: &FlightLog) -> Value {
+    json!({"writing": flight.is_writing(), "lost": flight.lost})
 }

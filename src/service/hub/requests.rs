@@ -3,14 +3,16 @@
 use super::state::{Caller, Hub, Reply, Subscription, too_many};
 use crate::config::gains::Gains;
 use crate::config::source;
-use crate::control::tick::{Command, LoopConfig};
+use crate::control::tick::Command;
 use crate::model::bend::Bend;
 use crate::model::transmission::Line;
 use crate::primitives::units::Mm;
 use crate::service::calibrate::{Found, Session};
+use crate::service::flight::start::Event;
 use crate::service::port::Incoming;
 use crate::service::protocol::{CalibrateAction, Failure, Request};
 use crate::service::rt_loop::Message;
+use crate::service::start::with_gains;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
@@ -107,24 +109,12 @@ impl Hub {
     }
 
     fn apply(&mut self, gains: &Gains) -> Result<Value, Failure> {
-        let mut next = self.config.supervisor.clone();
-        let assembled = crate::config::assemble(&self.config.board, &self.config.calibration, gains);
-        // machine and calibration stay, the rest comes from the gains file
-        next.tick = LoopConfig {
-            geometry: next.tick.geometry,
-            drive: next.tick.drive,
-            lines: next.tick.lines,
-            line_sigmas: next.tick.line_sigmas,
-            dynamics: next.tick.dynamics,
-            feedforward: next.tick.feedforward,
-            ..assembled
-        };
+        let next = with_gains(&self.config.supervisor, &self.config.board, &self.config.calibration, gains);
         self.io.rings.orders.push(Message::Reload(Box::new(next.clone()))).map_err(|_| too_many())?;
+        let text = crate::config::show::compact(gains);
+        self.note_change(Event::Reload { gains: text.clone(), lines: next.tick.lines });
         self.config.supervisor = next;
-        self.config.texts[1] = crate::config::show::compact(gains);
-        if let Some(state) = &mut self.recording {
-            state.recording.end_tape();
-        }
+        self.config.texts[1] = text;
         Ok(json!({"gains": self.config.gains}))
     }
 

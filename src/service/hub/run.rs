@@ -30,6 +30,7 @@ impl Hub {
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
             signal_hook::flag::register(signal, Arc::clone(&signalled)).map_err(ServiceError::system("a signal handler"))?;
         }
+        self.start_flight();
         if let Some(path) = record {
             self.start_recording(&path, true).map_err(ServiceError::system(path.display()))?;
         }

@@ -3,6 +3,8 @@
 use crate::hardware::rt::RtStatus;
 use crate::service::belief::Belief;
 use crate::service::calibrate::Session;
+use crate::service::flight::log::FlightLog;
+use crate::service::flight::start::Event;
 use crate::service::memory::{LearnedGains, Memory};
 use crate::service::notify::Notifier;
 use crate::service::port::Port;
@@ -16,7 +18,7 @@ use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
 use serde_json::Value;
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -102,6 +104,12 @@ pub struct Hub {
     pub(super) pending: HashMap<u64, Pending>,
     pub(super) subscriptions: Vec<Subscription>,
     pub(super) last: Option<CycleOutput>,
+    /// The log of this run, if there is one.
+    pub(super) flight: Option<FlightLog>,
+    /// Messages other than orders that were sent to the loop.
+    pub(super) changes_sent: u64,
+    /// Those whose first cycle has not come yet, with their numbers.
+    pub(super) changes: VecDeque<(u64, Arc<Event>)>,
     pub(super) recording: Option<RecordingState>,
     /// Why the last recording ended, unless a client ended it.
     pub(super) recording_ended: Option<String>,
@@ -166,6 +174,9 @@ impl Hub {
             pending: HashMap::new(),
             subscriptions: Vec::new(),
             last: None,
+            flight: None,
+            changes_sent: 0,
+            changes: VecDeque::new(),
             recording: None,
             recording_ended: None,
             mover: None,

@@ -5,7 +5,7 @@ use crate::model::transmission::Line;
 use crate::supervisor::mode::Mode;
 
 /// An order, small enough for a wait-free ring.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Order {
     /// Energises the drivers and holds the present pose.
     Arm,

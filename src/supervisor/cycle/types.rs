@@ -32,7 +32,7 @@ pub struct CycleOutput {
     pub frame: Frame,
     /// Input of the tick.
     pub input: Input,
-    /// Input of the cycle, bit for bit, as the tape records it.
+    /// Input of the cycle, bit for bit, as the flight log holds it.
     pub sensed: Sensed,
     /// Order of this cycle.
     pub order: Option<Order>,

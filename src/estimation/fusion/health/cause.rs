@@ -117,7 +117,7 @@ impl std::fmt::Display for HealthCause {
 }
 
 /// A set of causes in one machine word.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct CauseSet(u16);
 
 impl CauseSet {

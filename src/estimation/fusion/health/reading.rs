@@ -4,7 +4,7 @@ use crate::primitives::sample::ImuSample;
 use nalgebra::Vector3;
 
 /// How a transfer failed, as the driver reports it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum ReadFault {
     /// The chip did not acknowledge.
     Nack,
@@ -19,7 +19,7 @@ pub enum ReadFault {
 }
 
 /// Properties of a sample besides its values.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Quality {
     /// Largest gyroscope count as a share of the full scale, 0 to 1; 0 if unknown.
     pub gyro_load: f64,
@@ -39,7 +39,7 @@ impl Default for Quality {
 }
 
 /// What the sensor delivered in one tick.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum ImuReading {
     /// A sample, in the sensor frame.
     Sample(ImuSample, Quality),

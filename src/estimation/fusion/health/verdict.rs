@@ -3,7 +3,7 @@
 use super::cause::{CauseSet, HealthCause};
 
 /// The strictest consequence of a verdict, in rising order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 pub enum HealthAction {
     /// Use all sensors.
     Use,

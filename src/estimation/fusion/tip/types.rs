@@ -36,7 +36,7 @@ parameters! {
 }
 
 /// Output of the fusion.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct TipEstimate {
     /// Tip in the base.
     pub r_base_tip: Rotation<Base, Tip>,

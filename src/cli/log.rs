@@ -1,0 +1,203 @@
+//! `retroflex log`: what a flight log holds, as a bend log, and a part of it.
+
+use crate::cli::replay::flight_of;
+use crate::cli::{CommandOutcome, inputs, output};
+use crate::estimation::fusion::health::ImuReading;
+use crate::service::flight::file::{FlightFile, TOPICS};
+use crate::service::flight::read::{Entry, messages};
+use crate::service::flight::start::{Event, Header, hash};
+use crate::service::record;
+use mcap::{McapError, Message};
+use miette::{Result, miette};
+use serde_json::{Map, Value, json};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use time::OffsetDateTime;
+
+/// Flight logs.
+#[derive(Debug, clap::Subcommand)]
+pub enum Log {
+    /// Show when and with what a log was written, its modes, faults and gaps.
+    Info {
+        /// Flight log.
+        file: PathBuf,
+        /// Write it as JSON; `-` is standard output.
+        #[arg(long)]
+        json: Option<PathBuf>,
+    },
+    /// Write the samples as a bend log, which `gap diagnose` reads.
+    Export {
+        /// Flight log.
+        file: PathBuf,
+        /// Bend log to write; `-` is standard output.
+        #[arg(long)]
+        csv: PathBuf,
+    },
+    /// Write a part of a log as a log. It can be replayed if it begins with the start of the log.
+    Cut {
+        /// Flight log.
+        file: PathBuf,
+        /// Start of the part, s of the log.
+        #[arg(long, default_value_t = 0.0, value_parser = inputs::within(0.0..=1e9, "s"))]
+        from: f64,
+        /// End of the part, s of the log.
+        #[arg(long, default_value_t = 1e9, value_parser = inputs::within(0.0..=1e9, "s"))]
+        to: f64,
+        /// Flight log to write; it must not exist.
+        #[arg(long)]
+        out: PathBuf,
+    },
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A report that names the file.
+pub fn run(command: &Log) -> Result<CommandOutcome> {
+    match command {
+        Log::Info { file, json } => info(&flight_of(file)?, json.as_deref()),
+        Log::Export { file, csv } => export(&flight_of(file)?, csv),
+        Log::Cut { file, from, to, out } => cut(&flight_of(file)?, *from, *to, out),
+    }
+}
+
+/// What `log info` collects.
+#[derive(Default)]
+struct Info {
+    facts: Map<String, Value>,
+    begin_ns: Option<u64>,
+    duration_s: f64,
+    cycles: u64,
+    next: Option<u64>,
+    last: HashMap<&'static str, Value>,
+    events: Vec<String>,
+}
+
+impl Info {
+    fn note(&mut self, text: &str) {
+        self.events.push(format!("{:.3} s: {text}", self.duration_s));
+    }
+
+    fn take(&mut self, message: &Message<'_>) -> std::result::Result<(), String> {
+        self.duration_s = message.log_time.saturating_sub(*self.begin_ns.get_or_insert(message.log_time)) as f64 * 1e-9;
+        match Entry::of(message)? {
+            Entry::Event(event) => match *event {
+                Event::Start(header) => {
+                    let hashes = header.named_texts().map(|(name, text)| (format!("{name} hash"), json!(hash([text]))));
+                    self.facts.extend(hashes);
+                    let Header { program, machine, tip, config_hash, .. } = &header;
+                    let own = [("program", program), ("machine", &machine.name), ("tip", tip), ("config_hash", config_hash)];
+                    self.facts.extend(own.map(|(name, value)| (name.to_owned(), json!(value))));
+                }
+                Event::Reload { .. } => self.note("new gains"),
+            },
+            Entry::Cycles(first, cycles) => {
+                if let Some(next) = self.next.filter(|next| *next != first) {
+                    self.note(&format!("gap: {} cycles are missing before cycle {first}", first.saturating_sub(next)));
+                }
+                self.next = Some(first + cycles.len() as u64);
+                self.cycles += cycles.len() as u64;
+            }
+            Entry::Shown(value) => {
+                for key in ["mode", "fault", "suspicion", "alarm"] {
+                    let Some(now) = value.get(key) else { continue };
+                    if self.last.insert(key, now.clone()).as_ref() != Some(now) && !now.is_null() {
+                        self.note(&format!("{key} {}", now.as_str().unwrap_or_default()));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn info(path: &Path, json: Option<&Path>) -> Result<CommandOutcome> {
+    output::check(&[("--json", json)], &[path])?;
+    let mut info = Info::default();
+    let ending = messages(path, &mut |message| info.take(&message)).map_err(|e| miette!("{e}"))?;
+    let Info { mut facts, begin_ns, duration_s, cycles, events, .. } = info;
+    let begins = OffsetDateTime::from_unix_timestamp((begin_ns.unwrap_or(0) / 1_000_000_000) as i64);
+    facts.insert("begins".to_owned(), json!(begins.map_or_else(|_| String::new(), |t| t.to_string())));
+    facts.insert("duration_s".to_owned(), json!(duration_s));
+    facts.insert("cycles".to_owned(), json!(cycles));
+    facts.insert("ending".to_owned(), json!(ending.as_deref().unwrap_or("complete")));
+    let mut text = format!("{}\n", path.display());
+    for (name, value) in &facts {
+        text += &format!("  {name}: {}\n", value.as_str().map_or_else(|| value.to_string(), str::to_owned));
+    }
+    text += &events.iter().map(|event| format!("  at {event}\n")).collect::<String>();
+    facts.insert("events".to_owned(), json!(events));
+    output::json(json, &facts)?;
+    output::show(&text, json);
+    Ok(CommandOutcome::Good)
+}
+
+fn export(path: &Path, csv: &Path) -> Result<CommandOutcome> {
+    output::check(&[("--csv", Some(csv))], &[path])?;
+    let (mut log, mut step_mm, mut start_s, mut last_s) = (record::HEADER.as_bytes().to_vec(), 0.0, None, 0.0);
+    let ending = messages(path, &mut |message| {
+        match Entry::of(&message)? {
+            Entry::Event(event) => {
+                if let Event::Start(header) = *event {
+                    step_mm = header.machine.step_mm;
+                }
+            }
+            Entry::Cycles(_, cycles) => {
+                for cycle in &cycles {
+                    let ImuReading::Sample(sample, _) = cycle.sensed.imu else { continue };
+                    let t_s = sample.t.0 - *start_s.get_or_insert(sample.t.0 - record::FIRST_ROW_S);
+                    if t_s > last_s {
+                        last_s = t_s;
+                        record::row(&mut log, t_s, &sample, cycle, step_mm);
+                    }
+                }
+            }
+            Entry::Shown(_) => {}
+        }
+        Ok(())
+    });
+    let ending = ending.map_err(|e| miette!("{e}"))?;
+    output::write(csv, &String::from_utf8_lossy(&log))?;
+    eprintln!("{last_s:.3} s{}", ending.map_or_else(String::new, |ending| format!("; {ending}")));
+    Ok(CommandOutcome::Good)
+}
+
+fn cut(path: &Path, from_s: f64, to_s: f64, out: &Path) -> Result<CommandOutcome> {
+    if from_s >= to_s {
+        return Err(miette!("--from {from_s} --to {to_s}: the part is empty; --to must be later"));
+    }
+    output::check(&[("--out", Some(out))], &[path])?;
+    let failed = |e: McapError| format!("{}: {e}", out.display());
+    let mut file = FlightFile::create(out, 0).map_err(|e| miette!("{}", failed(e)))?;
+    let (mut begin_ns, mut flushed_s, mut cycles) = (None, 0.0, 0u64);
+    let copied = messages(path, &mut |message| {
+        let t_s = message.log_time.saturating_sub(*begin_ns.get_or_insert(message.log_time)) as f64 * 1e-9;
+        let topic = message.channel.topic.as_str();
+        if topic == TOPICS[1]
+            && let Entry::Event(event) = Entry::of(&message)?
+        {
+            // every part says with what it was written
+            return file.event(&event, message.log_time).map_err(failed);
+        }
+        if !(from_s..=to_s).contains(&t_s) {
+            return Ok(());
+        }
+        cycles += u64::from(topic == TOPICS[0]);
+        file.copy(&message).map_err(failed)?;
+        if t_s - flushed_s > 0.4 {
+            flushed_s = t_s;
+            file.flush(false).map_err(failed)?;
+        }
+        Ok(())
+    });
+    let done = copied.and_then(|ending| match cycles {
+        0 => Err(format!("{}: there is nothing from {from_s} s to {to_s} s", path.display())),
+        _ => file.finish().map_err(failed).map(|()| ending),
+    });
+    if done.is_err() {
+        // it holds nothing of use
+        let _ = std::fs::remove_file(out);
+    }
+    eprintln!("{}", done.map_err(|e| miette!("{e}"))?.unwrap_or_else(|| "complete".to_owned()));
+    Ok(CommandOutcome::Good)
+}

@@ -1,0 +1,77 @@
+//! The channels of a flight log that people look at: JSON, with a schema that is taken from the first message.
+
+use crate::model::arc::{Geometry, Shape};
+use crate::service::status;
+use crate::supervisor::cycle::CycleOutput;
+use serde_json::{Map, Value, json};
+
+/// Topics, the names of their schemas, and the fields of the status that they show, at most [`RATE_HZ`] times a second and only
+/// when one has changed.
+const SHOWN: [(&str, &str, &[&str]); 5] = [
+    ("/angles", "retroflex.Angles", &["target", "setpoint", "estimate", "sigma_deg", "length_mm"]),
+    ("/pistons", "retroflex.Pistons", &["piston_mm", "pressure_kpa"]),
+    ("/gains", "retroflex.Gains", &["k_epsilon", "k_lambda_mm", "lag_s", "delay_s", "integral_s"]),
+    ("/mode", "retroflex.Mode", &["mode", "energised", "at_rest", "blocked", "shortfall", "hunting"]),
+    ("/faults", "retroflex.Faults", &["latched", "fault", "suspicion", "sensor", "alarm", "emergency_stop", "base", "unverified"]),
+];
+
+/// Highest rate of a channel.
+pub const RATE_HZ: f64 = 200.0;
+
+/// What the channels have shown last.
+#[derive(Debug, Default)]
+pub struct Channels {
+    shown: [Value; SHOWN.len()],
+    calls: u64,
+}
+
+impl Channels {
+    /// The messages of a cycle as topic, name of the schema and value. `unix_ns` is its time.
+    pub fn messages(&mut self, output: &CycleOutput, unix_ns: u64, step_mm: f64) -> Vec<(&'static str, &'static str, Value)> {
+        let mut status = status::cycle(output, step_mm);
+        status["fault"] = json!(output.latched.map(status::trip_message));
+        // the action changes between two samples
+        status["sensor"] = status["sensor"]["active"].take();
+        let mut all = Vec::new();
+        for ((topic, schema, keys), shown) in SHOWN.iter().zip(&mut self.shown) {
+            let value: Map<String, Value> = keys.iter().map(|key| ((*key).to_owned(), status[*key].clone())).collect();
+            let value = Value::Object(value);
+            if *shown != value {
+                shown.clone_from(&value);
+                all.push((*topic, *schema, value));
+            }
+        }
+        self.calls += 1;
+        // 50 poses a second are enough to see the tip move
+        let pose = output.frame.estimate.filter(|_| self.calls.is_multiple_of(4)).map(|e| {
+            let shape = Shape { bend: e.bend, length: output.frame.setpoint.length };
+            let m = (Geometry::default().position(&shape) * 1e3).map(|um| um.round() * 1e-6);
+            let q = e.r_base_tip.quat().coords.map(|x| (x * 1e5).round() * 1e-5);
+            json!({
+                "timestamp": {"sec": unix_ns / 1_000_000_000, "nsec": unix_ns % 1_000_000_000},
+                "parent_frame_id": "base", "child_frame_id": "tip",
+                "translation": {"x": m.x, "y": m.y, "z": m.z}, "rotation": {"x": q.x, "y": q.y, "z": q.z, "w": q.w},
+            })
+        });
+        all.extend(pose.map(|pose| ("/tf", "foxglove.FrameTransform", pose)));
+        all
+    }
+}
+
+/// A JSON schema that fits a value.
+#[must_use]
+pub fn schema(value: &Value) -> Value {
+    match value {
+        Value::Object(fields) => {
+            let properties: Map<String, Value> = fields.iter().map(|(key, value)| (key.clone(), schema(value))).collect();
+            json!({"type": "object", "properties": properties})
+        }
+        Value::Array(items) => json!({"type": "array", "items": items.first().map_or(json!({}), schema)}),
+        Value::String(_) => json!({"type": "string"}),
+        Value::Number(n) if n.is_f64() => json!({"type": "number"}),
+        Value::Number(_) => json!({"type": "integer"}),
+        Value::Bool(_) => json!({"type": "boolean"}),
+        // it will have another type later
+        Value::Null => json!({}),
+    }
+}

@@ -1,0 +1,167 @@
+//! One MCAP file.
+
+use crate::service::flight::channels::{Channels, RATE_HZ, schema};
+use crate::service::flight::cycle::{Cycle, encode};
+use crate::service::flight::start::{Event, Logged, hash};
+use mcap::records::Metadata;
+use mcap::{Attachment, Channel, McapResult, Message, Schema, WriteOptions, Writer};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Topic of the cycles, and of what a replay starts from or is given later.
+pub const TOPICS: [&str; 2] = ["/cycles", "/events"];
+const LAYOUT: &str = "Cycles in the binary format of the Rust crate postcard; src/service/flight/cycle.rs defines them.";
+/// Most cycles of one message.
+const CYCLES_MAX: usize = 1000;
+
+/// A file that is being written.
+pub struct FlightFile {
+    writer: Writer<BufWriter<File>>,
+    file: File,
+    channels: HashMap<&'static str, Arc<Channel<'static>>>,
+    shown: Channels,
+    /// When the channels were shown last, on the loop's clock, s.
+    shown_s: f64,
+    /// Time of the loop's zero, ns since 1970.
+    zero_unix_ns: u64,
+    first: u64,
+    cycles: Vec<Cycle>,
+    step_mm: f64,
+}
+
+/// Time of the loop's zero, ns since 1970, if it is `t_s` now.
+#[must_use]
+pub fn zero_unix_ns(t_s: f64) -> u64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
+    now.saturating_sub((t_s * 1e9) as u64)
+}
+
+impl FlightFile {
+    /// Creates a file that must not exist yet.
+    ///
+    /// # Errors
+    /// The operating system's, as for all that follows.
+    pub fn create(path: &Path, zero_unix_ns: u64) -> McapResult<Self> {
+        let file = File::create_new(path)?;
+        let library = concat!("retroflex ", env!("CARGO_PKG_VERSION"));
+        // a chunk reaches the file as a whole
+        let options = WriteOptions::new().library(library).chunk_size(None).disable_seeking(true).compression_threads(0);
+        let writer = options.create(BufWriter::new(file.try_clone()?))?;
+        let (channels, shown, cycles) = (HashMap::new(), Channels::default(), Vec::new());
+        Ok(Self { writer, file, channels, shown, shown_s: f64::NEG_INFINITY, zero_unix_ns, first: 0, cycles, step_mm: 0.0 })
+    }
+
+    /// Bytes on the disk so far.
+    ///
+    /// # Errors
+    /// See [`Self::create`].
+    pub fn size(&self) -> io::Result<u64> {
+        Ok(self.file.metadata()?.len())
+    }
+
+    /// Adds one cycle and what happened before it.
+    ///
+    /// # Errors
+    /// See [`Self::create`].
+    pub fn write(&mut self, logged: &Logged) -> McapResult<()> {
+        let Logged { number, events, output } = logged;
+        let t_s = output.sensed.t.0;
+        let unix_ns = self.unix_ns(t_s);
+        if *number != self.first + self.cycles.len() as u64 || !events.is_empty() || self.cycles.len() >= CYCLES_MAX {
+            self.close_message()?;
+            self.first = *number;
+        }
+        events.iter().try_for_each(|event| self.event(&event.at(*number), unix_ns))?;
+        if t_s - self.shown_s > 0.98 / RATE_HZ {
+            self.shown_s = t_s;
+            for (topic, name, value) in self.shown.messages(output, unix_ns, self.step_mm) {
+                self.put_json(topic, name, unix_ns, &value)?;
+            }
+        }
+        self.cycles.push(output.into());
+        Ok(())
+    }
+
+    /// Writes an event; a start also as attachments and hashes, which every reader of MCAP shows.
+    ///
+    /// # Errors
+    /// See [`Self::create`].
+    pub fn event(&mut self, event: &Event, unix_ns: u64) -> McapResult<()> {
+        if let Event::Start(header) = event {
+            self.step_mm = header.machine.step_mm;
+            let hashes = header.named_texts().map(|(name, text)| (format!("{name} hash"), hash([text])));
+            let facts = [("version", &header.program), ("machine", &header.machine.name), ("configuration hash", &header.config_hash)];
+            let metadata = facts.map(|(name, fact)| (name.to_owned(), fact.clone())).into_iter().chain(hashes).collect();
+            self.writer.write_metadata(&Metadata { name: "retroflex".to_owned(), metadata })?;
+            for (name, text) in header.named_texts().chain([("version.txt", header.program.as_str())]) {
+                let (name, media_type, data) = (name.to_owned(), "text/plain".to_owned(), text.as_bytes().into());
+                self.writer.attach(&Attachment { log_time: unix_ns, create_time: unix_ns, name, media_type, data })?;
+            }
+        }
+        self.put_json(TOPICS[1], "retroflex.Event", unix_ns, &json!(event))
+    }
+
+    /// Copies a message of another file.
+    ///
+    /// # Errors
+    /// See [`Self::create`].
+    pub fn copy(&mut self, message: &Message<'_>) -> McapResult<()> {
+        self.writer.write(message)
+    }
+
+    fn put_json(&mut self, topic: &'static str, name: &str, unix_ns: u64, value: &Value) -> McapResult<()> {
+        self.put(topic, || [name, "jsonschema", &schema(value).to_string(), "json"].map(str::to_owned), unix_ns, value.to_string().into())
+    }
+
+    /// `channel` is name, encoding and text of the schema, and the encoding of the messages.
+    fn put(&mut self, topic: &'static str, channel: impl FnOnce() -> [String; 4], unix_ns: u64, data: Vec<u8>) -> McapResult<()> {
+        let id = self.channels.len() as u16 + 1;
+        let channel = self.channels.entry(topic).or_insert_with(|| {
+            let [name, encoding, text, message_encoding] = channel();
+            let schema = Some(Arc::new(Schema { id, name, encoding, data: text.into_bytes().into() }));
+            Arc::new(Channel { id, topic: topic.to_owned(), schema, message_encoding, metadata: BTreeMap::new() })
+        });
+        let channel = Arc::clone(channel);
+        self.writer.write(&Message { channel, sequence: 0, log_time: unix_ns, publish_time: unix_ns, data: data.into() })
+    }
+
+    fn unix_ns(&self, t_s: f64) -> u64 {
+        self.zero_unix_ns + (t_s * 1e9) as u64
+    }
+
+    fn close_message(&mut self) -> McapResult<()> {
+        let Some(last) = self.cycles.last() else { return Ok(()) };
+        let unix_ns = self.unix_ns(last.sensed.t.0);
+        let message = encode(self.first, &self.cycles).map_err(io::Error::other)?;
+        self.first += self.cycles.len() as u64;
+        self.cycles.clear();
+        self.put(TOPICS[0], || ["retroflex.Cycles", "postcard", LAYOUT, "postcard"].map(str::to_owned), unix_ns, message)
+    }
+
+    /// Closes the chunk: everything so far can be read whatever happens to the program; with `sync` also whatever happens to
+    /// the power.
+    ///
+    /// # Errors
+    /// See [`Self::create`].
+    pub fn flush(&mut self, sync: bool) -> McapResult<()> {
+        self.close_message()?;
+        self.writer.flush()?;
+        if sync { Ok(self.file.sync_data()?) } else { Ok(()) }
+    }
+
+    /// Writes the summary and waits for the disk.
+    ///
+    /// # Errors
+    /// See [`Self::create`].
+    pub fn finish(mut self) -> McapResult<()> {
+        self.close_message()?;
+        self.writer.finish()?;
+        drop(self.writer);
+        Ok(self.file.sync_all()?)
+    }
+}

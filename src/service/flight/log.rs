@@ -1,0 +1,170 @@
+//! The log of a run: a series of files, written by a thread of its own and bounded on the disk.
+//!
+//! The hub hands over cycles in batches and never waits. A batch that finds the queue full is dropped, and the numbers of the
+//! cycles show the gap.
+
+use crate::config::service::ServiceSection;
+use crate::service::disk::{free_bytes, mib};
+use crate::service::flight::file::{FlightFile, zero_unix_ns};
+use crate::service::flight::start::{Event, Logged};
+use mcap::McapResult;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Cycles that are handed over together.
+const BATCH: usize = 64;
+/// Batches that may wait for the disk: 8 s at 1 kHz.
+const BATCHES_MAX: usize = 128;
+/// A chunk is closed this often: what a kill loses.
+const CHUNK: Duration = Duration::from_millis(400);
+/// The disk is asked this often to keep what it has: what a loss of power loses.
+const SYNC: Duration = Duration::from_secs(5);
+
+/// The hub's end.
+pub struct FlightLog {
+    batch: Vec<Logged>,
+    /// `None` once the log has ended.
+    queue: Option<SyncSender<Vec<Logged>>>,
+    thread: JoinHandle<()>,
+    /// Cycles that the queue had no place for.
+    pub lost: u64,
+}
+
+impl FlightLog {
+    /// Starts the thread. It creates the folder and the first file.
+    ///
+    /// # Errors
+    /// The operating system's, if there is no thread.
+    pub fn start(folder: &Path, bounds: &ServiceSection) -> io::Result<Self> {
+        let (queue, work) = sync_channel(BATCHES_MAX);
+        let (folder, bounds) = (folder.to_owned(), bounds.clone());
+        let thread = std::thread::Builder::new().name("flight log".into()).spawn(move || {
+            if let Err(e) = run(&folder, &bounds, &work) {
+                tracing::error!(event = "flight_log", "{}: the flight log has ended: {e}", folder.display());
+            }
+        })?;
+        Ok(Self { batch: Vec::new(), queue: Some(queue), thread, lost: 0 })
+    }
+
+    /// Adds one cycle.
+    pub fn push(&mut self, logged: &Logged) {
+        let Some(queue) = &self.queue else { return };
+        self.batch.push(logged.clone());
+        if self.batch.len() < BATCH {
+            return;
+        }
+        match queue.try_send(std::mem::take(&mut self.batch)) {
+            Ok(()) => {}
+            Err(TrySendError::Full(batch)) => self.lost += batch.len() as u64,
+            // the thread has reported why
+            Err(TrySendError::Disconnected(_)) => self.queue = None,
+        }
+    }
+
+    /// True while cycles are accepted.
+    #[must_use]
+    pub fn is_writing(&self) -> bool {
+        self.queue.is_some()
+    }
+
+    /// Hands over what is left and waits for the disk, but not for longer than `most`.
+    pub fn finish(&mut self, most: Duration) {
+        if let Some(queue) = self.queue.take() {
+            // a queue that is full loses the last batch
+            let _ = queue.try_send(std::mem::take(&mut self.batch));
+        }
+        let since = Instant::now();
+        while !self.thread.is_finished() && since.elapsed() < most {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+/// Folder, run and part of a log that [`FlightLog`] wrote.
+#[must_use]
+pub fn run_and_part(path: &Path) -> Option<(u64, u32)> {
+    let (run, part) = path.file_name()?.to_str()?.strip_suffix(".mcap")?.strip_prefix("flight-")?.split_once('-')?;
+    Some((run.parse().ok()?, part.parse().ok()?))
+}
+
+/// Path of a part of a run.
+#[must_use]
+pub fn part_path(folder: &Path, run: u64, part: u32) -> PathBuf {
+    folder.join(format!("flight-{run:06}-{part:03}.mcap"))
+}
+
+/// The flight logs in a folder, oldest first.
+fn flights(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let all = std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>()?;
+    let mut logs: Vec<PathBuf> = all.into_iter().filter(|path| run_and_part(path).is_some()).collect();
+    logs.sort_by_key(|path| run_and_part(path));
+    Ok(logs)
+}
+
+/// The thread: writes `flight-RUN-PART.mcap`.
+fn run(folder: &Path, bounds: &ServiceSection, work: &Receiver<Vec<Logged>>) -> McapResult<()> {
+    std::fs::create_dir_all(folder)?;
+    let run = flights(folder)?.last().and_then(|path| run_and_part(path)).map_or(1, |(run, _)| run + 1);
+    let (mut part, mut start, mut zero_ns) = (0, None, None);
+    let (mut open, mut flushed, mut synced): (Option<(FlightFile, f64)>, _, _) = (None, Instant::now(), Instant::now());
+    loop {
+        let batch = match work.recv_timeout(CHUNK) {
+            Ok(batch) => batch,
+            Err(RecvTimeoutError::Timeout) => Vec::new(),
+            Err(RecvTimeoutError::Disconnected) => return open.map_or(Ok(()), |(file, _)| file.finish()),
+        };
+        for logged in &batch {
+            let t_s = logged.output.sensed.t.0;
+            let began = logged.events.iter().rfind(|event| matches!(***event, Event::Start(_)));
+            start = began.map(|event| event.at(logged.number)).or(start);
+            let (file, _) = match &mut open {
+                Some(open) => open,
+                none => {
+                    prune(folder, bounds, &[])?;
+                    part += 1;
+                    let zero_ns = *zero_ns.get_or_insert_with(|| zero_unix_ns(t_s));
+                    let mut file = FlightFile::create(&part_path(folder, run, part), zero_ns)?;
+                    if let Some(start) = start.as_ref().filter(|_| began.is_none()) {
+                        // every file says with what it was written
+                        file.event(start, zero_ns + (t_s * 1e9) as u64)?;
+                    }
+                    none.insert((file, t_s))
+                }
+            };
+            file.write(logged)?;
+        }
+        let (Some((file, since_s)), true) = (&mut open, flushed.elapsed() > CHUNK) else { continue };
+        flushed = Instant::now();
+        let syncs = synced.elapsed() > SYNC;
+        file.flush(syncs)?;
+        if syncs {
+            synced = flushed;
+            prune(folder, bounds, &[part_path(folder, run, part)])?;
+        }
+        let age_s = batch.last().map_or(0.0, |logged| logged.output.sensed.t.0 - *since_s);
+        if file.size()? > mib(bounds.flight_file_mib) || age_s > bounds.flight_file_s {
+            open.take().map_or(Ok(()), |(file, _)| file.finish())?;
+        }
+    }
+}
+
+/// Deletes the oldest logs, all but `keep`, until there is room for one more.
+fn prune(folder: &Path, bounds: &ServiceSection, keep: &[PathBuf]) -> io::Result<()> {
+    // somebody else may delete logs too
+    let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
+    let mut old: Vec<PathBuf> = flights(folder)?.into_iter().filter(|path| !keep.contains(path)).rev().collect();
+    loop {
+        let short = free_bytes(folder)? < mib(bounds.record_free_mib);
+        let much = old.iter().map(size).sum::<u64>() > mib(bounds.flight_max_mib - bounds.flight_file_mib);
+        match old.pop() {
+            Some(path) if short || much => {
+                std::fs::remove_file(path).or_else(|e| if e.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(e) })?
+            }
+            None if short => return Err(io::Error::other("less than service.record_free_mib of the disk is free")),
+            _ => return Ok(()),
+        }
+    }
+}

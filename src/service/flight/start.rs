@@ -1,0 +1,94 @@
+//! What a replay starts from, and what a running supervisor is given besides orders.
+
+use crate::control::pi::DynamicsPrior;
+use crate::control::tick::RestartState;
+use crate::model::transmission::Line;
+use crate::service::belief::Belief;
+use crate::service::flight::cycle::fnv;
+use crate::supervisor::cycle::CycleOutput;
+use crate::supervisor::machine::MachineInfo;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Names of the texts of a [`Header`].
+pub const TEXTS: [&str; 4] = ["board.toml", "gains.toml", "calibration.toml", "feedforward.toml"];
+
+/// A freshly reset supervisor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Header {
+    /// Version of the log: 2.
+    pub log: u32,
+    /// Number of the first cycle of this supervisor.
+    pub cycle: u64,
+    /// Version of the program that wrote it.
+    pub program: String,
+    /// Hash of the texts.
+    pub config_hash: String,
+    /// Board, gains, calibration, resolved, and, with a feedforward, its model.
+    pub texts: Vec<String>,
+    /// The machine.
+    pub machine: MachineInfo,
+    /// Identity of the mounted tip.
+    pub tip: String,
+    /// Gains of channels 1 to 3 at the start.
+    pub lines: [Line; 3],
+    /// Lag and dead time at the start.
+    pub dynamics: DynamicsPrior,
+    /// State that the supervisor started from.
+    pub restart: Option<RestartState>,
+    /// Trust in the position of that state.
+    pub belief: Belief,
+    /// No measurement had confirmed the last zero.
+    pub unverified: bool,
+}
+
+impl Header {
+    /// The configuration texts by name.
+    pub fn named_texts(&self) -> impl Iterator<Item = (&'static str, &str)> {
+        TEXTS.into_iter().zip(self.texts.iter().map(String::as_str))
+    }
+}
+
+/// What happened to the supervisor before a cycle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[allow(clippy::large_enum_variant, reason = "there are few of them")]
+pub enum Event {
+    /// It began afresh.
+    Start(Header),
+    /// It was given new gains.
+    Reload {
+        /// The gains file, resolved.
+        gains: String,
+        /// Gains of channels 1 to 3, which a reload keeps.
+        lines: [Line; 3],
+    },
+}
+
+impl Event {
+    /// The event before this cycle.
+    #[must_use]
+    pub fn at(&self, cycle: u64) -> Self {
+        match self {
+            Self::Start(header) => Self::Start(Header { cycle, ..header.clone() }),
+            other => other.clone(),
+        }
+    }
+}
+
+/// A cycle on its way into the log.
+#[derive(Debug, Clone)]
+pub struct Logged {
+    /// Number of the cycle since the start of the service.
+    pub number: u64,
+    /// What happened before it.
+    pub events: Vec<Arc<Event>>,
+    /// Its output.
+    pub output: CycleOutput,
+}
+
+/// Hash of texts, in hexadecimal.
+#[must_use]
+pub fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
+    format!("{:016x}", fnv(texts.into_iter().flat_map(|t| t.bytes().chain([0]))))
+}
