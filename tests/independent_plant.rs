@@ -261,3 +261,25 @@ fn the_diagnosed_model_closes_most_of_the_gap_of_the_open_loop() {
     let (median, worst) = (ratios[ratios.len() / 2], ratios[ratios.len() - 1]);
     assert!(median <= 0.35 && worst <= 0.7, "median {median:.2}, worst {worst:.2}");
 }
+
+#[test]
+fn a_base_imu_keeps_the_bend_while_the_base_sways() {
+    let Some(folder) = compiled() else { return };
+    let plant = folder.path().join("plant");
+    let closed = |with_imu: bool| {
+        let case = Case { effect: "sway", value: Some(0.17), seed: 2, cold: Cold::Own };
+        let config = assemble(&twin(), &calibration(&plant, &case), &Gains::default());
+        let plan = Plan { config, identify: false, arms: vec![Arm::Closed], seed: 2, rig: Rig::default(), track: None, feedforward: None };
+        let mut arguments = arguments(&case);
+        arguments.extend(with_imu.then(|| "--base-imu".to_owned()));
+        let mut open = |_| Ok(Box::new(Link::start(plant.to_str().unwrap(), &arguments)?) as Box<dyn World>);
+        let e = run(&plan, &mut open, &mut |_| ()).unwrap();
+        e.arm(Arm::Closed).unwrap().bend_rmse_deg
+    };
+    let (with, without) = (closed(true), closed(false));
+    println!("sway of 10 degrees: {with:.2} with a base IMU, {without:.2} without");
+    assert!(with < WITH_BASE_IMU_MAX_DEG && with < without, "{with} {without}");
+}
+
+/// Bend RMSE with a base IMU that is mounted within 3 degrees.
+const WITH_BASE_IMU_MAX_DEG: f64 = 1.0;

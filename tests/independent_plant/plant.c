@@ -2,6 +2,7 @@
  *
  *     cc -O2 -o plant plant.c -lm
  *     retroflex evaluate --plant 'exec:./plant --effect leak --seed 3'
+ *     ./plant --base-imu --effect sway    adds an IMU on the base, mounted within 3 degrees of the tip's
  *     ./plant --list                      prints the names that --effect accepts
  *     ./plant --calib --seed 3            prints the gains of that unit as a calibration file
  *
@@ -116,8 +117,8 @@ static double figure(double lo, double hi) {
 
 /* ---- the unit ---- */
 static double ratio[3], half_play[3], r_mm, lag_s;
-static double gyro_bias0[3], acc_bias[3], iron[3];
-static Rot base0, mount;
+static double gyro_bias0[3], acc_bias[3], iron[3], base_bias[3];
+static Rot base0, mount, base_mount;
 static Vec field_world;
 /* effect parameters */
 static double p_gear, p_gear_phase[3], p_leak[3], p_boyle, p_lag, p_lag_down, p_drift[3], p_drift_tau, p_cross, p_stiff, p_asym;
@@ -200,6 +201,8 @@ static void draw_unit(void) {
     p_pinch_line = (int)draw(0, 2.999);
     p_sway = active[SWAY] ? figure(0.05, 0.17) : 0;
     for (int i = 0; i < 3; i++) p_sway_hz[i] = draw(0.05, 0.35);
+    base_mount = about(draw(-1, 1), draw(-1, 1), draw(-1, 1), draw(0.01, 0.05));
+    for (int i = 0; i < 3; i++) base_bias[i] = 0.007 * gauss_of(&rng_state);
 }
 
 /* ---- state ---- */
@@ -386,7 +389,7 @@ static int history_at;
 
 int main(int argc, char **argv) {
     uint64_t seed = 1;
-    int print_calib = 0;
+    int print_calib = 0, base_imu = 0;
     for (int i = 1; i < argc; i++) {
         if (!strcmp(argv[i], "--list")) {
             for (int k = 0; k < EFFECTS; k++) puts(NAMES[k]);
@@ -394,6 +397,10 @@ int main(int argc, char **argv) {
         }
         if (!strcmp(argv[i], "--calib")) {
             print_calib = 1;
+            continue;
+        }
+        if (!strcmp(argv[i], "--base-imu")) {
+            base_imu = 1;
             continue;
         }
         if (i + 1 >= argc) return fprintf(stderr, "plant: %s needs a value\n", argv[i]), 2;
@@ -416,11 +423,12 @@ int main(int argc, char **argv) {
         printf("[transmission]\nk_epsilon = [%f, %f, %f]\n", ratio[0] - 1, ratio[1] - 1, ratio[2] - 1);
         return printf("k_lambda_mm = [%f, %f, %f]\n", half_play[0], half_play[1], half_play[2]), 0;
     }
-    printf("{\"plant\":\"independent\",\"protocol\":1,\"imu_period_s\":%g,\"step_mm\":%.6f,\"rest_length_mm\":%g}\n", PERIOD, STEP_MM, REST_LENGTH);
+    printf("{\"plant\":\"independent\",\"protocol\":1,\"imu_period_s\":%g,\"step_mm\":%.6f,\"rest_length_mm\":%g%s}\n", PERIOD, STEP_MM, REST_LENGTH, base_imu ? ",\"base_imu\":true" : "");
     fflush(stdout);
 
     static char line[65536];
-    Rot rest = IDENTITY, before = IDENTITY;
+    Rot rest = IDENTITY, before = IDENTITY, base_before = IDENTITY;
+    Vec base_rate = {{0, 0, 0}};
     Vec at[2] = {{{0, 0, 0}}, {{0, 0, 0}}}; /* the last two positions of the sensor in the world */
     long n = 0;
     int started = 0;
@@ -437,7 +445,7 @@ int main(int argc, char **argv) {
             for (int k = 0; k < 4000; k++) now_s = 0, advance(zero, PERIOD / SUB);
             now_s = 0;
             memset(lost, 0, sizeof lost);
-            rest = tip_in_base(), before = mul(base_now(), rest), started = 1;
+            rest = tip_in_base(), before = mul(base_now(), rest), base_before = base_now(), started = 1;
             at[0] = at[1] = apply(base_now(), place());
         }
         while ((n + 1) * PERIOD <= t + 1e-9) {
@@ -447,6 +455,8 @@ int main(int argc, char **argv) {
             Rot world = mul(base_now(), tip), sensor = mul(world, mount);
             Vec rate = rotation_vector(mul(transpose(mul(before, mount)), sensor));
             before = world;
+            base_rate = rotation_vector(mul(transpose(mul(base_before, base_mount)), mul(base_now(), base_mount)));
+            base_before = base_now();
             Vec here = apply(base_now(), place()), force = {{0, 0, 9.81}};
             for (int j = 0; j < 3; j++) {
                 force.v[j] += (here.v[j] - 2 * at[0].v[j] + at[1].v[j]) / (PERIOD * PERIOD) * 1e-3;
@@ -481,7 +491,25 @@ int main(int argc, char **argv) {
             if (s->has_mag) printf("[%.4f,%.4f,%.4f]}", s->mag.v[0], s->mag.v[1], s->mag.v[2]);
             else printf("null}");
         } else printf("null");
-        printf(",\"ref\":{\"quat\":[%.9f,%.9f,%.9f,%.9f]}}\n", q[0], q[1], q[2], q[3]);
+        if (base_imu && sampled && n > back) {
+            /* the base sensor's axes are those of the tip's at rest */
+            Rot sensor = mul(mul(base_now(), rest), base_mount);
+            Vec a = apply(transpose(sensor), (Vec){{0, 0, 9.81}}), m = apply(transpose(sensor), field_world);
+            Vec g = apply(transpose(base_mount), apply(transpose(rest), apply(base_mount, base_rate)));
+            for (int j = 0; j < 3; j++) {
+                a.v[j] += 0.04 * gauss_of(&noise_state);
+                g.v[j] = g.v[j] / PERIOD + base_bias[j] + 0.004 * gauss_of(&noise_state);
+                m.v[j] += 0.5 * gauss_of(&noise_state);
+            }
+            printf(",\"base\":{\"acc\":[%.6f,%.6f,%.6f],\"gyr\":[%.7f,%.7f,%.7f],\"mag\":[%.4f,%.4f,%.4f]}", a.v[0], a.v[1], a.v[2],
+                   g.v[0], g.v[1], g.v[2], m.v[0], m.v[1], m.v[2]);
+        }
+        printf(",\"ref\":{\"quat\":[%.9f,%.9f,%.9f,%.9f]", q[0], q[1], q[2], q[3]);
+        if (base_imu) {
+            quaternion(mul(transpose(base0), base_now()), q);
+            printf(",\"base_quat\":[%.9f,%.9f,%.9f,%.9f]", q[0], q[1], q[2], q[3]);
+        }
+        printf("}}\n");
         fflush(stdout);
     }
     return 0;

@@ -51,6 +51,10 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
         state.base = BaseState { quiet: state.base.quiet, ..BaseState::default() };
         return;
     }
+    if state.fusion.tracks_base() {
+        // also again: what was noticed while the base IMU was lost no longer counts
+        state.base.moved = false;
+    }
     let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.fusion.tracks_base()) else {
         return;
     };
@@ -69,7 +73,7 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
     let flagged = state.base.watch.step(&config.fuse.watch, &observed);
     if state.base.moved {
         let unexplained = estimate.0 - state.base.quiet.estimate - (played - state.base.quiet.played);
-        state.base.moved = !state.base.watch.returned(&unexplained);
+        state.base.moved = !state.base.watch.returned(&unexplained, input.dt_s);
         return;
     }
     state.base.moved = flagged;

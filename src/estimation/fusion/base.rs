@@ -8,7 +8,11 @@
 //!
 //! The bias b_g comes from the alignment and from every later stretch without rotation. The axes of the base IMU are
 //! those of the tip's IMU during alignment, up to a configured mount. If the two disagree about the vertical, the
-//! smallest rotation that makes them agree is added.
+//! smallest rotation that makes them agree is added. What is left of the mount, a few degrees about the vertical above all,
+//! shows when the base turns while the pistons stand: then both gyroscopes measure the same rate ([`BaseTracker::compare`]).
+//!
+//! An IMU that is silent, stuck or only spikes is lost after `fuse.health.blind_max_s`. The last rotation is then kept,
+//! and the base is supervised as without an IMU. Once its readings are good again, gravity and field give the rotation anew.
 
 use crate::estimation::fusion::align::{AlignConfig, AlignState, Alignment};
 use crate::estimation::fusion::intake::{self, Step};
@@ -47,7 +51,7 @@ parameters! {
         field_time_s: f64 = 20.0, "s", 0.0..=10_000.0, "20; 0 does not use the field";
         /// Rate below which the base counts as standing. A larger value learns the bias more often, and takes a slow turn for
         /// bias.
-        still_rate_rad_s: f64 = 0.02, "rad/s", 0.0001..=1.0, "0.02 is 1.1 °/s";
+        still_rate_rad_s: f64 = 0.002, "rad/s", 0.0001..=1.0, "0.002 is 0.1 °/s";
     }
 }
 
@@ -61,6 +65,8 @@ pub enum BaseTracker {
     Aligning(AlignState),
     /// The attitude is tracked.
     Following(Follow),
+    /// The attitude was tracked until the IMU failed.
+    Lost(Follow),
 }
 
 /// Attitude since alignment.
@@ -75,6 +81,8 @@ pub struct Follow {
     slow_rate: Vector3<f64>,
     window: Window,
     before: Option<Window>,
+    /// Variance of the mount about each axis, rad².
+    mount_variance: f64,
 }
 
 /// Integral of the gyroscope over a window, with the bias subtracted.
@@ -90,6 +98,12 @@ const STILL_TAU_S: f64 = 0.5;
 const BIAS_TAU_S: f64 = 20.0;
 /// Length of the windows for the bias, s.
 const WINDOW_S: f64 = 1.0;
+/// Standard deviation of the mount beyond its configuration, rad (1.7°).
+const MOUNT_SIGMA_RAD: f64 = 0.03;
+/// Variance of a comparison of the rates times its duration, (rad/s)² s: the tip moves by 0.02 rad/s for 0.1 s.
+const RATE_VARIANCE: f64 = 0.02 * 0.02 * 0.1;
+/// Rate below which the rates are not compared, rad/s.
+const COMPARED_RAD_S: f64 = 0.1;
 
 impl BaseTracker {
     /// Processes a sample. `tip_up` is the mean specific force of the tip during its alignment, once complete.
@@ -105,6 +119,26 @@ impl BaseTracker {
                 }
             }
             Self::Following(follow) => follow.update(config, sample),
+            Self::Lost(follow) => {
+                follow.reacquire(sample);
+                *self = Self::Following(*follow);
+            }
+        }
+    }
+
+    /// The IMU has given no usable sample for too long.
+    pub fn lose(&mut self) {
+        if let Self::Following(follow) = self {
+            follow.rate_rad_s = Vector3::zeros();
+            *self = Self::Lost(*follow);
+        }
+    }
+
+    /// Compares the rate of the tip with that of the base, while the pistons stand: both in base axes, rad/s. What differs
+    /// across the rate is an error of the mount.
+    pub fn compare(&mut self, tip_rate_rad_s: &Vector3<f64>, dt_s: f64) {
+        if let Self::Following(follow) = self {
+            follow.compare(tip_rate_rad_s, dt_s);
         }
     }
 
@@ -113,7 +147,7 @@ impl BaseTracker {
     pub fn turn(&self) -> BaseTurn {
         match self {
             Self::Absent | Self::Aligning(_) => BaseTurn::none(),
-            Self::Following(f) => {
+            Self::Following(f) | Self::Lost(f) => {
                 BaseTurn { r_rest_now: f.to_tip * f.q_rest_now * f.to_tip.inverse(), rate_rad_s: f.to_tip * f.rate_rad_s }
             }
         }
@@ -123,6 +157,12 @@ impl BaseTracker {
     #[must_use]
     pub fn follows(&self) -> bool {
         matches!(self, Self::Following(_))
+    }
+
+    /// The IMU had noise during its alignment, so identical readings mean that it is stuck.
+    #[must_use]
+    pub fn noisy(&self) -> bool {
+        matches!(self, Self::Following(f) | Self::Lost(f) if f.rest.noisy())
     }
 
     /// Starts a new alignment at the present attitude.
@@ -147,6 +187,37 @@ impl Follow {
             slow_rate: Vector3::zeros(),
             window: Window::default(),
             before: None,
+            mount_variance: MOUNT_SIGMA_RAD * MOUNT_SIGMA_RAD,
+        }
+    }
+
+    /// Recursive least squares for a small rotation m of the mount: the tip's rate is ω + m × ω.
+    fn compare(&mut self, tip_rate_rad_s: &Vector3<f64>, dt_s: f64) {
+        let rate = self.to_tip * self.rate_rad_s;
+        if rate.norm() < COMPARED_RAD_S {
+            return;
+        }
+        let information = self.mount_variance * dt_s / (self.mount_variance * rate.norm_squared() * dt_s + RATE_VARIANCE);
+        let found = rate.cross(&(tip_rate_rad_s - rate)) * information;
+        self.to_tip = UnitQuaternion::from_scaled_axis(found.cap_magnitude(MOUNT_SIGMA_RAD)) * self.to_tip;
+        // two of the three axes have been seen
+        self.mount_variance *= 1.0 - 2.0 / 3.0 * information * rate.norm_squared();
+    }
+
+    /// The rotation from gravity and field alone, after a gap in which the base may have turned.
+    fn reacquire(&mut self, sample: &ImuSample) {
+        self.last_t_s = sample.t.0;
+        (self.slow_rate, self.window, self.before) = (Vector3::zeros(), Window::default(), None);
+        let usable = intake::usable(sample);
+        if let Some(acc) = usable.acc_m_s2 {
+            let predicted = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2;
+            self.q_rest_now *= UnitQuaternion::rotation_between(&acc, &predicted).unwrap_or_default();
+        }
+        if let (Some(mag), Some(rest)) = (usable.mag_ut, self.rest.mag_rest_ut) {
+            let up = self.q_rest_now.inverse() * self.rest.acc_rest_m_s2.normalize();
+            let across = |v: Vector3<f64>| v - up * v.dot(&up);
+            let (is, was) = (across(mag), across(self.q_rest_now.inverse() * rest));
+            self.q_rest_now *= UnitQuaternion::rotation_between(&is, &was).unwrap_or_default();
         }
     }
 
@@ -237,5 +308,49 @@ mod tests {
         assert!((have - truth).norm().to_degrees() < 0.1, "{have} {truth}");
         base.restart();
         assert_eq!(base.turn(), BaseTurn::none());
+    }
+
+    /// A base that stands for 5 s and then swings about two axes, with the tip's IMU alike; the tracker at the end.
+    fn swung(mount: &UnitQuaternion<f64>, lost: impl Fn(f64) -> bool, compares: bool) -> (BaseTracker, UnitQuaternion<f64>) {
+        let up = Vector3::new(2.0, 1.0, 9.5);
+        let (config, mut base, mut q, dt) = (BaseConfig::default(), BaseTracker::default(), UnitQuaternion::identity(), 0.002);
+        for k in 0..10_000 {
+            let t = f64::from(k) * dt;
+            let swing = if t > 5.0 { Vector3::new(0.5 * t.cos(), 0.3 * (1.7 * t).sin(), 0.4 * (0.6 * t).cos()) } else { Vector3::zeros() };
+            q *= UnitQuaternion::from_scaled_axis(swing * dt);
+            let seen = sample(t, &q, swing);
+            let turned = |v: Vector3<f64>| mount.inverse() * v;
+            let bias = seen.gyro_rad_s - swing;
+            let seen =
+                ImuSample { gyro_rad_s: turned(swing) + bias, acc_m_s2: turned(seen.acc_m_s2), mag_ut: seen.mag_ut.map(turned), ..seen };
+            if lost(t) {
+                base.lose();
+            } else {
+                base.update(&config, &AlignConfig::default(), &seen, Some(&up));
+                if compares && t > 5.0 {
+                    base.compare(&swing, dt);
+                }
+            }
+        }
+        (base, q)
+    }
+
+    #[test]
+    fn the_mount_is_found_while_the_base_turns() {
+        let mount = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, 0.05));
+        let error = |compares| {
+            let (base, q) = swung(&mount, |_| false, compares);
+            base.turn().r_rest_now.angle_to(&q).to_degrees()
+        };
+        assert!(error(true) < 0.5 && error(true) < error(false), "{} {}", error(true), error(false));
+    }
+
+    #[test]
+    fn a_lost_imu_keeps_its_turn_and_comes_back_by_gravity_and_field() {
+        let none = UnitQuaternion::identity();
+        let (base, _) = swung(&none, |t| t > 10.0, false);
+        assert!(!base.follows() && base.turn().rate_rad_s == Vector3::zeros() && base.turn().r_rest_now != none);
+        let (base, q) = swung(&none, |t| (10.0..15.0).contains(&t), false);
+        assert!(base.follows() && base.turn().r_rest_now.angle_to(&q).to_degrees() < 1.0);
     }
 }

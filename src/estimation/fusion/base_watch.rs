@@ -92,6 +92,8 @@ pub struct Watch {
     sway: f64,
     /// Largest unexplained bend since the flag, rad.
     excursion: f64,
+    /// Time for which it has been back without a twist, s.
+    back_s: f64,
 }
 
 /// How the present unexplained bend began.
@@ -116,6 +118,8 @@ const CONFIRM_S: f64 = 0.03;
 const CONSTANT_RAD: f64 = 0.017;
 /// Unexplained bend that counts as having come back, rad (1.5°).
 const RETURNED_RAD: f64 = 0.026;
+/// Time for which it must have come back, s.
+const RETURN_AFTER_S: f64 = 3.0;
 /// Tolerated sway, relative to the largest that came back, and its upper limit, rad (15°).
 const SWAY_MARGIN: f64 = 1.3;
 const SWAY_MAX_RAD: f64 = 0.26;
@@ -166,11 +170,15 @@ impl Watch {
 
     /// Follows the unexplained bend since the last quiet pose while the flag is up; true once it has come back without a
     /// twist. Then it was no turn of the base, or one that was undone, and sways of that size are tolerated from now on.
-    pub fn returned(&mut self, unexplained: &Vector2<f64>) -> bool {
+    /// A base that sways passes through agreement; so it must last.
+    pub fn returned(&mut self, unexplained: &Vector2<f64>, dt_s: f64) -> bool {
         let size = unexplained.norm();
         self.excursion = self.excursion.max(size);
-        let back = size < RETURNED_RAD && self.twist.abs() < QUIET_RAD;
+        let agrees = size < RETURNED_RAD && self.twist.abs() < QUIET_RAD;
+        self.back_s = if agrees { self.back_s + dt_s } else { 0.0 };
+        let back = self.back_s >= RETURN_AFTER_S;
         if back {
+            self.back_s = 0.0;
             self.sway = self.sway.max(SWAY_MARGIN * self.excursion).min(SWAY_MAX_RAD);
             (self.excursion, self.bend, self.onset, self.settled) = (0.0, Vector2::zeros(), Onset::None, false);
         }

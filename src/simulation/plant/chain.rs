@@ -92,7 +92,7 @@ impl Plant {
             sensed_t: 0.0,
             magnet_ut: Vector3::zeros(),
             imu: Imu::tip(&config.imu, seed, here, &mut laws),
-            base_imu: config.base.imu.then(|| Imu::base(&config.imu, seed, Surroundings { at_mm: Vector3::zeros(), ..here })),
+            base_imu: config.base.imu.then(|| Imu::base(&config.base_imu(), seed, Surroundings { at_mm: Vector3::zeros(), ..here })),
             laws,
             config: config.clone(),
         })

@@ -96,6 +96,9 @@ parameters! {
         roll_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
         /// Whether the base carries an IMU of its own, built like the tip's. Default false.
         imu: bool = false, 0.0..=1.0, "true or false";
+        /// How the axes of the IMU on the base are turned against those of the tip's at rest, a rotation vector in degrees.
+        /// Default 0. The controller does not know it: what it takes for a turn of the base is turned by as much.
+        imu_mount_deg: [f64; 3] = [0.0; 3], -10.0..=10.0, "within 3° is the plant link's rule";
     }
 }
 
@@ -164,6 +167,13 @@ impl PlantConfig {
     pub fn background<R: Rng + ?Sized>(mut self, rng: &mut R) -> Self {
         self.effects.add_background(&mut PlantRng::new(rng.next_u64(), Stream::Choice));
         self
+    }
+
+    /// The chip on the base: of the same make as the tip's, with its own mount.
+    pub(crate) fn base_imu(&self) -> ImuConfig {
+        let mount = |v: [f64; 3]| UnitQuaternion::from_scaled_axis(Vector3::from(v).map(f64::to_radians));
+        let turned = mount(self.imu.mount_deg) * mount(self.base.imu_mount_deg);
+        ImuConfig { mount_deg: turned.scaled_axis().map(f64::to_degrees).into(), ..self.imu.clone() }
     }
 
     /// What the laws of this plant may depend on.

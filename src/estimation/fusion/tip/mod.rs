@@ -19,7 +19,7 @@ use crate::estimation::fusion::align::{AlignState, Alignment};
 use crate::estimation::fusion::base::BaseTracker;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::estimator::Estimator;
-use crate::estimation::fusion::health::{CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, SensorMonitor};
+use crate::estimation::fusion::health::{CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, Quality, SensorMonitor};
 use crate::model::bend::Bend;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
@@ -47,6 +47,9 @@ pub struct Fusion {
     monitor: SensorMonitor,
     verdict: Option<HealthVerdict>,
     base: BaseTracker,
+    base_monitor: SensorMonitor,
+    /// The base IMU has been seen.
+    with_base: bool,
     stage: Stage,
 }
 
@@ -54,10 +57,7 @@ impl Fusion {
     /// Processes one tick.
     pub fn update(&mut self, config: &FuseConfig, input: &FusionInput) {
         let input = &FusionInput { tip: self.without_coils(input), ..*input };
-        if let Some(sample) = &input.base {
-            let up = self.alignment().map(|a| a.acc_rest_m_s2);
-            self.base.update(&config.base, &config.align, sample, up.as_ref());
-        }
+        self.update_base(config, input);
         match &mut self.stage {
             Stage::Aligning(state) => {
                 let verdict = self.monitor.assess(&config.health, input.now, &input.tip);
@@ -78,6 +78,30 @@ impl Fusion {
                     self.set_known(known);
                 }
             }
+        }
+    }
+
+    /// Follows the base with its own IMU while that is healthy.
+    fn update_base(&mut self, config: &FuseConfig, input: &FusionInput) {
+        self.with_base |= input.base.is_some();
+        if !self.with_base {
+            return;
+        }
+        let quality = Quality { expect_noise: self.base.noisy(), ..Quality::default() };
+        let reading = input.base.map_or(ImuReading::Nothing, |sample| ImuReading::Sample(sample, quality));
+        let limits = match &self.stage {
+            Stage::Aligning(_) => config.health,
+            Stage::Tracking(t) => t.base_limits(),
+        };
+        let verdict = self.base_monitor.assess(&limits, input.now, &reading);
+        let up = self.alignment().map(|a| a.acc_rest_m_s2);
+        match &input.base {
+            Some(sample) if verdict.gyro => self.base.update(&config.base, &config.align, sample, up.as_ref()),
+            _ if verdict.blind => self.base.lose(),
+            _ => {}
+        }
+        if let (true, Stage::Tracking(t), Some(rate)) = (input.still && input.base.is_some(), &self.stage, self.rate_rad_s()) {
+            self.base.compare(&t.estimator.r_base_tip().apply(&rate), t.alignment.periods_s().0);
         }
     }
 

@@ -20,6 +20,8 @@ const MARGIN_SIGMAS: f64 = 3.0;
 const REALIGN_SIGMA_RAD: f64 = 0.035;
 /// Least time between two saved states of the bend filter, s.
 const SAVE_PERIOD_S: f64 = 0.5;
+/// Share of the longest blind time after which a base IMU that repeats itself is stuck.
+const FROZEN_SHARE: f64 = 0.4;
 /// Longest gap that is integrated, in sampling periods.
 const BRIDGED_PERIODS: f64 = 6.0;
 
@@ -77,6 +79,12 @@ impl Tracker {
             saved_at_s: f64::NEG_INFINITY,
             realignment: None,
         }
+    }
+
+    /// Limits of the monitor of the base IMU: it must notice a stuck one as soon as a silent one.
+    pub fn base_limits(&self) -> HealthConfig {
+        let readings = (self.limits.blind_max_s * FROZEN_SHARE / self.alignment.periods_s().0) as u32;
+        HealthConfig { frozen_after: readings.clamp(3, self.limits.frozen_after.max(3)), ..self.limits }
     }
 
     /// Expects noise of every source that had noise during alignment.
