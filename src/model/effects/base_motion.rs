@@ -55,15 +55,9 @@ impl Effect for BaseMotion {
     /// One slow turn from the beginning, then knocks at several times.
     fn starts(&self) -> Starts {
         let none = |t_s: f64| [t_s, 2.0, 0.0, 0.0, 0.0];
-        let at = |first: f64, lasting: f64, others: [f64; 2]| {
-            [[first, lasting, 0.01, 0.01, 0.01], none(others[0]), none(others[1])].concat()
-        };
-        vec![
-            at(5.0, 200.0, [150.0, 220.0]),
-            at(40.0, 2.0, [160.0, 220.0]),
-            at(120.0, 2.0, [40.0, 220.0]),
-            at(200.0, 2.0, [120.0, 40.0]),
-        ]
+        let at =
+            |first: f64, lasting: f64, others: [f64; 2]| [[first, lasting, 0.01, 0.01, 0.01], none(others[0]), none(others[1])].concat();
+        vec![at(5.0, 200.0, [150.0, 220.0]), at(40.0, 2.0, [160.0, 220.0]), at(120.0, 2.0, [40.0, 220.0]), at(200.0, 2.0, [120.0, 40.0])]
     }
     fn base(&self, p: &[f64], at: &Moment) -> Option<UnitQuaternion<f64>> {
         let turned = p

@@ -141,15 +141,7 @@ struct Absent;
 
 impl Effect for Absent {
     fn info(&self) -> &'static EffectInfo {
-        &EffectInfo {
-            name: "absent",
-            stage: Stage::Base,
-            signature: "",
-            confused_with: &[],
-            separated_by: "",
-            events: 0,
-            params: &[],
-        }
+        &EffectInfo { name: "absent", stage: Stage::Base, signature: "", confused_with: &[], separated_by: "", events: 0, params: &[] }
     }
 }
 
