@@ -69,13 +69,13 @@ pub fn parse(source: impl Read, visit: &mut dyn FnMut(Message<'static>) -> Resul
                 known |= message.channel.topic == TOPICS[1];
                 visit(message)?;
             }
-            Err(McapError::UnexpectedEof) => ending = Some("the file was not closed; read up to its last whole chunk".to_owned()),
-            Err(e) => ending = Some(format!("{e}; read up to there")),
+            Err(McapError::UnexpectedEof) => ending = Some("the file was not closed".to_owned()),
+            Err(e) => ending = Some(e.to_string().to_lowercase()),
         }
     }
     match (known, ending) {
-        (true, ending) => Ok(ending),
+        (true, ending) => Ok(ending.map(|problem| format!("{problem}; read up to its last whole chunk"))),
         (false, None) => Err("this is an MCAP file of another program; `retroflex run` writes flight logs".to_owned()),
-        (false, Some(problem)) => Err(format!("nothing of a flight log can be read: {problem}")),
+        (false, Some(problem)) => Err(format!("this is no flight log, or nothing of it can be read: {problem}")),
     }
 }
