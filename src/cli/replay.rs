@@ -68,8 +68,12 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if replay.altered.is_some() {
         show(&replay.changes, cycles);
     }
-    let Some(first) = replay.first else { return Ok(CommandOutcome::Good) };
-    eprintln!("the first difference is {first} wrote the log");
+    let Some((number, t_s, fields)) = replay.first else { return Ok(CommandOutcome::Good) };
+    let program = replay.header.as_ref().map_or("", |header| &header.program);
+    let fields = if fields.is_empty() { "a field without a digest".to_owned() } else { fields.join(", ") };
+    eprintln!(
+        "the first difference is in cycle {number} at {t_s:.3} s, in {fields}: the software has changed since version {program} wrote the log"
+    );
     Ok(CommandOutcome::NotGoodEnough)
 }
 
@@ -123,7 +127,8 @@ struct Replay {
     skipped: u64,
     /// Number and time of the cycle after each gap, and the cycles that are missing.
     gaps: Vec<(u64, f64, u64)>,
-    first: Option<String>,
+    /// Number and time of the first cycle that differs, and the fields that differ there or, if it names none, in the next that does.
+    first: Option<(u64, f64, Vec<&'static str>)>,
 }
 
 impl Replay {
@@ -195,13 +200,12 @@ impl Replay {
         };
         let output = supervisor.turn(&cycle.sensed, cycle.order);
         self.cycles += 1;
-        let fields = cycle.differences(&output);
-        if !fields.is_empty() {
+        if let Some(fields) = cycle.differences(&output) {
             self.different += 1;
-            let program = self.header.as_ref().map_or("", |header| &header.program);
-            let why =
-                || format!("in cycle {number} at {t_s:.3} s, in {}: the software has changed since version {program}", fields.join(", "));
-            self.first.get_or_insert_with(why);
+            let first = self.first.get_or_insert((number, t_s, Vec::new()));
+            if first.2.is_empty() {
+                first.2 = fields;
+            }
         }
         if let Some(altered) = &mut self.altered {
             compare(&mut self.changes, t_s, &output, &altered.turn(&cycle.sensed, cycle.order));

@@ -7,7 +7,7 @@
 //! and the other points as directions).
 
 use crate::diagnosis::chain::{Model, run};
-use crate::diagnosis::excite::points::Rival;
+use crate::diagnosis::excite::points::{Rival, counted};
 use crate::diagnosis::excite::rows::{Machine, Row};
 use crate::diagnosis::excite::synthetic;
 use crate::diagnosis::observe::Observed;
@@ -59,7 +59,7 @@ pub fn information(machine: &Machine, rows: &[Row], rivals: &[Rival], tracker: b
     let each: Vec<Vec<Vec<f64>>> = rivals.par_iter().map(|r| columns_of(&log, r, &start, &base)).collect();
     let mut spans = Vec::new();
     for (rival, own) in rivals.iter().zip(each) {
-        let (first, slopes) = (columns.len(), rival.effect.params().len());
+        let (first, slopes) = (columns.len(), counted(rival.effect.as_ref()));
         spans.push(Span { slopes: (first, first + slopes), points: (first + slopes, first + own.len()) });
         columns.extend(own);
     }
@@ -79,7 +79,7 @@ fn columns_of(log: &Observed, rival: &Rival, start: &[f64], base: &[f64]) -> Vec
     let at = |point: &[f64]| residual(log, &model, &[start, point].concat());
     let here = at(&rival.points[0]);
     let mut out = Vec::new();
-    for (i, p) in rival.effect.params().iter().enumerate() {
+    for (i, p) in rival.effect.params().iter().take(counted(rival.effect.as_ref())).enumerate() {
         let mut moved = rival.points[0].clone();
         let h = STEP * if moved[i] + STEP * p.scale > p.high { -1.0 } else { 1.0 };
         moved[i] += h * p.scale;

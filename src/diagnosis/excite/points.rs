@@ -12,6 +12,8 @@ use rand::rngs::StdRng;
 const DRAWS: usize = 2;
 /// A time with a wider prior than this is that of an event and is drawn within the log, s.
 const EVENT_SIGMA_S: f64 = 50.0;
+/// Events of an effect that a schedule is judged by. More would imitate everything.
+const EVENTS_MAX: usize = 2;
 /// Range of the times of events, s.
 const EVENTS_S: (f64, f64) = (20.0, 150.0);
 
@@ -24,11 +26,11 @@ pub struct Rival {
 }
 
 impl Rival {
-    /// An effect at draws from its prior.
+    /// An effect at draws from its prior; events beyond [`EVENTS_MAX`] do not happen.
     pub fn drawn(effect: Box<dyn Effect>, rng: &mut StdRng) -> Self {
-        let params = effect.params();
-        let points = (0..DRAWS).map(|_| params.iter().map(|p| draw(p, rng)).collect()).collect();
-        Self { effect, points }
+        let (params, counted) = (effect.params(), counted(effect.as_ref()));
+        let mut point = || params.iter().enumerate().map(|(i, p)| if i < counted { draw(p, rng) } else { p.start }).collect();
+        Self { points: (0..DRAWS).map(|_| point()).collect(), effect }
     }
 
     /// An effect at the values of a saved model, or at draws if the model does not have it. The draws are taken in either
@@ -38,6 +40,12 @@ impl Rival {
         let drawn = Self::drawn(effect, rng);
         Self { points: saved.map_or(drawn.points, |point| vec![point]), effect: drawn.effect }
     }
+}
+
+/// Number of parameters by which a schedule is judged.
+pub fn counted(effect: &dyn Effect) -> usize {
+    let (all, events) = (effect.params().len(), effect.info().events);
+    if events > EVENTS_MAX { all / events * EVENTS_MAX } else { all }
 }
 
 /// A value 0.3 to 1.2 prior σ from the value without effect, on either side if the limits allow both.

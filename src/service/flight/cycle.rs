@@ -1,6 +1,7 @@
 //! A cycle as the log holds it: the exact input of the supervisor, and digests of everything that it decided.
 
 use crate::control::tick::Frame;
+use crate::estimation::fusion::health::ImuReading;
 use crate::model::arc::Shape;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
@@ -17,7 +18,8 @@ pub struct Cycle {
     pub order: Option<Order>,
     /// Target of the tip.
     pub target: Shape,
-    /// Digests of the decisions: one of all, in four bytes, then one of each of [`FIELDS`], in one byte.
+    /// Digests of the decisions: one of all, in four bytes, then, in cycles with a sample of the tip IMU, one of each of [`FIELDS`],
+    /// in one byte.
     pub digests: (u32, Vec<u8>),
 }
 
@@ -29,14 +31,14 @@ impl From<&CycleOutput> for Cycle {
 }
 
 impl Cycle {
-    /// Names of the fields in which the decisions differ from those of this cycle.
+    /// Whether the decisions differ from those of this cycle, and the names of the fields that do: none in a cycle without digests
+    /// of the fields. One byte in 256 is equal by chance.
     #[must_use]
-    pub fn differences(&self, output: &CycleOutput) -> Vec<&'static str> {
+    pub fn differences(&self, output: &CycleOutput) -> Option<Vec<&'static str>> {
         let now = digests(output);
         let pairs = now.1.iter().zip(&self.digests.1);
-        let named: Vec<_> = FIELDS.iter().zip(pairs).filter(|(_, (a, b))| a != b).map(|(name, _)| *name).collect();
-        // one byte in 256 is equal by chance
-        if named.is_empty() && now != self.digests { vec!["a field that its digest does not show"] } else { named }
+        let named = || FIELDS.iter().zip(pairs).filter(|(_, (a, b))| a != b).map(|(name, _)| *name).collect();
+        (now != self.digests).then(named)
     }
 }
 
@@ -60,7 +62,9 @@ macro_rules! fields {
             // the time is input
             let Frame { t: _, $($name),* } = &$output.frame;
             let all = [$(field($name),)* $(field(&$output.$own)),*];
-            ((fnv(all.iter().flat_map(|x| x.to_le_bytes())) >> 32) as u32, all.iter().map(|x| (x >> 56) as u8).collect())
+            let sampled = matches!($output.sensed.imu, ImuReading::Sample(..));
+            let each = all.iter().filter(|_| sampled).map(|x| (x >> 56) as u8).collect();
+            ((fnv(all.iter().flat_map(|x| x.to_le_bytes())) >> 32) as u32, each)
         }
     };
 }
@@ -114,7 +118,7 @@ pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
 mod tests {
     use super::*;
     use crate::control::tick::Command;
-    use crate::estimation::fusion::health::{ImuReading, Quality, ReadFault};
+    use crate::estimation::fusion::health::{Quality, ReadFault};
     use crate::model::bend::Bend;
     use crate::model::transmission::Line;
     use crate::motion::lines::Inputs;
