@@ -304,8 +304,7 @@ mod tests {
             }
         }
         let truth = Vector3::new(0.0, 0.6, 0.8) * 10f64.to_radians();
-        let have = base.turn().r_rest_now.scaled_axis();
-        assert!((have - truth).norm().to_degrees() < 0.1, "{have} {truth}");
+        assert!((base.turn().r_rest_now.scaled_axis() - truth).norm().to_degrees() < 0.1, "{base:?}");
         base.restart();
         assert_eq!(base.turn(), BaseTurn::none());
     }
