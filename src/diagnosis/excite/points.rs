@@ -26,7 +26,7 @@ pub struct Rival {
 }
 
 impl Rival {
-    /// An effect at draws from its prior; events beyond [`EVENTS_MAX`] do not happen.
+    /// An effect at draws from its prior; events after the second do not happen.
     pub fn drawn(effect: Box<dyn Effect>, rng: &mut StdRng) -> Self {
         let (params, counted) = (effect.params(), counted(effect.as_ref()));
         let mut point = || params.iter().enumerate().map(|(i, p)| if i < counted { draw(p, rng) } else { p.start }).collect();
