@@ -7,7 +7,7 @@ use common::{repo, twin};
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::drill::bench::BenchConfig;
-use retroflex::drill::process;
+use retroflex::drill::process::{self, Repeats};
 use retroflex::drill::row::Row;
 use std::path::Path;
 
@@ -40,4 +40,14 @@ fn a_stop_is_answered_under_every_attack_and_nothing_moves_after_it() {
 fn a_memory_is_never_believed_falsely_after_a_kill() {
     let folder = tempfile::tempdir().unwrap();
     assert_all(&process::kills(&config(), program(), folder.path(), tries(4) * 5, &|_| true).unwrap());
+}
+
+#[test]
+fn clients_that_contradict_each_other_fall_silent_or_die_are_survived() {
+    let folder = tempfile::tempdir().unwrap();
+    let of_clients = |name: &str| ["two_clients", "stream_silent", "client_dies_in_motion", "sigterm_while_bent"].contains(&name);
+    let repeats = Repeats { kills: 0, tries: 0 };
+    let rows = process::rows(&config(), program(), folder.path(), repeats, &of_clients).unwrap();
+    assert_eq!(rows.len(), 4);
+    assert_all(&rows);
 }

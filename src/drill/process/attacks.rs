@@ -1,7 +1,7 @@
 //! `stop` under attack: it is answered, the tip brakes, and nothing moves until the next `arm`.
 
 use super::attack::{Attack, Attackers};
-use super::daemon::{Daemon, WATCHDOG_S, ask};
+use super::daemon::{Daemon, WATCHDOG_S, ask, insist};
 use crate::drill::bench::BenchConfig;
 use crate::drill::row::Row;
 use crate::drill::run::Allowance;
@@ -120,22 +120,11 @@ fn order(daemon: &Daemon, request: &Request) -> io::Result<Value> {
     daemon.client().and_then(|mut client: Client| ask(&mut client, request))
 }
 
-/// Repeats `work` until it succeeds: attackers may take the place of a client that waits.
-fn insist<T>(mut work: impl FnMut() -> io::Result<T>) -> io::Result<T> {
-    let started = Instant::now();
-    loop {
-        match work() {
-            Err(_) if started.elapsed().as_secs_f64() < ARM_MAX_S => std::thread::sleep(Duration::from_millis(10)),
-            result => return result,
-        }
-    }
-}
-
 /// Arms and bends, however often the attackers get in the way.
 fn move_again(daemon: &Daemon, n: u32) -> io::Result<()> {
     let dir_deg = if n.is_multiple_of(2) { 30.0 } else { 210.0 };
     let target = Request::Bend { bend_deg: 60.0, dir_deg, length_mm: None, speed_deg_s: None };
-    insist(|| {
+    insist(ARM_MAX_S, || {
         // a loop that was late for the attackers' sake has tripped; without a fault this is refused
         let _ = order(daemon, &Request::ResetFault {});
         order(daemon, &Request::Arm {}).and_then(|_| order(daemon, &target))
@@ -147,7 +136,7 @@ fn move_again(daemon: &Daemon, n: u32) -> io::Result<()> {
 /// Microsteps of all channels after a stop, until twice the time that braking takes.
 fn travelled(daemon: &Daemon) -> io::Result<i64> {
     let counted = || -> io::Result<[i64; 3]> {
-        let status = insist(|| order(daemon, &Request::Status {}))?;
+        let status = insist(ARM_MAX_S, || order(daemon, &Request::Status {}))?;
         Ok(std::array::from_fn(|i| status["counted"][i].as_i64().unwrap_or(i64::MAX / 4)))
     };
     let before = counted()?;

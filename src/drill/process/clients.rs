@@ -1,6 +1,6 @@
 //! Clients that contradict each other, fall silent or die, of a service that runs in real time.
 
-use super::daemon::{Daemon, ask};
+use super::daemon::{Daemon, ask, insist};
 use crate::drill::row::Row;
 use crate::service::protocol::{RecordAction, Request};
 use std::io;
@@ -9,6 +9,9 @@ use std::time::{Duration, Instant};
 
 /// Names of the rows.
 pub const NAMES: [&str; 4] = ["two_clients", "stream_silent", "client_dies_in_motion", "sigterm_while_bent"];
+
+/// Longest time until a tip that brakes accepts another motion, s.
+const BRAKED_MAX_S: f64 = 1.0;
 
 /// All rows, on one service.
 pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
@@ -87,7 +90,8 @@ fn dead_man(daemon: &Daemon) -> io::Result<Row> {
 fn abandoned(daemon: &Daemon) -> io::Result<Row> {
     let mut client = daemon.client()?;
     ask(&mut client, &Request::Record { action: RecordAction::Start, name: Some("x".to_owned()), owned: true })?;
-    ask(&mut client, &Request::Bend { bend_deg: 10.0, dir_deg: 210.0, length_mm: None, speed_deg_s: Some(20.0) })?;
+    let away = Request::Bend { bend_deg: 10.0, dir_deg: 210.0, length_mm: None, speed_deg_s: Some(20.0) };
+    insist(BRAKED_MAX_S, || ask(&mut client, &away))?;
     std::thread::sleep(Duration::from_millis(1000));
     let started = Instant::now();
     drop(client);

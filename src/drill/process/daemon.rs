@@ -188,6 +188,18 @@ pub fn ask(client: &mut Client, request: &Request) -> io::Result<Value> {
     client.request(request).map_err(|f| io::Error::other(format!("{}: {}", request.name(), f.message)))
 }
 
+/// Repeats `work` until it succeeds, at most for a time, s: a tip that brakes refuses a motion, and attackers may take the place
+/// of a client that waits.
+pub fn insist<T>(seconds: f64, mut work: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+    let started = Instant::now();
+    loop {
+        match work() {
+            Err(_) if started.elapsed().as_secs_f64() < seconds => std::thread::sleep(Duration::from_millis(10)),
+            result => return result,
+        }
+    }
+}
+
 #[allow(unsafe_code)]
 fn signal_to(pid: u32, signal: i32) {
     let Ok(pid) = libc::pid_t::try_from(pid) else { return };

@@ -52,16 +52,23 @@ pub fn rows(
     ];
     let mut rows = Vec::new();
     for (name, run) in single.into_iter().filter(|(name, _)| selected(name)) {
-        rows.push(run(&folder(name)).unwrap_or_else(|e| {
-            let mut row = Row::new(name, "runs at all");
-            row.fail(format!("could not be run: {e}"));
-            row
-        }));
+        rows.push(run(&folder(name)).unwrap_or_else(|e| not_run(name, &e)));
     }
     rows.extend(kills::rows(config, program, &folder("kill"), repeats.kills, selected)?);
-    if clients::NAMES.iter().any(|name| selected(name)) {
-        rows.extend(clients::rows(program, &folder("clients"))?.into_iter().filter(|r| selected(&r.fault)));
+    let of_clients = clients::NAMES.into_iter().filter(|name| selected(name));
+    if of_clients.clone().count() > 0 {
+        match clients::rows(program, &folder("clients")) {
+            Ok(all) => rows.extend(all.into_iter().filter(|r| selected(&r.fault))),
+            Err(e) => rows.extend(of_clients.map(|name| not_run(name, &e))),
+        }
     }
     rows.extend(attacks::rows(config, program, &folder("attacks"), repeats.tries, selected)?);
     Ok(rows)
+}
+
+/// The row of a fault that could not be injected.
+fn not_run(name: &str, e: &io::Error) -> Row {
+    let mut row = Row::new(name, "runs at all");
+    row.fail(format!("could not be run: {e}"));
+    row
 }
