@@ -1,6 +1,9 @@
 //! Duration of a tick, and simulated seconds per second: `cargo bench --bench tick`.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a failed set-up ends the benchmark")]
 
+#[path = "../tests/common/mod.rs"]
+mod common;
+
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use retroflex::config::assemble;
@@ -13,9 +16,6 @@ use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
-use retroflex::model::chain::nominal_theta;
-use retroflex::model::described::{DescribedMachine, RestReadings};
-use retroflex::model::effects::by_name;
 use retroflex::primitives::units::{Mm, Seconds, Steps};
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::sim::Sim;
@@ -83,16 +83,7 @@ fn one_tick(bencher: Bencher<'_, '_>) {
 fn one_tick_fed_forward(bencher: Bencher<'_, '_>) {
     let config = config();
     let inputs = inputs(&config);
-    let causes: [(&str, &[f64]); 5] = [
-        ("leak", &[0.004, 0.002, 0.003, 1.0]),
-        ("line_lag", &[0.15, 0.2, 0.18, 0.1]),
-        ("hysteresis", &[0.1, 0.1, 0.1, 0.1, 0.0, 0.1, -0.1]),
-        ("creep", &[0.06, 0.08, 2.0]),
-        ("gravity", &[0.06, 0.8]),
-    ];
-    let causes = causes.iter().map(|(name, p)| (by_name(name).unwrap(), p.to_vec())).collect();
-    let machine = DescribedMachine::new(config.geometry, RestReadings::default(), &nominal_theta(&config.lines, 0.025), causes);
-    let config = LoopConfig { feedback: None, ..config }.fed_forward(Arc::new(machine));
+    let config = LoopConfig { feedback: None, ..config }.fed_forward(Arc::new(common::described()));
     bencher.counter(ItemsCount::new(inputs.len())).bench_local(|| {
         let mut state = LoopState::new(&config);
         let mut last: Option<Frame> = None;

@@ -3,6 +3,7 @@
 
 use retroflex::diagnosis::decide::VerdictKind;
 use retroflex::diagnosis::diagnose::diagnose;
+use retroflex::diagnosis::document::{Diagnosis, ParamValue};
 use retroflex::diagnosis::exam::question::{Content, Question, questions};
 use retroflex::diagnosis::exam::run::run;
 use retroflex::diagnosis::exam::score::score;
@@ -52,6 +53,44 @@ fn a_single_effect_and_none_are_recognised_and_scored() {
     assert_eq!((score.diagnosis.single.lab.right, score.diagnosis.single.field.right), (1, 1));
     assert_eq!((score.diagnosis.alarm.field.right, score.diagnosis.alarm.field.of), (0, 1));
     assert_eq!(score.stage.lab.right, 1);
+}
+
+#[test]
+fn several_logs_of_a_unit_are_diagnosed_together() {
+    let leak = question(Content::Single, &["leak"], false, 31).draw().unwrap();
+    let observed = |log| Observed::new(log, &Rig::default()).unwrap();
+    let [first, second] = [&leak.log, &leak.fresh].map(observed);
+    let mut both = first.clone();
+    both.append(second.clone());
+    assert_eq!(both.bins.len(), first.bins.len() + second.bins.len());
+    let of = |log: &Observed| diagnose(log, &catalogue(), &leak.lines, 1).document;
+    let [one, two, all] = [&first, &second, &both].map(of);
+    assert_eq!(all.verdict.names, ["leak"]);
+    assert_eq!((one.logs.len(), all.logs.len()), (1, 2));
+    for (alone, part) in [&one, &two].iter().zip(&all.logs) {
+        let [a, b] = [alone.gap.recalibrated_deg, part.recalibrated_deg];
+        assert!((a / b - 1.0).abs() < 0.25, "each log keeps its own gap: {a} alone, {b} together");
+        assert!(part.explained_deg < 0.5 * part.recalibrated_deg, "{part:?}");
+    }
+    // more evidence makes a narrower interval
+    let width = |d: &Diagnosis| d.effects[0].params[0].ci95[1] - d.effects[0].params[0].ci95[0];
+    assert!(width(&all) < width(&one).min(width(&two)), "{} {} {}", width(&one), width(&two), width(&all));
+}
+
+#[test]
+fn an_event_of_one_log_stays_in_that_log() {
+    let lost = question(Content::Single, &["missed_steps"], true, 32).draw().unwrap();
+    // the same seed draws the same unit
+    let healthy = question(Content::None, &[], true, 32).draw().unwrap();
+    let observed = |log| Observed::new(log, &Rig::default()).unwrap();
+    let mut both = observed(&healthy.log);
+    let later_s = both.duration_s();
+    both.append(observed(&lost.log));
+    let d = diagnose(&both, &catalogue(), &lost.lines, 1).document;
+    assert_eq!(d.verdict.names, ["missed_steps"], "{:?}", d.logs);
+    let events = d.effects[0].params.chunks_exact(4);
+    let lost_mm = |e: &[ParamValue]| e[1..].iter().map(|p| p.value.abs()).fold(0.0, f64::max);
+    assert!(events.filter(|e| lost_mm(e) > 0.3).all(|e| e[0].value > later_s), "{:?}", d.effects[0].params);
 }
 
 #[test]

@@ -2,8 +2,9 @@
 //!
 //! The forward part follows the play outputs and keeps the memory of every effect. The inverse looks for the play outputs whose
 //! shape, once they have been held for a short horizon, is the wanted one. The horizon is the shortest at which the shape shows
-//! most of the response, so that an effect that delays has an answer too. Broyden's method (*Math. Comp.* 1965) starts from the last solution with the last slope, so a tick needs one or two
-//! evaluations of the laws and never more than five. Nothing allocates after [`FeedforwardState::new`].
+//! most of the response, so that an effect that delays has an answer too. Broyden's method (*Math. Comp.* 1965) starts from the
+//! last solution with the last slope, so a tick needs one or two evaluations of the laws and never more than five. Nothing
+//! allocates after [`FeedforwardState::new`].
 
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;

@@ -237,8 +237,11 @@ mod tests {
 
     /// Largest error over the last second after `seconds` on gain·e^{−Ts}/(1+τs) + offset.
     fn closed_loop_error(truth: Dynamics, range: DynamicsRange, gain: f64, seconds: f64) -> f64 {
+        closed_loop_error_with(PiGains::new(&range, 0.1, 3.0, 1.0), truth, range, gain, seconds)
+    }
+
+    fn closed_loop_error_with(gains: PiGains, truth: Dynamics, range: DynamicsRange, gain: f64, seconds: f64) -> f64 {
         let dt_s = 0.002;
-        let gains = PiGains::new(&range, 0.1, 3.0, 1.0);
         let (mut model, mut pi) = (ReferenceModel::default(), PiState::default());
         let mut plant = ReferenceModel::default();
         let target = Vector2::new(0.6, -0.3);
@@ -270,7 +273,10 @@ mod tests {
             let best = Dynamics { lag_s, delay_s };
             let off = if sign { error_s } else { -error_s };
             let truth = Dynamics { lag_s: (lag_s + off * of_lag).max(0.0), delay_s: (delay_s + off * (1.0 - of_lag)).max(0.0) };
-            prop_assert!(closed_loop_error(truth, within(best, error_s), 1.0, 20.0) < 5e-3);
+            let range = within(best, error_s);
+            prop_assert!(closed_loop_error(truth, range, 1.0, 20.0) < 5e-3);
+            let following = PiGains::following(&range, 0.1, 3.0, 1.0);
+            prop_assert!(closed_loop_error_with(following, truth, range, 1.0, 20.0) < 5e-3);
         }
     }
 

@@ -67,6 +67,13 @@ impl Rows {
         Self { t_s: log.t_s.clone(), piston_mm: log.piston_mm.clone(), idle_s }
     }
 
+    /// Appends later rows.
+    pub fn append(&mut self, mut later: Self) {
+        self.t_s.append(&mut later.t_s);
+        self.piston_mm.append(&mut later.piston_mm);
+        self.idle_s.append(&mut later.idle_s);
+    }
+
     /// Counted pistons at time `t_s`, interpolated linearly between rows `k` and `k + 1`.
     #[must_use]
     pub fn piston_after(&self, k: usize, t_s: f64) -> Vector3<f64> {

@@ -4,11 +4,12 @@
 //! signal at its own stage. The lag integrates a straight line between two instants exactly, so a step may be longer
 //! than τ₀. [`crate::diagnosis::sense`] turns the motion into readings.
 
-use crate::diagnosis::observe::Observed;
+use crate::diagnosis::observe::{Observed, Segment};
 use crate::model::bend::Bend;
 use crate::model::chain::{Chain, NOMINAL, places};
 use crate::model::effects::{Effect, Memory, Pose};
 use nalgebra::{Matrix3, Vector3};
+use std::borrow::Cow;
 
 /// Largest mechanical lag that counts as nominal, s.
 pub const LAG_MAX_S: f64 = 0.05;
@@ -56,6 +57,17 @@ impl<'a> Model<'a> {
         self.effects.iter().enumerate().map(move |(i, e)| (*e, self.of(theta, i)))
     }
 
+    /// Events of effect `i`, which has one group of parameters per event.
+    pub fn events(&self, i: usize) -> impl Iterator<Item = Event> + use<> {
+        let (e, first) = (self.effects[i], self.at[i]);
+        let events = e.info().events;
+        let size = e.params().len() / events.max(1);
+        (0..events).map(move |k| {
+            let from = first + k * size;
+            Event { time: from, lasting: (size > 4).then_some(from + 1), offsets: std::array::from_fn(|i| from + size - 3 + i) }
+        })
+    }
+
     /// Whether parameter `j` changes only the readings, not the motion.
     #[must_use]
     pub fn sensing_only(&self, j: usize) -> bool {
@@ -66,23 +78,62 @@ impl<'a> Model<'a> {
 /// Tip in the base frame, instant by instant; zero at instants that no sensor samples.
 pub type Motion = Vec<Matrix3<f64>>;
 
+/// One event of an effect that happens once: indices in θ of its time, of its duration if it has one, and of its offsets.
+#[derive(Debug, Clone, Copy)]
+pub struct Event {
+    /// Time, s after the start of the first log.
+    pub time: usize,
+    /// Duration, s.
+    pub lasting: Option<usize>,
+    /// Offsets of the three channels or axes.
+    pub offsets: [usize; 3],
+}
+
+/// Parameters as a segment has them: the times of its own events count from its start, and other segments' events are absent.
+#[must_use]
+pub fn parameters<'p>(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &'p [f64]) -> Cow<'p, [f64]> {
+    if log.segments.len() == 1 {
+        return Cow::Borrowed(theta);
+    }
+    let mut own = theta.to_vec();
+    for event in (0..model.effects.len()).flat_map(|i| model.events(i)) {
+        let at_s = log.start_s() + theta[event.time];
+        let of = log.segments.iter().rev().find(|s| s.start_s <= at_s).unwrap_or(&log.segments[0]);
+        if of == segment {
+            own[event.time] = at_s - segment.start_s;
+        } else {
+            event.offsets.iter().for_each(|&o| own[o] = 0.0);
+        }
+    }
+    Cow::Owned(own)
+}
+
 /// Runs the model through the whole log.
 #[must_use]
 pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
+    let mut out = Vec::with_capacity(log.t_s.len());
+    for segment in &log.segments {
+        run_segment(log, segment, model, &parameters(log, segment, model, theta), &mut out);
+        from_rest(&mut out[segment.instants.clone()]);
+    }
+    out
+}
+
+/// Appends the motion of one segment, which starts at rest.
+fn run_segment(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &[f64], out: &mut Motion) {
     let lag_s = theta[6].max(1e-3);
     let behind_s: f64 = model.each(theta).map(|(e, p)| e.transport_s(p)).sum();
     // a late sensor also samples between the middles of bins
     let every = model.each(theta).any(|(e, p)| e.latency_s(p) > 0.0);
     let chain = Chain::new(log.rig.geometry, &model.effects, &model.at, theta);
     let mut memory = vec![Memory::default(); model.effects.len()];
-    let mut at = chain.moment(log.up_base, FIRST_STEP_S);
-    let mut delayed = Delayed { log, behind_s, at: 0 };
+    let mut at = chain.moment(segment.up_base, FIRST_STEP_S);
+    let mut delayed = Delayed { log, behind_s, at: segment.rows.start };
     let (mut w, mut lagged, mut before) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
     let (mut keep, mut keep_dt) = (0.0, -1.0);
-    let mut out = Vec::with_capacity(log.t_s.len());
-    for k in 0..log.t_s.len() {
-        let dt_s = if k == 0 { FIRST_STEP_S } else { log.t_s[k] - log.t_s[k - 1] };
-        (at.t_s, at.dt_s, at.counted_mm, at.idle_s) = (log.t_s[k] - log.start_s(), dt_s, delayed.piston(k), log.idle_s[k]);
+    for k in segment.instants.clone() {
+        let dt_s = if k == segment.instants.start { FIRST_STEP_S } else { log.t_s[k] - log.t_s[k - 1] };
+        (at.t_s, at.dt_s, at.counted_mm, at.idle_s) = (log.t_s[k] - segment.start_s, dt_s, delayed.piston(k), log.idle_s[k]);
         if (dt_s - keep_dt).abs() > 1e-7 {
             (keep, keep_dt) = ((-dt_s / lag_s).exp(), dt_s);
         }
@@ -94,13 +145,11 @@ pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
         before = q;
         out.push(if every || log.middle[k] { orientation(&chain.pose(&mut memory, &at, &lagged)) } else { Matrix3::zeros() });
     }
-    from_rest(&mut out);
-    out
 }
 
 /// Expresses the motion relative to its first orientation: the initial rest *defines* zero bend and the base frame,
 /// also for a tip that sags before anything moves.
-fn from_rest(motion: &mut Motion) {
+fn from_rest(motion: &mut [Matrix3<f64>]) {
     let Some(back) = motion.first().map(Matrix3::transpose) else { return };
     if back != Matrix3::identity() {
         for r in motion.iter_mut() {

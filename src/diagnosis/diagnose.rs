@@ -4,11 +4,11 @@ use crate::diagnosis::chain::{Model, run};
 use crate::diagnosis::confusion::EQUIVALENT_WITHOUT_TRACKER;
 use crate::diagnosis::credit::{credits, stages};
 use crate::diagnosis::decide::{Verdict, decide};
-use crate::diagnosis::document::{Diagnosis, EffectEntry, Gap, Location, ParamValue, Rival, UnknownEntry, VerdictEntry};
-use crate::diagnosis::holdout::score;
+use crate::diagnosis::document::{Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue, Rival, UnknownEntry, VerdictEntry};
+use crate::diagnosis::holdout::{HeldOut, score};
 use crate::diagnosis::interval::{Compared, closed_ci95};
 use crate::diagnosis::location::BeforeAfter;
-use crate::diagnosis::observe::Observed;
+use crate::diagnosis::observe::{Observed, Segment};
 use crate::diagnosis::quantity::Quantity;
 use crate::diagnosis::search::{Candidate, Candidates, search};
 use crate::diagnosis::sense::{every_bin, sense};
@@ -107,8 +107,25 @@ impl Assembly<'_> {
             },
             verdict: VerdictEntry { kind: verdict.kind, names: verdict.names, equivalent },
             effects,
+            logs: self.logs(),
             rivals: rivals(found),
         }
+    }
+
+    /// Each log's part of the gap; the parts of all logs are in the ratio of their left-out residuals.
+    fn logs(&self) -> Vec<LogEntry> {
+        let deg = |of: &HeldOut, part: &Segment| {
+            let energy = |used: &dyn Fn(usize) -> bool| score(self.log, of.residual.clone(), used).energy();
+            let scored = |k: usize| self.log.quantities().any(|q| of.residual[q][k] != Vector3::zeros());
+            let all = energy(&scored).max(f64::MIN_POSITIVE);
+            self.log.rms_deg(of.energy() * energy(&|k| part.bins.contains(&k) && scored(k)) / all)
+        };
+        let entry = |part: &Segment| LogEntry {
+            file: part.file.clone(),
+            recalibrated_deg: deg(&self.found.nominal.held_out, part),
+            explained_deg: deg(&self.chosen.held_out, part),
+        };
+        self.log.segments.iter().map(entry).collect()
     }
 
     fn entry(&self, e: &dyn Effect) -> EffectEntry {

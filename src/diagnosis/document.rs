@@ -141,6 +141,17 @@ pub struct Rival {
     pub cost: f64,
 }
 
+/// One of the logs that were diagnosed together.
+#[derive(Debug, Clone, Serialize)]
+pub struct LogEntry {
+    /// Name of the file.
+    pub file: String,
+    /// RMS of its part of the gap after recalibration, on left-out blocks, degrees.
+    pub recalibrated_deg: f64,
+    /// The same with the verdict's effects.
+    pub explained_deg: f64,
+}
+
 /// A whole diagnosis.
 #[derive(Debug, Clone, Serialize)]
 pub struct Diagnosis {
@@ -157,6 +168,8 @@ pub struct Diagnosis {
     pub verdict: VerdictEntry,
     /// Unexplained remainder.
     pub unknown: UnknownEntry,
+    /// The logs.
+    pub logs: Vec<LogEntry>,
     /// Compared sets, best first.
     pub rivals: Vec<Rival>,
 }

@@ -11,6 +11,7 @@ use crate::diagnosis::rig::Rig;
 use crate::log::bend_log::BendLog;
 use crate::model::described::RestReadings;
 use nalgebra::Vector3;
+use std::ops::Range;
 
 /// Model error of a nominal unit per angle, rad (1 σ): a quarter of a degree is not attributed to an effect.
 const ANGLE_FLOOR_RAD: f64 = 0.0044;
@@ -25,7 +26,30 @@ const ANGLE_MOTION: f64 = 0.006;
 /// Turning rate per piston speed, rad/mm, where no gyroscope measures it.
 const TURN_PER_MM: f64 = 0.1;
 
-/// A log prepared for fits, and the machine it was recorded on.
+/// Gap between two logs that are diagnosed together, a divisor of it and of every time between two of their starts, s: the longest
+/// block of the scores, so that no block holds parts of two logs.
+const APART_S: f64 = 12.0;
+
+/// One of the logs that are diagnosed together. Each starts from rest, with a base frame, a field and a gyroscope bias of its own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Segment {
+    /// Name of the file.
+    pub file: String,
+    /// Time of the first row, s.
+    pub start_s: f64,
+    /// Its rows.
+    pub rows: Range<usize>,
+    /// Its instants.
+    pub instants: Range<usize>,
+    /// Its bins.
+    pub bins: Range<usize>,
+    /// Direction of the mean specific force at the initial rest: up, in the base frame.
+    pub up_base: Vector3<f64>,
+    /// Mean field at the initial rest, µT.
+    pub field_base_ut: Vector3<f64>,
+}
+
+/// One or several logs of a machine, prepared for fits. Their times follow each other.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observed {
     /// The machine.
@@ -38,26 +62,58 @@ pub struct Observed {
     pub idle_s: Vec<f64>,
     /// Whether an instant is the middle of a bin.
     pub middle: Vec<bool>,
-    /// The log's own rows.
+    /// The logs' own rows.
     pub rows: Rows,
     /// Bins.
     pub bins: Vec<Bin>,
     /// Which quantities are logged.
     pub has: PerQuantity<bool>,
-    /// Direction of the mean specific force at the initial rest: up, in the base frame.
-    pub up_base: Vector3<f64>,
-    /// Mean field at the initial rest, µT.
-    pub field_base_ut: Vector3<f64>,
     /// White noise of one bin, degrees (°/s for the gyroscope).
     pub noise_deg: PerQuantity<f64>,
+    /// The logs.
+    pub segments: Vec<Segment>,
 }
 
 impl Observed {
-    /// Readings of the tip IMU at the initial rest.
+    /// Readings of the tip IMU at the initial rest of the first log.
     #[must_use]
     pub fn rest(&self) -> RestReadings {
         let still = self.bins.iter().take_while(|b| b.speed_mm_s == 0.0).map(|b| b.gyr);
-        RestReadings { up: self.up_base, field_ut: self.field_base_ut, gyro_bias_rad_s: mean(still).unwrap_or_default() }
+        let Segment { up_base: up, field_base_ut: field_ut, .. } = self.segments[0];
+        RestReadings { up, field_ut, gyro_bias_rad_s: mean(still).unwrap_or_default() }
+    }
+
+    /// Appends another log of the same machine.
+    pub fn append(&mut self, mut other: Self) {
+        let quantity = |q| {
+            let [(a, n), (b, m)] = [&*self, &other].map(|o| (o.noise_deg[q], if o.has[q] { o.bins.len() as f64 } else { 0.0 }));
+            if n + m > 0.0 { ((n * a * a + m * b * b) / (n + m)).sqrt() } else { 0.0 }
+        };
+        self.noise_deg = PerQuantity::from_fn(quantity);
+        self.has = PerQuantity::from_fn(|q| self.has[q] || other.has[q]);
+        let start_s = self.start_s() + ((self.duration_s() / APART_S).ceil() + 1.0) * APART_S;
+        let (later_s, rows, instants, bins) = (start_s - other.start_s(), self.rows.t_s.len(), self.t_s.len(), self.bins.len());
+        for t_s in other.t_s.iter_mut().chain(&mut other.rows.t_s).chain(other.segments.iter_mut().map(|s| &mut s.start_s)) {
+            *t_s += later_s;
+        }
+        for bin in &mut other.bins {
+            bin.t_s += later_s;
+            bin.at += instants;
+            bin.rows = (bin.rows.0 + rows, bin.rows.1 + rows);
+        }
+        let after = |range: &mut Range<usize>, n| *range = range.start + n..range.end + n;
+        for s in &mut other.segments {
+            after(&mut s.rows, rows);
+            after(&mut s.instants, instants);
+            after(&mut s.bins, bins);
+        }
+        self.t_s.append(&mut other.t_s);
+        self.piston_mm.append(&mut other.piston_mm);
+        self.idle_s.append(&mut other.idle_s);
+        self.middle.append(&mut other.middle);
+        self.rows.append(other.rows);
+        self.bins.append(&mut other.bins);
+        self.segments.append(&mut other.segments);
     }
 
     /// Prepares a log of a machine.
@@ -82,11 +138,12 @@ impl Observed {
             rows,
             bins,
             has: PerQuantity::default(),
-            up_base,
-            field_base_ut,
             noise_deg,
+            segments: vec![],
         };
         o.place_instants();
+        let (rows, instants, bins) = (0..o.rows.t_s.len(), 0..o.t_s.len(), 0..o.bins.len());
+        o.segments.push(Segment { file: log.file.clone(), start_s: o.start_s(), rows, instants, bins, up_base, field_base_ut });
         o.weigh();
         if o.quantities().next().is_none() {
             return Err(ObserveError::Blind);
@@ -157,7 +214,7 @@ impl Observed {
         self.quantities().map(|q| 3.0 * self.noise_deg[q].powi(2)).sum()
     }
 
-    /// Length of the log, s.
+    /// Time from the first row of the first log to the last row of the last, s.
     #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.rows.t_s.last().copied().unwrap_or(0.0) - self.start_s()

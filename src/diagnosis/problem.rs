@@ -71,6 +71,10 @@ impl<'a> Problem<'a> {
         for e in &model.effects {
             bounds.extend(e.params().iter().map(|p| Bound { start: p.start, scale: p.scale, low: p.low, high: p.high }));
         }
+        // one of several logs has the event
+        for event in (0..model.effects.len()).flat_map(|i| model.events(i)) {
+            bounds[event.time].scale *= log.segments.len() as f64;
+        }
         Self { log, model, bounds }
     }
 
@@ -95,11 +99,13 @@ impl<'a> Problem<'a> {
         weighted(self.log, &sense(self.log, &self.model, theta, motion, every_bin))
     }
 
-    /// Weighted residuals at `theta`; gravity, field and gyroscope bias are solved on the rest before `until_s`, s after the start.
+    /// Weighted residuals at `theta`; gravity, field and gyroscope bias of each log are solved on its rest, until `until_s` after its
+    /// start.
     #[must_use]
     pub fn residual_from_rest(&self, theta: &[f64], until_s: f64) -> Vec<f64> {
         let (log, motion) = (self.log, run(self.log, &self.model, theta));
-        let resting = |k: usize| k == 0 || log.bins[k].t_s - log.start_s() < until_s;
+        let of = |k: usize| log.segments.iter().rev().find(|s| s.bins.start <= k).map_or((0, log.start_s()), |s| (s.bins.start, s.start_s));
+        let resting = |k: usize| of(k).0 == k || log.bins[k].t_s - of(k).1 < until_s;
         weighted(log, &sense(log, &self.model, theta, &motion, resting))
     }
 

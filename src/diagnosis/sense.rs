@@ -4,8 +4,8 @@
 //! (variable projection, Golub & Pereyra 1973) from the bins that a mask selects.
 
 use crate::diagnosis::bins::{Bin, G_M_S2};
-use crate::diagnosis::chain::{FIRST_STEP_S, Model, Motion};
-use crate::diagnosis::observe::Observed;
+use crate::diagnosis::chain::{FIRST_STEP_S, Model, Motion, parameters};
+use crate::diagnosis::observe::{Observed, Segment};
 use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::model::effects::{ImuPrediction, Memory, Moment, Stage};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -24,26 +24,64 @@ pub fn every_bin(_: usize) -> bool {
     true
 }
 
-/// Residuals of a motion; gravity, field and gyroscope bias are solved on the bins that `mask` selects.
+/// Residuals of a motion; gravity, field and gyroscope bias of each log are solved on the bins that `mask` selects.
 #[must_use]
 pub fn sense(log: &Observed, model: &Model<'_>, theta: &[f64], motion: &Motion, mask: impl Fn(usize) -> bool) -> Residuals {
-    let inertial = log.quantities().any(|q| q != Quantity::Reference);
-    let imu = if inertial { Imu::new(log, model, theta, motion) } else { Imu::default() };
-    let linear = imu.solve(log, &mask);
-    let age_s = imu.rate_age_s(log, &linear.gyr, &mask);
-    let field_ut = linear.mag.norm().max(1.0);
     let mut residual = Residuals::from_fn(|_| vec![Vector3::zeros(); log.bins.len()]);
-    for (k, bin) in log.bins.iter().enumerate() {
-        for q in log.quantities().filter(|&q| bin.weight[q] > 0.0) {
-            residual[q][k] = match q {
-                Quantity::Reference => between(&motion[bin.at], &bin.reference),
-                Quantity::Acc => (bin.acc - imu.change[k].acc - back(&imu.tip[k], &linear.acc)) / G_M_S2,
-                Quantity::Mag => (bin.mag - imu.change[k].mag - back(&imu.tip[k], &linear.mag)) / field_ut,
-                Quantity::Gyro => bin.gyr - imu.change[k].gyr - imu.rate[k] - linear.gyr + imu.rate_slope(log, k) * age_s,
-            };
-        }
+    for segment in &log.segments {
+        let bins = &log.bins[segment.bins.clone()];
+        let part = Part { log, segment, bins, model, theta: &parameters(log, segment, model, theta), motion };
+        part.sense(&|k| mask(segment.bins.start + k), &mut residual);
     }
     residual
+}
+
+/// One log of those that are diagnosed together; its bins are counted from its first.
+struct Part<'a> {
+    log: &'a Observed,
+    segment: &'a Segment,
+    bins: &'a [Bin],
+    model: &'a Model<'a>,
+    theta: &'a [f64],
+    motion: &'a Motion,
+}
+
+impl Part<'_> {
+    fn sense(&self, mask: &impl Fn(usize) -> bool, residual: &mut Residuals) {
+        let inertial = self.log.quantities().any(|q| q != Quantity::Reference);
+        let imu = if inertial { Imu::new(self) } else { Imu::default() };
+        let linear = imu.solve(self, mask);
+        let age_s = imu.rate_age_s(self, &linear.gyr, mask);
+        let field_ut = linear.mag.norm().max(1.0);
+        for (k, bin) in self.bins.iter().enumerate() {
+            for q in self.log.quantities().filter(|&q| bin.weight[q] > 0.0) {
+                residual[q][self.segment.bins.start + k] = match q {
+                    Quantity::Reference => between(&self.motion[bin.at], &bin.reference),
+                    Quantity::Acc => (bin.acc - imu.change[k].acc - back(&imu.tip[k], &linear.acc)) / G_M_S2,
+                    Quantity::Mag => (bin.mag - imu.change[k].mag - back(&imu.tip[k], &linear.mag)) / field_ut,
+                    Quantity::Gyro => bin.gyr - imu.change[k].gyr - imu.rate[k] - linear.gyr + imu.rate_slope(self, k) * age_s,
+                };
+            }
+        }
+    }
+
+    fn moment(&self, row: usize, t_s: f64) -> Moment {
+        let Observed { rig, rows, .. } = self.log;
+        Moment {
+            t_s: t_s - self.segment.start_s,
+            dt_s: FIRST_STEP_S,
+            counted_mm: rows.piston_mm[row],
+            up_base: self.segment.up_base,
+            k_epsilon: Vector3::repeat(rig.prior.k_epsilon),
+            r_mm: rig.geometry.r_mm,
+            idle_s: rows.idle_s[row],
+        }
+    }
+
+    fn base_turn(&self, t_s: f64) -> Option<Matrix3<f64>> {
+        let at = self.moment(self.segment.rows.start, t_s);
+        self.model.each(self.theta).find_map(|(e, p)| e.base(p, &at)).map(|q| q.to_rotation_matrix().into_inner())
+    }
 }
 
 /// One value per inertial sensor: m/s², µT, rad/s.
@@ -66,17 +104,18 @@ struct Imu {
 }
 
 impl Imu {
-    fn new(log: &Observed, model: &Model<'_>, theta: &[f64], motion: &Motion) -> Self {
+    fn new(part: &Part<'_>) -> Self {
+        let &Part { log, segment, bins, model, theta, motion } = part;
         let behind_s: f64 = model.each(theta).map(|(e, p)| e.latency_s(p)).sum();
         let mount = model.each(theta).filter_map(|(e, p)| e.mount(p)).fold(UnitQuaternion::identity(), |a, b| a * b);
         let mount: Option<Matrix3<f64>> = (mount.angle() > 0.0).then(|| mount.to_rotation_matrix().into_inner());
         let base_moves = model.effects.iter().any(|e| e.stage() == Stage::Base);
-        let mut late = Late { log, motion, behind_s, at: 0 };
-        let mut imu = Self { tip: Vec::with_capacity(log.bins.len()), rate: Vec::with_capacity(log.bins.len()), change: vec![] };
+        let mut late = Late { log, motion, behind_s, at: segment.instants.start };
+        let mut imu = Self { tip: Vec::with_capacity(bins.len()), rate: Vec::with_capacity(bins.len()), change: vec![] };
         let mut before: Option<(Matrix3<f64>, f64)> = None;
-        for bin in &log.bins {
+        for bin in bins {
             let mut here = late.at(bin.at);
-            if let Some(turn) = if base_moves { base_turn(log, model, theta, bin.t_s) } else { None } {
+            if let Some(turn) = if base_moves { part.base_turn(bin.t_s) } else { None } {
                 here = turn * here;
             }
             if let Some(mount) = &mount {
@@ -86,14 +125,14 @@ impl Imu {
             imu.tip.push(here);
             before = Some((here, bin.t_s));
         }
-        imu.change = imu.changes(log, model, theta);
+        imu.change = imu.changes(part);
         imu
     }
 
     /// Gravity (of known length), field and gyroscope bias that fit best.
-    fn solve(&self, log: &Observed, mask: &impl Fn(usize) -> bool) -> Readings {
+    fn solve(&self, part: &Part<'_>, mask: &impl Fn(usize) -> bool) -> Readings {
         let (mut sum, mut weight) = (Readings::default(), [1e-12; 2]);
-        for (k, bin) in log.bins.iter().enumerate().filter(|(k, _)| mask(*k)) {
+        for (k, bin) in part.bins.iter().enumerate().filter(|(k, _)| mask(*k)) {
             let [_, acc, mag, gyr] = bin.weight.0.map(|x| x * x);
             if acc > 0.0 {
                 sum.acc += self.tip[k] * (bin.acc - self.change[k].acc) * acc;
@@ -107,45 +146,46 @@ impl Imu {
                 weight[1] += gyr;
             }
         }
-        let up = if sum.acc.norm() > 0.0 { sum.acc.normalize() } else { log.up_base };
+        let up = if sum.acc.norm() > 0.0 { sum.acc.normalize() } else { part.segment.up_base };
         Readings { acc: up * G_M_S2, mag: sum.mag / weight[0], gyr: sum.gyr / weight[1] }
     }
 
     /// Slope of the rate at a bin, rad/s².
-    fn rate_slope(&self, log: &Observed, k: usize) -> Vector3<f64> {
+    fn rate_slope(&self, part: &Part<'_>, k: usize) -> Vector3<f64> {
         let (a, b) = (k.saturating_sub(1), (k + 1).min(self.rate.len() - 1));
-        let span_s = log.bins[b].t_s - log.bins[a].t_s;
+        let span_s = part.bins[b].t_s - part.bins[a].t_s;
         if span_s > SLOPE_SPAN_S { Vector3::zeros() } else { (self.rate[b] - self.rate[a]) / span_s }
     }
 
     /// Age of the gyroscope samples, s, within what sampling explains.
-    fn rate_age_s(&self, log: &Observed, bias: &Vector3<f64>, mask: &impl Fn(usize) -> bool) -> f64 {
+    fn rate_age_s(&self, part: &Part<'_>, bias: &Vector3<f64>, mask: &impl Fn(usize) -> bool) -> f64 {
         let (mut up, mut down) = (0.0, 1e-12);
-        for (k, bin) in log.bins.iter().enumerate().filter(|(k, b)| mask(*k) && b.weight[Quantity::Gyro] > 0.0) {
-            let (slope, w) = (self.rate_slope(log, k), bin.weight[Quantity::Gyro].powi(2));
+        for (k, bin) in part.bins.iter().enumerate().filter(|(k, b)| mask(*k) && b.weight[Quantity::Gyro] > 0.0) {
+            let (slope, w) = (self.rate_slope(part, k), bin.weight[Quantity::Gyro].powi(2));
             up -= w * slope.dot(&(bin.gyr - self.change[k].gyr - self.rate[k] - bias));
             down += w * slope.norm_squared();
         }
         (up / down).clamp(-RATE_AGE_MAX_S, RATE_AGE_MAX_S)
     }
 
-    fn changes(&self, log: &Observed, model: &Model<'_>, theta: &[f64]) -> Vec<Readings> {
-        let mut out = vec![Readings::default(); log.bins.len()];
+    fn changes(&self, part: &Part<'_>) -> Vec<Readings> {
+        let &Part { log, segment, bins, model, theta, .. } = part;
+        let mut out = vec![Readings::default(); bins.len()];
         for (e, p) in model.each(theta).filter(|(e, p)| e.sensing_only() && e.mount(p).is_none()) {
             let mut memory = Memory::default();
-            for (k, bin) in log.bins.iter().enumerate() {
+            for (k, bin) in bins.iter().enumerate() {
                 let r = self.tip[k];
                 let before = ImuPrediction {
-                    acc_m_s2: back(&r, &log.up_base) * G_M_S2,
+                    acc_m_s2: back(&r, &segment.up_base) * G_M_S2,
                     gyro_rad_s: self.rate[k],
-                    mag_ut: back(&r, &log.field_base_ut),
+                    mag_ut: back(&r, &segment.field_base_ut),
                     r_base_sensor: UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(r)),
                 };
                 let rows = rows_of(log, bin, e.follows_motors());
                 let n = rows.len() as f64;
                 for row in rows {
                     let mut reading = before;
-                    e.sensor(p, &mut memory, &moment(log, row, bin.t_s), &mut reading);
+                    e.sensor(p, &mut memory, &part.moment(row, bin.t_s), &mut reading);
                     out[k].acc += (reading.acc_m_s2 - before.acc_m_s2) / n;
                     out[k].mag += (reading.mag_ut - before.mag_ut) / n;
                     out[k].gyr += (reading.gyro_rad_s - before.gyro_rad_s) / n;
@@ -166,22 +206,6 @@ fn rows_of(log: &Observed, bin: &Bin, follows_motors: bool) -> std::ops::Range<u
         let middle = (from + to - 1) / 2;
         middle..middle + 1
     }
-}
-
-fn moment(log: &Observed, row: usize, t_s: f64) -> Moment {
-    Moment {
-        t_s: t_s - log.start_s(),
-        dt_s: FIRST_STEP_S,
-        counted_mm: log.rows.piston_mm[row],
-        up_base: log.up_base,
-        k_epsilon: Vector3::repeat(log.rig.prior.k_epsilon),
-        r_mm: log.rig.geometry.r_mm,
-        idle_s: log.rows.idle_s[row],
-    }
-}
-
-fn base_turn(log: &Observed, model: &Model<'_>, theta: &[f64], t_s: f64) -> Option<Matrix3<f64>> {
-    model.each(theta).find_map(|(e, p)| e.base(p, &moment(log, 0, t_s))).map(|q| q.to_rotation_matrix().into_inner())
 }
 
 /// Motion as a late sensor samples it.

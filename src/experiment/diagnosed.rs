@@ -38,8 +38,11 @@ pub fn described(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Resul
     Ok(DescribedMachine::new(rig.geometry, log.rest(), &found.fitted.theta, causes).foreseeable())
 }
 
-/// Drives the standard schedule in open loop and records pistons and tip IMU, each row a mean over [`ROW_S`].
-fn record(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Result<BendLog, MachineError> {
+/// Drives the standard schedule in open loop and records pistons and tip IMU, each row a mean over 20 ms.
+///
+/// # Errors
+/// The world's.
+pub fn record(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Result<BendLog, MachineError> {
     let machine = Machine::new(*rig, config.lines);
     let rows: Vec<_> = standard::rows(&machine).into_iter().filter(|r| machine.reaches(r)).collect();
     let period_s = world.info().period_s;

@@ -71,7 +71,7 @@ pub fn run(rig: &mut Rig<'_>, path: &Path, live: bool, progress: &mut dyn FnMut(
         if now_s < duration_s {
             estimate_sq.extend(frame.estimate.map(|e| (e.bend.0 - truth).norm_squared()));
         }
-        if samples.len() % (1.0 / dt_s) as usize == 0 {
+        if samples.len() % ((1.0 / dt_s) as usize).max(1) == 0 {
             progress();
         }
     }

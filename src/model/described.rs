@@ -49,7 +49,7 @@ impl DescribedMachine {
         Self { geometry, rest, at: places(&effects), effects, theta }
     }
 
-    /// The machine without the effects that happen once: they cannot be foretold.
+    /// The machine without the effects that happen once: they cannot be predicted.
     #[must_use]
     pub fn foreseeable(mut self) -> Self {
         let kept = |e: &Arc<dyn Effect>| !e.info().is_event();

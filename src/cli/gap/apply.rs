@@ -65,7 +65,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 fn place(model: &SavedModel, e: &dyn Effect) -> Place {
     let proven = model.effect.iter().any(|s| s.name == e.name());
     match e.name() {
-        _ if e.info().is_event() => Place::Nowhere("which happens once and cannot be foretold"),
+        _ if e.info().is_event() => Place::Nowhere("which happens once and cannot be predicted"),
         "transport_delay" | "sensor_latency" | "accel_bias" | "hard_iron" | "mount_misalignment" if proven => Place::Calibration,
         "gyro_bias" => Place::Nowhere("which drifts: the service estimates it while it runs"),
         "motor_field" => Place::Nowhere("which `retroflex calibrate imu motors` identifies from the same log"),

@@ -3,7 +3,7 @@
 use crate::cli::gap::{input, map};
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::diagnosis::diagnose::{Diagnosed, diagnose};
-use crate::diagnosis::document::{Diagnosis, EffectEntry};
+use crate::diagnosis::document::{Diagnosis, EffectEntry, LogEntry};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::saved::SavedModel;
 use crate::model::effects::catalogue;
@@ -15,8 +15,9 @@ use std::path::{Path, PathBuf};
 /// Arguments of `gap diagnose`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Bend log, *.csv or *.csv.gz.
-    log: PathBuf,
+    /// Bend log, *.csv or *.csv.gz; several logs of one unit are diagnosed together.
+    #[arg(required = true, value_name = "LOG")]
+    logs: Vec<PathBuf>,
     /// Map of the columns of a log of another rig.
     #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["board", "calib", "html", "save"])]
     map: Option<PathBuf>,
@@ -50,14 +51,16 @@ pub struct Args {
 /// A report that names the faulty input.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let results = [("--json", args.json.as_deref()), ("--html", args.html.as_deref()), ("--save", args.save.as_deref())];
-    let mut read = vec![args.log.as_path()];
-    read.extend(args.fresh.iter().chain(&args.map).chain(&args.board).chain(&args.calib).map(PathBuf::as_path));
-    output::check(&results, &read)?;
+    let inputs = args.logs.iter().chain(&args.fresh).chain(&args.map).chain(&args.board).chain(&args.calib);
+    output::check(&results, &inputs.map(PathBuf::as_path).collect::<Vec<_>>())?;
     if let Some(map) = &args.map {
-        return map::run(&args.log, map, &args.fresh, args.json.as_deref(), args.seed);
+        let [log] = args.logs.as_slice() else {
+            return Err(miette!("--map: {} logs are given, 1 is allowed; `--fresh LOG` names further logs of the rig", args.logs.len()));
+        };
+        return map::run(log, map, &args.fresh, args.json.as_deref(), args.seed);
     }
     let lines = inputs::calibration(args.calib.as_deref())?.lines();
-    let observed = input::observe(&args.log, &input::rig(args.board.as_deref())?)?;
+    let observed = input::observe_together(&args.logs, &input::rig(args.board.as_deref())?)?;
     let done = diagnose(&observed, &catalogue(), &lines, args.seed);
     for (path, text) in files(args, &observed, &done)? {
         output::write(path, &text)?;
@@ -73,15 +76,20 @@ fn files<'a>(args: &'a Args, observed: &Observed, done: &Diagnosed) -> Result<Ve
         out.push((path, json(&done.document)?));
     }
     if let Some(path) = &args.html {
-        let name = args.log.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        out.push((path, page(&name, &done.document, &Evidence::new(observed, done))));
+        let name = |log: &PathBuf| log.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        out.push((path, page(&listed(&args.logs, name), &done.document, &Evidence::new(observed, done))));
     }
     if let Some(path) = &args.save {
         let catalogue = catalogue();
-        let model = SavedModel::new(&args.log.display().to_string(), &catalogue, done).with_forecast(observed, &catalogue, done);
+        let model = SavedModel::new(&listed(&args.logs, |log| log.display().to_string()), &catalogue, done)
+            .with_forecast(observed, &catalogue, done);
         out.push((path, toml::to_string(&model).into_diagnostic()?));
     }
     Ok(out)
+}
+
+fn listed(logs: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
+    logs.iter().map(name).collect::<Vec<_>>().join(", ")
 }
 
 /// The document as JSON. JSON cannot represent a number that is not finite, so such a number is an error.
@@ -131,6 +139,10 @@ fn summary(d: &Diagnosis, saved: Option<&Path>) -> String {
         out.push(format!("{}: {}", words::plain(e.name), values.join("; ")));
     }
     out.extend(words::limits(d));
+    if let several @ [_, _, ..] = d.logs.as_slice() {
+        let row = |l: &LogEntry| [l.file.clone(), format!("{:.2}°", l.recalibrated_deg), format!("{:.2}°", l.explained_deg)];
+        out.push(output::table(&["log", "recalibrated", "explained"], 1..3, several.iter().map(row)).to_string());
+    }
     out.push(table.to_string());
     let next = |advice: &String| match saved {
         Some(path) => format!("next: {}", advice.replace("model.toml", &path.display().to_string())),

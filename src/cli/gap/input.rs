@@ -8,7 +8,7 @@ use crate::diagnosis::saved::SavedModel;
 use crate::log::{bend_log, plausibility};
 use crate::model::effects::catalogue;
 use miette::{IntoDiagnostic, Result, miette};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The machine of a board file; by default the paper twin. A board file has no gains, so the priors are the paper's.
 ///
@@ -38,6 +38,25 @@ pub fn observe(path: &Path, rig: &Rig) -> Result<Observed> {
         eprintln!("warning: {}: unknown columns ignored: {}", path.display(), log.ignored.join(", "));
     }
     Ok(observed)
+}
+
+/// Reads several bend logs of a machine.
+///
+/// # Errors
+/// As [`observe`], or a log that is given twice.
+pub fn observe_together(paths: &[PathBuf], rig: &Rig) -> Result<Observed> {
+    let mut all: Option<Observed> = None;
+    for (n, path) in paths.iter().enumerate() {
+        if paths[..n].contains(path) {
+            return Err(miette!("{}: given twice; a log counts once", path.display()));
+        }
+        let next = observe(path, rig)?;
+        match &mut all {
+            Some(all) => all.append(next),
+            None => all = Some(next),
+        }
+    }
+    all.ok_or_else(|| miette!("no log is given"))
 }
 
 /// Reads a saved model and checks its names against the catalogue.

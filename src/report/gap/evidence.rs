@@ -112,7 +112,7 @@ fn angle_deg(log: &Observed, held: &HeldOut, k: usize) -> Option<f64> {
 
 /// The signals of a quantity, each with the energy that its gap loses, degrees².
 fn traces(log: &Observed, q: Quantity, before: &HeldOut, after: &HeldOut) -> Vec<(f64, Trace)> {
-    let field = log.field_base_ut.norm().max(1.0);
+    let field = log.segments[0].field_base_ut.norm().max(1.0);
     let bins: Vec<usize> = (0..log.bins.len()).filter(|&k| log.bins[k].weight[q] > 0.0).collect();
     let nothing = Vector3::repeat(f64::NAN);
     let axes: &[usize] = if q == Quantity::Reference { &[0, 1] } else { &[0, 1, 2] };
