@@ -13,8 +13,6 @@ use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// An effect beyond the nominal machine, as its parameters describe it.
 pub(crate) trait PlantEffect: Table + Default + Sized {
-    /// Stage of the chain, by the name that the diagnosis catalogue uses.
-    const STAGE: &'static str;
     /// A random effect of plausible size: the small end of the typical range at severity 0, the large end at 1.
     fn draw(severity: f64, rng: &mut PlantRng) -> Self;
     /// The imperfection that every real unit may have; `None` for an effect that only faulty units have.

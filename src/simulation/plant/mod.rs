@@ -20,6 +20,7 @@ mod law;
 mod line;
 mod memory;
 mod parameters;
+mod prelude;
 mod rng;
 mod shape;
 pub mod spread;

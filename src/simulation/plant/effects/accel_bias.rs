@@ -2,11 +2,7 @@
 //!
 //! `f + b (1 + 0.15 (f/g)²)`, axis by axis.
 
-use crate::simulation::plant::imu::stimulus::{GRAVITY_M_S2, Stimulus};
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.accel_bias]`
@@ -17,8 +13,6 @@ parameters! {
 }
 
 impl PlantEffect for AccelBias {
-    const STAGE: &'static str = "sensor";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(25.0, 120.0, severity);
         Self { bias_mg: (rng.direction() * size).into() }

@@ -3,9 +3,7 @@
 //! Folds open one after another, so the stiffness changes smoothly around the rest length:
 //! `dW/dq = 1 + a x/√(1 + x²)` with `x = q/s`, hence `W = q + a s (√(1 + x²) − 1)`.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.asymmetry]`
@@ -20,8 +18,6 @@ parameters! {
 }
 
 impl PlantEffect for Asymmetry {
-    const STAGE: &'static str = "bellows";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sign() * rng.sized(0.08, 0.3, severity), knee_mm: rng.between(0.3, 1.2) }
     }

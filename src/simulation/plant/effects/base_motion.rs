@@ -4,12 +4,8 @@
 //! the middle of its duration `T`. The sway is the sum of two sines whose periods are in the golden ratio, so
 //! that the sum never repeats.
 
-use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
+use crate::simulation::plant::prelude::*;
 use crate::simulation::plant::stand::smooth_step;
-use nalgebra::{UnitQuaternion, Vector3};
 use std::f64::consts::TAU;
 
 parameters! {
@@ -32,8 +28,6 @@ parameters! {
 }
 
 impl PlantEffect for BaseMotion {
-    const STAGE: &'static str = "base";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let angle_deg = rng.sized(3.0, 12.0, severity);
         Self {

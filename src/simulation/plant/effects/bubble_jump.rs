@@ -2,10 +2,7 @@
 //!
 //! From `at_s` until `until_s` the air of one line is compliant by the factor `1 + change`.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::{CHANNELS, parameters};
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.bubble_jump]`
@@ -23,8 +20,6 @@ parameters! {
 }
 
 impl PlantEffect for BubbleJump {
-    const STAGE: &'static str = "transmission";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let at_s = rng.between(15.0, 50.0);
         let until_s = if rng.chance(0.5) { 1e9 } else { at_s + rng.between(10.0, 40.0) };

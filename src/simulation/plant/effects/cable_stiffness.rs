@@ -4,10 +4,7 @@
 //! other. With `x = b·u` the bend along the cable's side `u`, it takes back `c x (1 + o y/√(1 + y²)) u`,
 //! `y = x / 0.3`.
 
-use crate::simulation::plant::law::{Law, PlantEffect, SectionState, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector2;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.cable_stiffness]`
@@ -23,8 +20,6 @@ parameters! {
 }
 
 impl PlantEffect for CableStiffness {
-    const STAGE: &'static str = "shape";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.1, 0.4, severity), direction_deg: rng.angle_deg(), one_sided: rng.between(0.1, 0.6) }
     }

@@ -1,8 +1,6 @@
 //! Outside the catalogue: a sensor clock that runs fast or slow.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.clock_drift]`
@@ -14,8 +12,6 @@ parameters! {
 }
 
 impl PlantEffect for ClockDrift {
-    const STAGE: &'static str = "timing";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { per_mille: rng.sign() * rng.sized(5.0, 40.0, severity) }
     }

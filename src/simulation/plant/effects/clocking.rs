@@ -2,10 +2,7 @@
 //!
 //! A bellow glued askew runs along a helix: stretched by `q` it sits at `ζ (1 + w q / 5 mm)`.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.clocking]`
@@ -19,8 +16,6 @@ parameters! {
 }
 
 impl PlantEffect for Clocking {
-    const STAGE: &'static str = "shape";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sign() * rng.sized(3.0, 18.0, severity);
         let mut offset_deg = [size; 3];

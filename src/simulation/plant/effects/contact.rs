@@ -4,10 +4,7 @@
 //! that stiffens as it yields), scaled by `block`. While pressed, the tip sticks sideways: it follows along the
 //! wall only once it lags by `μ` times the pressing.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector2;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.contact]`
@@ -29,8 +26,6 @@ parameters! {
 }
 
 impl PlantEffect for Contact {
-    const STAGE: &'static str = "shape";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
             block: rng.sized(0.6, 1.0, severity).min(1.0),

@@ -4,11 +4,7 @@
 //! weights `∝ τ^α` (the spectrum of a power law over those decades), each relaxing towards its share
 //! of `q (1 + ν |q| / 5 mm)`. The motion grows in holds and recovers afterwards.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::memory::Decay;
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.creep]`
@@ -25,8 +21,6 @@ parameters! {
 }
 
 impl PlantEffect for Creep {
-    const STAGE: &'static str = "bellows";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.08, 0.4, severity), exponent: rng.between(0.0, 0.3), nonlinear: rng.between(0.0, 0.6) }
     }

@@ -3,10 +3,7 @@
 //! A line whose bellow is elongated by `q` displaces `c q²/(q + 0.8 mm)` worth of elongation in its
 //! neighbours (soft at first, then proportional), more in the one that it lies nearer to.
 
-use crate::simulation::plant::law::{BellowState, Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.crosstalk]`
@@ -21,8 +18,6 @@ parameters! {
 }
 
 impl PlantEffect for Crosstalk {
-    const STAGE: &'static str = "transmission";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.05, 0.3, severity), lopsided: rng.between(-0.6, 0.6) }
     }

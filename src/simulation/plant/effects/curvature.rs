@@ -3,10 +3,7 @@
 //! End caps stay straight and the middle bends first: `β' = β + A (β/β₀) tanh((β/β₀)²) / tanh 1`,
 //! which is `A` at `β₀ = 60°`, flat when straight and proportional at large bends.
 
-use crate::simulation::plant::law::{Law, PlantEffect, SectionState, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector2;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.curvature]`
@@ -18,8 +15,6 @@ parameters! {
 }
 
 impl PlantEffect for Curvature {
-    const STAGE: &'static str = "shape";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { excess_deg: rng.sign() * rng.sized(3.0, 10.0, severity) }
     }

@@ -1,10 +1,6 @@
 //! Outside the catalogue: a gyroscope that responds to specific force.
 
-use crate::simulation::plant::imu::stimulus::{GRAVITY_M_S2, Stimulus};
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData, order};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.g_sensitivity]`
@@ -16,8 +12,6 @@ parameters! {
 }
 
 impl PlantEffect for GSensitivity {
-    const STAGE: &'static str = "sensor";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(0.6, 4.0, severity);
         Self { deg_s_per_g: (rng.direction() * size).into() }

@@ -6,9 +6,7 @@
 //! in the air relative to the nominal line at the same k_ε),
 //! `ε = (V_d / s) (1 − (1 + s p/P)^(−1/n))`, and `s → 0` is the linear spring.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.gas_compression]`
@@ -25,8 +23,6 @@ parameters! {
 }
 
 impl PlantEffect for GasCompression {
-    const STAGE: &'static str = "transmission";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { strength: rng.sized(0.5, 2.2, severity), polytropic: rng.between(1.05, 1.35), ..Self::default() }
     }

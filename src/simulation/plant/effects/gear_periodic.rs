@@ -3,10 +3,7 @@
 //! `e(u) = A (1 + v sin 0.37θ) sin(θ + s sin θ)`, `θ = 2πu/p + φ`: flanks wear on one side (skew `s`) and the
 //! error varies from tooth to tooth (`v`). The error is relative to the start, so that `e(0) = 0`.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 use std::f64::consts::{PI, TAU};
 
 parameters! {
@@ -27,8 +24,6 @@ parameters! {
 }
 
 impl PlantEffect for GearPeriodic {
-    const STAGE: &'static str = "drive";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
             amplitude_mm: rng.sized(0.04, 0.4, severity),

@@ -5,11 +5,8 @@
 //! by fixed-point iteration from the last solution; each round shrinks the error about tenfold.
 
 use crate::primitives::frames::{Rotation, World};
-use crate::simulation::plant::law::{Law, PlantEffect, SectionState, UnitData, order};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
+use crate::simulation::plant::prelude::*;
 use crate::simulation::plant::shape::arc::{Plate, Terms};
-use nalgebra::{Vector2, Vector3};
 
 parameters! {
     /// `[effects.gravity]`
@@ -24,8 +21,6 @@ parameters! {
 }
 
 impl PlantEffect for Gravity {
-    const STAGE: &'static str = "shape";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { sag_deg: rng.sized(2.5, 10.0, severity), com_mm: rng.between(3.0, 9.0) }
     }

@@ -3,12 +3,7 @@
 //! Warm-up is a stretched exponential, `b (1 − e^(−(t/τ)^0.7))`, fast at first with a long tail, plus a
 //! Gauss-Markov wander of 40 s correlation time.
 
-use crate::simulation::plant::imu::stimulus::Stimulus;
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::memory::Wander;
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::{PlantRng, Stream};
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.gyro_bias]`
@@ -24,8 +19,6 @@ parameters! {
 }
 
 impl PlantEffect for GyroBias {
-    const STAGE: &'static str = "sensor";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(0.5, 4.0, severity);
         Self { warm_up_deg_s: (rng.direction() * size).into(), over_s: rng.between(15.0, 70.0), wander_deg_s: 0.1 * size }

@@ -1,10 +1,6 @@
 //! Outside the catalogue: a gyroscope whose scale is wrong, axis by axis.
 
-use crate::simulation::plant::imu::stimulus::Stimulus;
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData, order};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.gyro_scale]`
@@ -16,8 +12,6 @@ parameters! {
 }
 
 impl PlantEffect for GyroScale {
-    const STAGE: &'static str = "sensor";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(0.03, 0.15, severity);
         Self { share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)) }

@@ -3,12 +3,7 @@
 //! A constant body-fixed field `b`, plus `v |b|` along the field that the parts have been in over the
 //! last 15 s (magnetic viscosity).
 
-use crate::simulation::plant::imu::stimulus::Stimulus;
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData, order};
-use crate::simulation::plant::memory::Decay;
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.hard_iron]`
@@ -22,8 +17,6 @@ parameters! {
 }
 
 impl PlantEffect for HardIron {
-    const STAGE: &'static str = "sensor";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(4.0, 40.0, severity);
         Self { offset_ut: (rng.direction() * size).into(), viscous: rng.between(0.02, 0.15) }

@@ -6,10 +6,7 @@
 //! is long, so that loops of one width at two places are not congruent, which no sum of play operators
 //! reproduces.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.hysteresis]`
@@ -32,8 +29,6 @@ parameters! {
 }
 
 impl PlantEffect for Hysteresis {
-    const STAGE: &'static str = "bellows";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
             share: rng.sized(0.15, 0.55, severity),

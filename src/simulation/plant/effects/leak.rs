@@ -4,10 +4,7 @@
 //! pressure and grows with the root of large pressure, `s = 2 / (1 + √(1 + |p|/p_t))`; a lip that vacuum sucks
 //! shut leaks less. The step is exact for a flow coefficient held over the step.
 
-use crate::simulation::plant::law::{BellowState, Law, Moment, PlantEffect, UnitData, order};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.leak]`
@@ -24,8 +21,6 @@ parameters! {
 }
 
 impl PlantEffect for Leak {
-    const STAGE: &'static str = "transmission";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let rate = rng.sized(2e-3, 6e-2, severity);
         Self { rate_per_s: rng.on_channels(rate), vacuum: rng.between(0.4, 1.0), ..Self::default() }

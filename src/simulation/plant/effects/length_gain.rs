@@ -2,10 +2,7 @@
 //!
 //! The bend is `1 + g (l − l₀)/5 mm` times the bend that the bellow lengths give.
 
-use crate::simulation::plant::law::{Law, PlantEffect, SectionState, UnitData, order};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector2;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.length_gain]`
@@ -17,8 +14,6 @@ parameters! {
 }
 
 impl PlantEffect for LengthGain {
-    const STAGE: &'static str = "shape";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sign() * rng.sized(0.2, 0.7, severity) }
     }

@@ -5,10 +5,7 @@
 //! quadratic; the step relaxes over the time constant `Δ/f` that the flow has at its start, which is
 //! exact when `o = 0` and stable for every step.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.line_lag]`
@@ -23,8 +20,6 @@ parameters! {
 }
 
 impl PlantEffect for LineLag {
-    const STAGE: &'static str = "transmission";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let tau = rng.sized(0.12, 0.9, severity);
         Self { lag_s: std::array::from_fn(|_| tau * rng.between(0.85, 1.15)), port: rng.between(0.2, 1.0) }

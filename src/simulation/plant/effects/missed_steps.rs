@@ -5,11 +5,7 @@
 //! between 10 and 40 ms of smoothing. A rotor out of step stands still and loses the steps sent to it until it
 //! catches a pole again, `full_steps` later. The offset stays.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::memory::Decay;
-use crate::simulation::plant::parameters::{CHANNELS, parameters};
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.missed_steps]`
@@ -31,8 +27,6 @@ parameters! {
 }
 
 impl PlantEffect for MissedSteps {
-    const STAGE: &'static str = "drive";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
             full_steps: rng.sized(1.5, 30.0, severity).round(),

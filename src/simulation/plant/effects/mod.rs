@@ -67,7 +67,7 @@ pub struct EffectName {
 
 /// Defines a table of optional effects from their names, and what is done with all of them in turn.
 macro_rules! table {
-    ($(#[$doc:meta])* $table:ident, $names:ident, $in_catalogue:literal, { $($name:ident: $kind:ident,)* } $($nested:ident: $nested_kind:ident)?) => {
+    ($(#[$doc:meta])* $table:ident, $names:ident, $in_catalogue:literal, { $($name:ident: $kind:ident in $stage:literal,)* } $($nested:ident: $nested_kind:ident)?) => {
         $(#[$doc])*
         #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
         #[serde(deny_unknown_fields, default)]
@@ -81,7 +81,7 @@ macro_rules! table {
         }
 
         const $names: &[EffectName] = &[
-            $( EffectName { name: stringify!($name), stage: <$name::$kind as PlantEffect>::STAGE, in_catalogue: $in_catalogue }, )*
+            $( EffectName { name: stringify!($name), stage: $stage, in_catalogue: $in_catalogue }, )*
         ];
 
         impl $table {
@@ -123,32 +123,32 @@ table! {
     /// `[effects]`: effects of the diagnosis catalogue, in its order.
     Effects, CATALOGUE, true,
     {
-        missed_steps: MissedSteps,
-        gear_periodic: GearPeriodic,
-        leak: Leak,
-        gas_compression: GasCompression,
-        line_lag: LineLag,
-        thermal_drift: ThermalDrift,
-        crosstalk: Crosstalk,
-        stiffening: Stiffening,
-        asymmetry: Asymmetry,
-        hysteresis: Hysteresis,
-        creep: Creep,
-        softening: Softening,
-        gravity: Gravity,
-        curvature: Curvature,
-        clocking: Clocking,
-        cable_stiffness: CableStiffness,
-        torsion: Torsion,
-        contact: Contact,
-        gyro_bias: GyroBias,
-        accel_bias: AccelBias,
-        hard_iron: HardIron,
-        motor_field: MotorField,
-        mount_misalignment: MountMisalignment,
-        transport_delay: TransportDelay,
-        sensor_latency: SensorLatency,
-        base_motion: BaseMotion,
+        missed_steps: MissedSteps in "drive",
+        gear_periodic: GearPeriodic in "drive",
+        leak: Leak in "transmission",
+        gas_compression: GasCompression in "transmission",
+        line_lag: LineLag in "transmission",
+        thermal_drift: ThermalDrift in "transmission",
+        crosstalk: Crosstalk in "transmission",
+        stiffening: Stiffening in "bellows",
+        asymmetry: Asymmetry in "bellows",
+        hysteresis: Hysteresis in "bellows",
+        creep: Creep in "bellows",
+        softening: Softening in "bellows",
+        gravity: Gravity in "shape",
+        curvature: Curvature in "shape",
+        clocking: Clocking in "shape",
+        cable_stiffness: CableStiffness in "shape",
+        torsion: Torsion in "shape",
+        contact: Contact in "shape",
+        gyro_bias: GyroBias in "sensor",
+        accel_bias: AccelBias in "sensor",
+        hard_iron: HardIron in "sensor",
+        motor_field: MotorField in "sensor",
+        mount_misalignment: MountMisalignment in "sensor",
+        transport_delay: TransportDelay in "timing",
+        sensor_latency: SensorLatency in "timing",
+        base_motion: BaseMotion in "base",
     }
     outside: Outside
 }
@@ -157,21 +157,21 @@ table! {
     /// `[effects.outside]`: effects that the diagnosis catalogue does not contain.
     Outside, OUTSIDE, false,
     {
-        stick_slip: StickSlip,
-        play_wear: PlayWear,
-        rate_coupling: RateCoupling,
-        bubble_jump: BubbleJump,
-        snap_through: SnapThrough,
-        ringing: Ringing,
-        length_gain: LengthGain,
-        twist_creep: TwistCreep,
-        gyro_scale: GyroScale,
-        g_sensitivity: GSensitivity,
-        acc_scale: AccScale,
-        soft_iron: SoftIron,
-        clock_drift: ClockDrift,
-        sensor_freeze: SensorFreeze,
-        respiration: Respiration,
+        stick_slip: StickSlip in "drive",
+        play_wear: PlayWear in "transmission",
+        rate_coupling: RateCoupling in "transmission",
+        bubble_jump: BubbleJump in "transmission",
+        snap_through: SnapThrough in "bellows",
+        ringing: Ringing in "bellows",
+        length_gain: LengthGain in "shape",
+        twist_creep: TwistCreep in "shape",
+        gyro_scale: GyroScale in "sensor",
+        g_sensitivity: GSensitivity in "sensor",
+        acc_scale: AccScale in "sensor",
+        soft_iron: SoftIron in "sensor",
+        clock_drift: ClockDrift in "timing",
+        sensor_freeze: SensorFreeze in "timing",
+        respiration: Respiration in "shape",
     }
 }
 

@@ -5,11 +5,7 @@
 //! `A I (u (cos φ + h cos 3φ) + w (sin φ − h sin 3φ))`, `u` and `w` across the motor's axis. The
 //! driver reduces the current `I` to its idle share once a channel stands still.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::memory::Decay;
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 use std::f64::consts::TAU;
 
 parameters! {
@@ -30,8 +26,6 @@ parameters! {
 }
 
 impl PlantEffect for MotorField {
-    const STAGE: &'static str = "sensor";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(1.5, 20.0, severity);
         Self {

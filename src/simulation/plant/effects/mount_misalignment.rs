@@ -2,11 +2,7 @@
 //!
 //! Rotation vector `m + w (f/g) × ẑ`: a constant tilt, and `w` of bending per g across.
 
-use crate::simulation::plant::imu::stimulus::{GRAVITY_M_S2, Stimulus};
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData, order};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::{UnitQuaternion, Vector3};
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.mount_misalignment]`
@@ -21,8 +17,6 @@ parameters! {
 }
 
 impl PlantEffect for MountMisalignment {
-    const STAGE: &'static str = "sensor";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(3.0, 15.0, severity);
         Self { tilt_deg: (rng.direction() * size).into(), give: rng.between(0.0, 0.05) }

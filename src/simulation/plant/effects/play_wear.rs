@@ -2,10 +2,7 @@
 //!
 //! Worn teeth widen the half-width with the distance travelled: `λ = λ₀ (1 + g (1 − e^(−s/S)))`.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.play_wear]`
@@ -19,8 +16,6 @@ parameters! {
 }
 
 impl PlantEffect for PlayWear {
-    const STAGE: &'static str = "transmission";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { growth: rng.sized(0.5, 2.5, severity), over_mm: rng.between(100.0, 400.0) }
     }

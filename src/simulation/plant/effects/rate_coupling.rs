@@ -3,11 +3,7 @@
 //! The three racks share a compliant frame: pushing one at speed `v` shifts the next by `c v`, smoothed over
 //! 0.15 s by the frame's own spring and friction. Nothing is left at standstill.
 
-use crate::simulation::plant::law::{BellowState, Law, Moment, PlantEffect, UnitData, order};
-use crate::simulation::plant::memory::Decay;
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.rate_coupling]`
@@ -19,8 +15,6 @@ parameters! {
 }
 
 impl PlantEffect for RateCoupling {
-    const STAGE: &'static str = "transmission";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { shift_s: rng.sign() * rng.sized(0.06, 0.3, severity) }
     }

@@ -2,10 +2,7 @@
 //!
 //! `A (0.8 sin φ + 0.2 sin 2φ)` along one direction of bend: in faster than out. There is no push during the first 3 s.
 
-use crate::simulation::plant::law::{Law, PlantEffect, SectionState, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector2;
+use crate::simulation::plant::prelude::*;
 use std::f64::consts::TAU;
 
 parameters! {
@@ -21,8 +18,6 @@ parameters! {
 }
 
 impl PlantEffect for Respiration {
-    const STAGE: &'static str = "shape";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { amplitude_deg: rng.sized(1.0, 5.0, severity), period_s: rng.between(3.0, 5.0), direction_deg: rng.angle_deg() }
     }

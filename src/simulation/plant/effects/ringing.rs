@@ -3,10 +3,7 @@
 //! A share of the motion passes through a lightly damped second-order system of unit gain,
 //! `ẍ + 2 ζ ω ẋ + ω² x = ω² u`, stepped by its exact solution for an input held over the step.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::{Matrix2, Vector3};
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.ringing]`
@@ -21,8 +18,6 @@ parameters! {
 }
 
 impl PlantEffect for Ringing {
-    const STAGE: &'static str = "bellows";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.4, 0.9, severity), frequency_hz: rng.between(1.0, 4.0), damping: rng.between(0.03, 0.12) }
     }

@@ -1,8 +1,6 @@
 //! Outside the catalogue: a sensor that hangs now and then and repeats its last reading.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.sensor_freeze]`
@@ -17,8 +15,6 @@ parameters! {
 }
 
 impl PlantEffect for SensorFreeze {
-    const STAGE: &'static str = "timing";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { for_s: rng.sized(0.5, 3.0, severity), at_s: rng.between(8.0, 20.0), every_s: rng.between(10.0, 25.0) }
     }

@@ -2,11 +2,7 @@
 //!
 //! What the sensor measures is late by a dead time that wanders; see `DeadTime`.
 
-use crate::simulation::plant::imu::stimulus::Stimulus;
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::memory::DeadTime;
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::{PlantRng, Stream};
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.sensor_latency]`
@@ -20,8 +16,6 @@ parameters! {
 }
 
 impl PlantEffect for SensorLatency {
-    const STAGE: &'static str = "timing";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { latency_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
     }

@@ -3,11 +3,7 @@
 //! A fold is bistable: past `at_mm` it pops and adds `jump_mm` within some 50 ms; it pops back only
 //! once the bellow has come back by `1.5 jump` (but at least 0.5 mm) below that.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::memory::Decay;
-use crate::simulation::plant::parameters::{CHANNELS, parameters};
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.snap_through]`
@@ -23,8 +19,6 @@ parameters! {
 }
 
 impl PlantEffect for SnapThrough {
-    const STAGE: &'static str = "bellows";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { jump_mm: rng.sized(0.4, 1.5, severity), at_mm: rng.between(1.0, 2.5), channel: rng.channel() }
     }

@@ -1,11 +1,6 @@
 //! Outside the catalogue: soft iron stretches the field along one body-fixed direction.
 
-use crate::simulation::plant::check::{PlantError, range};
-use crate::simulation::plant::imu::stimulus::Stimulus;
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData, order};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.soft_iron]`
@@ -19,8 +14,6 @@ parameters! {
 }
 
 impl PlantEffect for SoftIron {
-    const STAGE: &'static str = "sensor";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { stretch: rng.sized(0.06, 0.35, severity), direction: rng.direction().into() }
     }

@@ -4,10 +4,7 @@
 //! `D = 1 − d (1 − e^(−(m/s)²))` of the stiffness. Below the largest strain nothing changes (Simo 1987, with
 //! energy taken as quadratic).
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.softening]`
@@ -21,8 +18,6 @@ parameters! {
 }
 
 impl PlantEffect for Softening {
-    const STAGE: &'static str = "bellows";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.1, 0.5, severity), stretch_mm: rng.between(2.0, 4.0) }
     }

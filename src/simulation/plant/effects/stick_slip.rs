@@ -4,10 +4,7 @@
 //! jumps to where sliding friction holds it. Adhesion grows with the time at standstill: the breakaway
 //! distance rises by `ageing` for every e-fold of seconds.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.stick_slip]`
@@ -24,8 +21,6 @@ parameters! {
 }
 
 impl PlantEffect for StickSlip {
-    const STAGE: &'static str = "drive";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { breakaway_mm: rng.sized(0.3, 1.5, severity), sliding: rng.between(0.0, 0.4), ..Self::default() }
     }

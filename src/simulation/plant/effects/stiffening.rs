@@ -3,9 +3,7 @@
 //! In addition to the linear wall, `h q (e^(|q|/s) − 1)`, with `h` such that the extra is `share` of the
 //! linear force at 5 mm. The law is odd.
 
-use crate::simulation::plant::law::{Law, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.stiffening]`
@@ -20,8 +18,6 @@ parameters! {
 }
 
 impl PlantEffect for Stiffening {
-    const STAGE: &'static str = "bellows";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.12, 0.7, severity), onset_mm: rng.between(1.8, 4.0) }
     }

@@ -3,11 +3,7 @@
 //! Motors warm the case and the case warms the air, two thermal masses in series:
 //! `a (1 − (τ₂ e^(−t/τ₂) − τ₁ e^(−t/τ₁)) / (τ₂ − τ₁))`, which starts without a slope.
 
-use crate::simulation::plant::law::{BellowState, Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::memory::Decay;
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.thermal_drift]`
@@ -23,8 +19,6 @@ parameters! {
 }
 
 impl PlantEffect for ThermalDrift {
-    const STAGE: &'static str = "transmission";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(0.4, 3.0, severity);
         let main = rng.channel() - 1;

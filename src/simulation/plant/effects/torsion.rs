@@ -3,10 +3,7 @@
 //! `T tanh(1.2 β/β₀) / tanh 1.2 · (1 + 0.2 cos 3(δ − δ₀))`: the twist levels off, and the three bellows give it
 //! three lobes. `β₀ = 60°`.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector2;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.torsion]`
@@ -20,8 +17,6 @@ parameters! {
 }
 
 impl PlantEffect for Torsion {
-    const STAGE: &'static str = "shape";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { twist_deg: rng.sign() * rng.sized(3.0, 20.0, severity), direction_deg: rng.angle_deg() }
     }

@@ -2,11 +2,7 @@
 //!
 //! The microstep counts reach the motors late by a dead time that wanders; see `DeadTime`.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::memory::DeadTime;
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::{PlantRng, Stream};
-use nalgebra::Vector3;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.transport_delay]`
@@ -20,8 +16,6 @@ parameters! {
 }
 
 impl PlantEffect for TransportDelay {
-    const STAGE: &'static str = "timing";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { delay_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
     }

@@ -2,11 +2,7 @@
 //!
 //! The twist about the tip's axis creeps towards `T β / 60°` with one time constant and back.
 
-use crate::simulation::plant::law::{Law, Moment, PlantEffect, UnitData};
-use crate::simulation::plant::memory::Decay;
-use crate::simulation::plant::parameters::parameters;
-use crate::simulation::plant::rng::PlantRng;
-use nalgebra::Vector2;
+use crate::simulation::plant::prelude::*;
 
 parameters! {
     /// `[effects.outside.twist_creep]`
@@ -20,8 +16,6 @@ parameters! {
 }
 
 impl PlantEffect for TwistCreep {
-    const STAGE: &'static str = "shape";
-
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { twist_deg: rng.sign() * rng.sized(5.0, 20.0, severity), over_s: rng.between(3.0, 15.0) }
     }
