@@ -10,7 +10,7 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::{show, source};
 use retroflex::hardware::pins::{self, Backend};
-use retroflex::primitives::parameters::Check;
+use retroflex::primitives::parameters::{Check, Shape, Table, join};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -43,7 +43,7 @@ fn every_board_is_read_and_its_wiring_laid_out() {
         pins::open(&rehearsal, board.drive.microsteps).unwrap();
         let expected = if name == "linux-gpiochip" { Backend::Cdev } else { Backend::Rppal };
         assert_eq!(wiring.backend, expected, "{name}");
-        let share = board.power.kept_share(board.limits.pressure_max_kpa, board.drive.pinion_pitch_diameter_mm);
+        let share = board.power.kept_kpa(board.drive.pinion_pitch_diameter_mm) / board.limits.pressure_max_kpa;
         assert!((0.11..0.14).contains(&share), "{name} says an eighth is left without current, the law says {share}");
     }
     let sim: Board = source::read(&repo("boards/sim.toml")).unwrap();
@@ -67,6 +67,28 @@ fn boards_state_the_defaults_except_where_they_say_so() {
     }
 }
 
+/// Adds every dotted key of a table and those below it. Entries of a list are written `[]`.
+fn add_keys(table: &Table, at: &str, out: &mut Vec<String>) {
+    for row in table.rows {
+        let key = join(at, row.key);
+        add_keys_below(&row.shape, &key, out);
+        out.push(key);
+    }
+}
+
+fn add_keys_below(shape: &Shape, at: &str, out: &mut Vec<String>) {
+    match shape {
+        Shape::Table(table) => add_keys(table, at, out),
+        Shape::Optional(inner) => add_keys_below(inner, at, out),
+        Shape::List(inner) => add_keys_below(inner, &format!("{at}[]"), out),
+        Shape::Tagged(tag, alternatives) => {
+            out.push(join(at, tag));
+            alternatives.iter().for_each(|(_, table)| add_keys(table, at, out));
+        }
+        Shape::Scalar | Shape::Choice(_) | Shape::Opaque => {}
+    }
+}
+
 /// What `board show` prints is read back as the same board, and every key has a paragraph.
 #[test]
 fn a_printed_board_is_the_board_and_every_key_has_its_paragraph() {
@@ -78,9 +100,9 @@ fn a_printed_board_is_the_board_and_every_key_has_its_paragraph() {
         assert_eq!(compact, board, "{name}");
     }
     let mut keys = Vec::new();
-    <Board as Check>::TABLE.unwrap().keys("", &mut keys);
-    <Gains as Check>::TABLE.unwrap().keys("", &mut keys);
-    <Calibration as Check>::TABLE.unwrap().keys("", &mut keys);
+    add_keys(<Board as Check>::TABLE.unwrap(), "", &mut keys);
+    add_keys(<Gains as Check>::TABLE.unwrap(), "", &mut keys);
+    add_keys(<Calibration as Check>::TABLE.unwrap(), "", &mut keys);
     assert!(keys.len() > 200, "{}", keys.len());
     for name in hardware() {
         let mut paragraph = 0;
@@ -110,9 +132,9 @@ fn the_gains_file_states_every_key_at_its_default() {
 #[test]
 fn every_key_that_a_message_names_exists() {
     let mut keys = Vec::new();
-    <Board as Check>::TABLE.unwrap().keys("", &mut keys);
-    <Gains as Check>::TABLE.unwrap().keys("", &mut keys);
-    <Calibration as Check>::TABLE.unwrap().keys("", &mut keys);
+    add_keys(<Board as Check>::TABLE.unwrap(), "", &mut keys);
+    add_keys(<Gains as Check>::TABLE.unwrap(), "", &mut keys);
+    add_keys(<Calibration as Check>::TABLE.unwrap(), "", &mut keys);
     let keys: BTreeSet<String> = keys.into_iter().map(|k| k.replace("[]", "")).collect();
     let tables: BTreeSet<&str> = keys.iter().filter_map(|k| k.split('.').next()).collect();
     let mut named = 0;

@@ -4,6 +4,7 @@
 mod common;
 
 use common::repo;
+use retroflex::model::effects::{Effect, Param, Stage, catalogue};
 use std::path::{Path, PathBuf};
 
 /// The documents with their text.
@@ -106,10 +107,55 @@ fn the_catalogue_in_the_documentation_is_that_of_the_code() {
     let text = std::fs::read_to_string(&path).unwrap();
     let (before, rest) = text.split_once("<!-- catalogue -->\n").unwrap();
     let (table, after) = rest.split_once("<!-- end of the catalogue -->").unwrap();
-    let current = format!("\n{}\n", retroflex::model::effects::describe());
+    let current = format!("\n{}\n", described_catalogue());
     if std::env::var_os("REFRESH").is_some() {
         let all = format!("{before}<!-- catalogue -->\n{current}<!-- end of the catalogue -->{after}");
         return std::fs::write(&path, all).unwrap();
     }
     assert_eq!(table, current);
+}
+
+/// The catalogue as a Markdown table.
+fn described_catalogue() -> String {
+    let mut out =
+        "| effect | stage | signature | confused with | separated by | parameters | remedy |\n|---|---|---|---|---|---|---|\n".to_owned();
+    for e in catalogue() {
+        let (info, stage) = (e.info(), e.stage().name());
+        let confused = info.confused_with.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
+        let (params, remedy) = (summary(e.params()), remedy(e.as_ref()));
+        let row = format!("| `{}` | {stage} | {} | {confused} | {} | {params} | {remedy} |\n", e.name(), info.signature, info.separated_by);
+        out.push_str(&row);
+    }
+    out
+}
+
+/// What closes the gap of an effect, for people.
+fn remedy(e: &dyn Effect) -> &'static str {
+    if e.info().is_event() {
+        "mend the cause: it happens once"
+    } else if e.stage() == Stage::Timing {
+        "dead time in the calibration"
+    } else if e.sensing_only() {
+        "`calibrate imu`"
+    } else {
+        "feedforward"
+    }
+}
+
+/// Parameters in one cell of a table: `rate ×3 (1/s), vacuum_ratio`.
+fn summary(params: &[Param]) -> String {
+    let mut seen: Vec<(&Param, usize)> = Vec::new();
+    for p in params {
+        match seen.iter_mut().find(|(q, _)| q.name == p.name) {
+            Some((_, count)) => *count += 1,
+            None => seen.push((p, 1)),
+        }
+    }
+    let words = seen.iter().map(|(p, count)| {
+        let times = if *count > 1 { format!(" ×{count}") } else { String::new() };
+        let unit = p.shown(0.0).1;
+        let unit = if unit.is_empty() { String::new() } else { format!(" ({unit})") };
+        format!("{}{times}{unit}", p.name)
+    });
+    words.collect::<Vec<_>>().join(", ")
 }

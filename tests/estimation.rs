@@ -107,10 +107,11 @@ fn the_bend_filter_is_the_most_accurate_in_the_loop() {
     ];
     let tilts = [20.0, 55.0, 90.0, 125.0, 160.0];
     println!("closed-loop bend RMSE, degrees, over {} attitudes of the base", tilts.len());
-    println!("{:18} {}", "", EstimatorName::ALL.map(|c| format!("{:>10}", c.as_str())).concat());
+    println!("{:18} {}", "", EstimatorName::NAMES.map(|name| format!("{name:>10}")).concat());
     let mut table = Vec::new();
     for (name, field) in cases {
-        let row = EstimatorName::ALL.map(|filter| {
+        let row = EstimatorName::NAMES.map(|name| {
+            let filter = EstimatorName::try_from(name.to_owned()).unwrap();
             let each: Vec<f64> = tilts.iter().enumerate().map(|(i, &tilt)| rmse(10 + i as u64, tilt, field, filter)).collect();
             (rms(&each), each.iter().copied().fold(0.0, f64::max))
         });

@@ -3,12 +3,14 @@
 
 #![allow(clippy::unwrap_used)] // a failing helper fails its test
 
+mod recording_pins;
+
 use proptest::prelude::*;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
+use recording_pins::{Edge, LineName, RecordingPins, edges};
 use retroflex::hardware::pins::map::LineMap;
-use retroflex::hardware::pins::mock::{Edge, LineName, edges};
-use retroflex::hardware::pins::{InputPin, MockPins, PinError, Pins, PinsConfig, Pull};
+use retroflex::hardware::pins::{InputPin, PinError, Pins, PinsConfig, Pull};
 use retroflex::hardware::stepper::Stepper;
 use retroflex::motion::lines::{EmergencyStop, Inputs, Levels, PulseTiming};
 use retroflex::motion::pulse::{PulseAction, StepCore};
@@ -550,13 +552,13 @@ fn patient() -> StepperConfig {
     StepperConfig { late_max_us: 100_000.0, lead_ms: 60.0, priority: 0, ..StepperConfig::default() }
 }
 
-fn mock(emergency_stop: Option<InputPin>) -> MockPins {
+fn mock(emergency_stop: Option<InputPin>) -> RecordingPins {
     let map = LineMap::new(&PinsConfig { emergency_stop, ..PinsConfig::default() }, 16).unwrap();
-    MockPins::new(map, 100_000)
+    RecordingPins::new(map, 100_000)
 }
 
 /// Feeds a stepper until the motion rests at its target or the thread reports something else.
-fn drive(stepper: &mut Stepper<MockPins>, motion: &mut Motion, target: [f64; 3]) -> SyncStatus {
+fn drive(stepper: &mut Stepper<RecordingPins>, motion: &mut Motion, target: [f64; 3]) -> SyncStatus {
     for _ in 0..4000 {
         let now = retroflex::hardware::rt::monotonic_ns();
         match stepper.sync(now) {
@@ -632,7 +634,7 @@ fn the_thread_stops_for_the_emergency_stop_and_reports_it() {
 }
 
 /// Pins whose inputs cannot be read for as long as the flag is set: the call does not return.
-struct Hanging(MockPins, Arc<AtomicBool>);
+struct Hanging(RecordingPins, Arc<AtomicBool>);
 
 impl Pins for Hanging {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
@@ -675,8 +677,7 @@ fn the_thread_survives_failing_pins_and_reports_the_reason() {
     let mut stepper = Stepper::start(pins, &patient(), &MotionConfig::default(), STEP_MM, EmergencyStop::Release).unwrap();
     let mut motion = Motion::new(&limits());
     assert_eq!(drive(&mut stepper, &mut motion, [20.0; 3]), SyncStatus::Faulted(StepperFault::Pins));
-    let (summary, _) = stepper.finish().unwrap();
-    assert!(summary.pin_error.unwrap().to_string().contains("set to fail"));
+    assert!(stepper.pin_error().unwrap().contains("set to fail"));
 }
 
 #[test]

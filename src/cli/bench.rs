@@ -59,7 +59,7 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
         Some(path) => on_board(path, base)?,
         None => {
             let map = LineMap::new(&PinsConfig::default(), 16).into_diagnostic()?;
-            (measure(&base, MockPins::new(map, 0))?, "the mock".to_owned())
+            (measure(&base, MockPins(map))?, "the mock".to_owned())
         }
     };
     let text = format!("through {through}\n{}\n", bench.table());

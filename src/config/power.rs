@@ -42,13 +42,6 @@ impl PowerSection {
     pub fn kept_kpa(&self, pitch_diameter_mm: f64) -> f64 {
         self.detent_torque_n_mm / self.torque_n_mm(1.0, pitch_diameter_mm)
     }
-
-    /// Fraction of the largest pressure that remains without current, 0 to 1: about the fraction of the largest bend that
-    /// the tip keeps.
-    #[must_use]
-    pub fn kept_share(&self, pressure_max_kpa: f64, pitch_diameter_mm: f64) -> f64 {
-        (self.kept_kpa(pitch_diameter_mm) / pressure_max_kpa).min(1.0)
-    }
 }
 
 #[cfg(test)]
@@ -62,6 +55,6 @@ mod tests {
         assert!((p.torque_n_mm(41.3, 30.0) - 124.5).abs() < 0.1, "{}", p.torque_n_mm(41.3, 30.0));
         assert!((p.stall_kpa(30.0) - 86.24).abs() < 0.01);
         assert!((p.kept_kpa(30.0) - 4.975).abs() < 0.01);
-        assert!((p.kept_share(41.3, 30.0) - 0.1205).abs() < 1e-3);
+        assert!((p.kept_kpa(30.0) / 41.3 - 0.1205).abs() < 1e-3);
     }
 }

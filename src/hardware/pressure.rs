@@ -59,11 +59,6 @@ impl<I: I2c> PressureSensor<I> {
         Self { bus, address: config.addresses[channel], range_kpa: [config.low_kpa, config.high_kpa] }
     }
 
-    /// Returns the bus.
-    pub fn release(self) -> I {
-        self.bus
-    }
-
     /// Starts a conversion.
     ///
     /// # Errors

@@ -64,8 +64,6 @@ pub struct Summary {
     pub wake: Histogram,
     /// Deviation of intervals between steps.
     pub interval_error: Histogram,
-    /// The first failure of the pins.
-    pub pin_error: Option<PinError>,
 }
 
 /// The state of the thread.
@@ -81,7 +79,6 @@ struct Shell<P> {
     next_input_ns: u64,
     last_report: Option<StepperReport>,
     wake: Histogram,
-    pin_error: Option<PinError>,
     pin_error_text: Arc<OnceLock<String>>,
     enabled: bool,
 }
@@ -92,7 +89,7 @@ impl<P: Pins> Shell<P> {
         while self.run_once() {}
         let report = self.core.report(monotonic_ns());
         let interval_error = *self.core.interval_error();
-        (Summary { report, wake: self.wake, interval_error, pin_error: self.pin_error }, self.pins)
+        (Summary { report, wake: self.wake, interval_error }, self.pins)
     }
 
     /// One cycle: orders, inputs and one action of the core. Returns false when the core has finished.
@@ -109,13 +106,13 @@ impl<P: Pins> Shell<P> {
             self.next_input_ns = now_ns + self.input_period_ns;
             match self.pins.read() {
                 Ok(inputs) => self.core.observe(inputs),
-                Err(error) => self.pins_failed(error),
+                Err(error) => self.pins_failed(&error),
             }
         }
         match self.core.poll(now_ns, &mut || self.segments.pop().ok()) {
             PulseAction::Write(levels) => match self.write(&levels) {
                 Ok(()) => self.core.wrote(monotonic_ns()),
-                Err(error) => self.pins_failed(error),
+                Err(error) => self.pins_failed(&error),
             },
             PulseAction::WaitUntil(until_ns) => {
                 self.report(now_ns);
@@ -146,10 +143,9 @@ impl<P: Pins> Shell<P> {
     }
 
     /// Keeps the first failure; later ones follow from it.
-    fn pins_failed(&mut self, error: PinError) {
+    fn pins_failed(&mut self, error: &PinError) {
         self.core.pins_failed();
         let _ = self.pin_error_text.set(error.to_string());
-        self.pin_error.get_or_insert(error);
     }
 
     /// Sends a report if one is due. If the ring is full, the report is lost; the next one replaces it.
@@ -212,7 +208,6 @@ impl<P: Pins + 'static> Stepper<P> {
             next_input_ns: 0,
             last_report: None,
             wake: Histogram::default(),
-            pin_error: None,
             pin_error_text: pin_error_text.clone(),
             enabled: energised,
         };

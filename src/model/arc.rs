@@ -67,16 +67,6 @@ impl Geometry {
         Shape { bend: Bend(sum * (-2.0 / (3.0 * self.r_mm))), length: Mm(self.rest_length_mm + q_mm.sum() / 3.0) }
     }
 
-    /// ∂q/∂(b_x, b_y, l), mm per rad and mm per mm; constant, because Eq. 10 is linear in them.
-    #[must_use]
-    pub fn lengths_jacobian(&self) -> Matrix3<f64> {
-        Matrix3::from_fn(|i, j| match j {
-            0 => -self.r_mm * Self::spoke(i).x,
-            1 => -self.r_mm * Self::spoke(i).y,
-            _ => 1.0,
-        })
-    }
-
     /// Eq. 6: tip position in the base frame, mm.
     #[must_use]
     pub fn position(&self, shape: &Shape) -> Vector3<f64> {
@@ -186,8 +176,6 @@ mod tests {
                 m
             };
             for j in 0..3 {
-                let dq = (g.lengths(&moved(j, h)) - g.lengths(&moved(j, -h))) / (2.0 * h);
-                prop_assert!((dq - g.lengths_jacobian().column(j)).norm() < 1e-6);
                 let dx = (g.position(&moved(j, h)) - g.position(&moved(j, -h))) / (2.0 * h);
                 prop_assert!((dx - g.position_jacobian(&s).column(j)).norm() < 1e-5);
             }

@@ -55,12 +55,6 @@ impl ChannelSteps {
         Self { step_mm, count, segment, piece: 0, at: segment.start, at_s: 0.0, part: (0.0, 0.0), part_count: count, done: true }
     }
 
-    /// The count after the last step produced.
-    #[must_use]
-    pub fn count(&self) -> i32 {
-        self.count
-    }
-
     /// Loads the next segment. Steps of the previous one that were not produced fall due at its start.
     pub fn load(&mut self, segment: &ChannelSegment) {
         // A first part of zero length makes up for steps that the count lacks.
@@ -216,7 +210,7 @@ mod tests {
             assert!((s.t_s - (f64::from(n) + 0.5) * 0.01).abs() < 1e-9, "{n} {s:?}");
             assert_eq!(s.direction, 1);
         }
-        assert_eq!((c.next_step(), c.count()), (None, 100));
+        assert_eq!((c.next_step(), c.count), (None, 100));
     }
 
     /// Up and down again within one piece: the reversal lies between the two crossings of each midpoint.

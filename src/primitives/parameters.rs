@@ -185,15 +185,6 @@ impl Table {
         let below = rest.split('.').skip_while(|part| part.parse::<usize>().is_ok()).collect::<Vec<_>>().join(".");
         if below.is_empty() { Some(row) } else { row.shape.table()?.row(&below) }
     }
-
-    /// Every dotted key of this table and those below it. Entries of a list are written `[]`.
-    pub fn keys(&self, at: &str, out: &mut Vec<String>) {
-        for row in self.rows {
-            let key = join(at, row.key);
-            row.shape.keys(&key, out);
-            out.push(key);
-        }
-    }
 }
 
 impl Shape {
@@ -202,19 +193,6 @@ impl Shape {
             Self::Table(table) => Some(table),
             Self::Optional(inner) | Self::List(inner) => inner.table(),
             _ => None,
-        }
-    }
-
-    fn keys(&self, at: &str, out: &mut Vec<String>) {
-        match self {
-            Self::Table(table) => table.keys(at, out),
-            Self::Optional(inner) => inner.keys(at, out),
-            Self::List(inner) => inner.keys(&format!("{at}[]"), out),
-            Self::Tagged(tag, alternatives) => {
-                out.push(join(at, tag));
-                alternatives.iter().for_each(|(_, table)| table.keys(at, out));
-            }
-            Self::Scalar | Self::Choice(_) | Self::Opaque => {}
         }
     }
 }
@@ -339,6 +317,26 @@ macro_rules! choices {
         impl $crate::primitives::parameters::Setting for $name {
             const SHAPE: $crate::primitives::parameters::Shape =
                 $crate::primitives::parameters::Shape::Choice(&[$first_word, $($word),+]);
+        }
+    };
+}
+
+/// Declares an enumeration whose values have names: `Variant = "name"`.
+#[macro_export]
+macro_rules! named {
+    ($(#[$about:meta])+ pub enum $kind:ident { $($(#[$doc:meta])+ $variant:ident = $name:literal,)+ }) => {
+        $(#[$about])+
+        pub enum $kind { $($(#[$doc])+ $variant,)+ }
+
+        impl $kind {
+            /// Every value, in the order of the declaration.
+            pub const ALL: [Self; [$($name),+].len()] = [$(Self::$variant),+];
+
+            /// The name, as in files, logs and messages.
+            #[must_use]
+            pub const fn name(self) -> &'static str {
+                [$($name),+][self as usize]
+            }
         }
     };
 }

@@ -42,11 +42,6 @@ impl Rad {
     pub fn from_deg(deg: f64) -> Self {
         Self(deg.to_radians())
     }
-    /// The angle in degrees, for people.
-    #[must_use]
-    pub fn deg(self) -> f64 {
-        self.0.to_degrees()
-    }
 }
 
 /// Absolute microstep counts of the three drive channels since the pistons were at zero.

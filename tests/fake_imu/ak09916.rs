@@ -6,6 +6,8 @@ use retroflex::hardware::imu::icm20948::{AK_WHO_AM_I, reg};
 
 const UT_PER_LSB: f64 = 0.15;
 const HXL: u8 = 0x11;
+/// Overflow; reading it ends a measurement read.
+const ST2: u8 = 0x18;
 const DRDY: u8 = 0x01;
 const DOR: u8 = 0x02;
 const HOFL: u8 = 0x08;
@@ -61,7 +63,7 @@ impl FakeAk09916 {
             self.regs[st1] |= DOR; // being read: the measurement is lost
             return;
         }
-        let field = Axes::AK09916.to_chip(&analog.motion.mag_ut);
+        let field = super::to_chip(&Axes::AK09916, &analog.motion.mag_ut);
         let counts = analog.counts(field, analog.noise.mag_ut, UT_PER_LSB);
         let strong = field.iter().map(|x| x.abs()).sum::<f64>() > 4912.0;
         let over = strong || analog.quirks.mag_overflow;
@@ -69,7 +71,7 @@ impl FakeAk09916 {
             let c = c.clamp(-COUNT_MAX, COUNT_MAX);
             self.regs[usize::from(HXL) + 2 * i..][..2].copy_from_slice(&c.to_le_bytes());
         }
-        self.regs[usize::from(reg::AK_ST2)] = if over { HOFL } else { 0 };
+        self.regs[usize::from(ST2)] = if over { HOFL } else { 0 };
         self.regs[st1] = if self.regs[st1] & DRDY != 0 { DRDY | DOR } else { DRDY };
     }
 
@@ -96,11 +98,11 @@ impl FakeAk09916 {
         for byte in out {
             *byte = self.regs.get(usize::from(self.pointer)).copied().unwrap_or(0);
             match self.pointer {
-                reg::AK_ST2 => {
+                ST2 => {
                     self.latched = false;
                     self.regs[usize::from(reg::AK_ST1)] = 0;
                 }
-                HXL..reg::AK_ST2 => {
+                HXL..ST2 => {
                     self.latched = true;
                     self.regs[usize::from(reg::AK_ST1)] = 0;
                 }

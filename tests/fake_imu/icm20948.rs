@@ -4,6 +4,12 @@
 use super::{Analog, Device, FakeAk09916, Motion, Noise, Quirks, Ticker};
 use retroflex::hardware::imu::icm20948::{AK_ADDRESS, BASE_RATE_HZ, WHO_AM_I, reg, scale};
 
+/// Bank 0: first byte of temperature.
+const TEMP_OUT_H: u8 = 0x39;
+/// Bank 0: first byte fetched from the magnetometer.
+const EXT_SLV_SENS_DATA_00: u8 = 0x3B;
+/// Bank 3: rate of the internal master while the gyroscope is off.
+const I2C_MST_ODR_CONFIG: u8 = 0x00;
 const RESET_TIME_S: f64 = 0.5e-3;
 const EXT_BYTES: usize = 24;
 const SLV4_DONE: u8 = 0x40;
@@ -87,7 +93,7 @@ impl FakeIcm20948 {
             if gyro_due {
                 self.put(reg::ACCEL_XOUT_H + 6, &gyro);
             }
-            self.put(reg::TEMP_OUT_H, &[temp]);
+            self.put(TEMP_OUT_H, &[temp]);
         }
         if self.master.due(dt_s, self.master_period(gyro_period)) && self.get(0, reg::USER_CTRL) & 0x20 != 0 {
             self.one_shot();
@@ -99,7 +105,7 @@ impl FakeIcm20948 {
     /// gyroscope is off or the master is duty-cycled.
     fn master_period(&self, gyro_period_s: f64) -> f64 {
         let cycled = self.get(0, reg::LP_CONFIG) & 0x40 != 0;
-        if self.gyro_on() && !cycled { gyro_period_s } else { f64::from(1_u16 << (self.get(3, reg::I2C_MST_ODR_CONFIG) & 0x0F)) / 1100.0 }
+        if self.gyro_on() && !cycled { gyro_period_s } else { f64::from(1_u16 << (self.get(3, I2C_MST_ODR_CONFIG) & 0x0F)) / 1100.0 }
     }
 
     fn put(&mut self, from: u8, counts: &[i16]) {
@@ -153,7 +159,7 @@ impl FakeIcm20948 {
                 let mut block = [0; EXT_BYTES];
                 self.mag.write(&[register]);
                 self.mag.read(&mut block[..n]);
-                let from = usize::from(reg::EXT_SLV_SENS_DATA_00) + at;
+                let from = usize::from(EXT_SLV_SENS_DATA_00) + at;
                 self.regs[0][from..from + n].copy_from_slice(&block[..n]);
             }
             at += n;
@@ -171,7 +177,7 @@ impl FakeIcm20948 {
     }
 
     fn store(&mut self, register: u8, value: u8) {
-        let data = reg::ACCEL_XOUT_H..reg::EXT_SLV_SENS_DATA_00 + EXT_BYTES as u8;
+        let data = reg::ACCEL_XOUT_H..EXT_SLV_SENS_DATA_00 + EXT_BYTES as u8;
         match (self.bank, register) {
             (_, reg::BANK_SEL) => self.bank = value >> 4 & 3,
             (0, reg::PWR_MGMT_1) if value & 0x80 != 0 => {

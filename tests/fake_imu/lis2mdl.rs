@@ -5,6 +5,9 @@ use super::{Analog, Device, Motion, Noise, Quirks, Ticker};
 use retroflex::hardware::imu::Axes;
 use retroflex::hardware::imu::lis2mdl::{ADDRESS, UT_PER_LSB, WHO_AM_I, reg};
 
+/// First and last data byte.
+const OUTX_L: u8 = 0x68;
+const OUTZ_H: u8 = 0x6D;
 const STATUS_NEW: u8 = 0x0F;
 const STATUS_OVERRUN: u8 = 0xF0;
 
@@ -65,7 +68,7 @@ impl FakeLis2mdl {
                 reg::WHO_AM_I => self.analog.quirks.wrong_id.unwrap_or(WHO_AM_I),
                 r => self.get(r),
             };
-            if self.pointer == reg::OUTZ_H {
+            if self.pointer == OUTZ_H {
                 self.regs[usize::from(reg::STATUS)] = 0;
             }
             self.step();
@@ -74,19 +77,19 @@ impl FakeLis2mdl {
 
     fn step(&mut self) {
         self.pointer = match self.pointer {
-            reg::OUTZ_H => reg::OUTX_L,
+            OUTZ_H => OUTX_L,
             p => p.wrapping_add(1) & 0x7F,
         };
     }
 
     fn measure(&mut self) {
-        let field = self.axes.to_chip(&self.analog.motion.mag_ut);
+        let field = super::to_chip(&self.axes, &self.analog.motion.mag_ut);
         let mut counts = self.analog.counts(field, self.analog.noise.mag_ut, UT_PER_LSB);
         if self.analog.quirks.mag_overflow {
             counts = [i16::MAX; 3];
         }
         for (i, c) in counts.into_iter().enumerate() {
-            self.regs[usize::from(reg::OUTX_L) + 2 * i..][..2].copy_from_slice(&c.to_le_bytes());
+            self.regs[usize::from(OUTX_L) + 2 * i..][..2].copy_from_slice(&c.to_le_bytes());
         }
         let status = &mut self.regs[usize::from(reg::STATUS)];
         *status = if *status & STATUS_NEW != 0 { STATUS_NEW | STATUS_OVERRUN } else { STATUS_NEW };

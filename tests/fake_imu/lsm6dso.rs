@@ -4,6 +4,10 @@ use super::{Analog, Device, Motion, Noise, Quirks, Ticker};
 use retroflex::hardware::imu::Axes;
 use retroflex::hardware::imu::lsm6dso::{RATES_HZ, WHO_AM_I, reg, scale};
 
+/// First bytes of temperature, rate and force.
+const OUT_TEMP_L: u8 = 0x20;
+const OUTX_L_G: u8 = 0x22;
+const OUTX_L_A: u8 = 0x28;
 const STATUS_ACC: u8 = 0x01;
 const STATUS_GYRO: u8 = 0x02;
 const STATUS_TEMP: u8 = 0x04;
@@ -68,14 +72,14 @@ impl FakeLsm6dso {
         let temp = ((self.analog.motion.temp_c - unit.temp_zero_c) / unit.temp_c).round() as i16;
         let mut status = self.get(reg::STATUS_REG) | STATUS_TEMP;
         if gyro_due {
-            self.put(reg::OUTX_L_G, &gyro);
+            self.put(OUTX_L_G, &gyro);
             status |= STATUS_GYRO;
         }
         if acc_due {
-            self.put(reg::OUTX_L_A, &acc);
+            self.put(OUTX_L_A, &acc);
             status |= STATUS_ACC;
         }
-        self.put(reg::OUT_TEMP_L, &[temp]);
+        self.put(OUT_TEMP_L, &[temp]);
         self.regs[usize::from(reg::STATUS_REG)] = status;
     }
 

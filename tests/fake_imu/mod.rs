@@ -27,6 +27,7 @@ use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
+use retroflex::hardware::imu::Axes;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// The true motion of the sensor, in the accelerometer's axes.
@@ -47,6 +48,11 @@ impl Default for Motion {
     fn default() -> Self {
         Self { acc_m_s2: Vector3::new(0.0, 0.0, 9.81), gyro_rad_s: Vector3::zeros(), mag_ut: Vector3::new(20.0, 0.0, -45.0), temp_c: 25.0 }
     }
+}
+
+/// The field in the axes of a magnetometer that is mounted like `axes`: the inverse of [`Axes::to_frame`].
+fn to_chip(axes: &Axes, frame: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::from_fn(|i, _| axes.to_frame(&Vector3::ith(i, 1.0)).dot(frame))
 }
 
 /// White noise of a conversion, one sigma per axis.

@@ -4,6 +4,7 @@ use nalgebra::{Vector2, Vector3};
 use retroflex::model::bend::Bend;
 use retroflex::model::drive::Drive;
 use retroflex::primitives::units::Steps;
+use retroflex::simulation::plant::imu::chip::ImuConfig;
 use retroflex::simulation::plant::{Output, Plant, PlantConfig};
 
 /// Default step of the rig, s.
@@ -22,6 +23,22 @@ pub fn config(toml: &str) -> PlantConfig {
     toml::from_str(toml).unwrap()
 }
 
+/// A chip without noise, wander and quantisation.
+pub fn perfect_imu() -> ImuConfig {
+    ImuConfig {
+        gyro_noise_deg_s_rthz: 0.0,
+        acc_noise_mg_rthz: 0.0,
+        mag_noise_ut: 0.0,
+        gyro_wander_deg_s: 0.0,
+        acc_wander_mg: 0.0,
+        mag_wander_ut: 0.0,
+        gyro_digit_deg_s: 0.0,
+        acc_digit_mg: 0.0,
+        mag_digit_ut: 0.0,
+        ..ImuConfig::default()
+    }
+}
+
 /// A piston pattern that bends to direction 0 by shortening bellow 1.
 pub const BEND: [f64; 3] = [-10.0, 5.0, 5.0];
 
@@ -37,10 +54,7 @@ impl Rig {
     pub fn clean(toml: &str) -> Self {
         let mut c = config(toml);
         c.line.k_lambda_mm = [0.0; 3];
-        c.imu = retroflex::simulation::plant::imu::chip::ImuConfig {
-            gyro_bias_deg_s: c.imu.gyro_bias_deg_s,
-            ..retroflex::simulation::plant::imu::chip::ImuConfig::perfect()
-        };
+        c.imu = ImuConfig { gyro_bias_deg_s: c.imu.gyro_bias_deg_s, ..perfect_imu() };
         Self::new(&c)
     }
     fn counts(&self) -> Steps {

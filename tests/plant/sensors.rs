@@ -1,6 +1,6 @@
 //! The IMU measures the true motion, and each sensor effect changes only its own readings.
 
-use crate::rig::{BEND, Rig, bend, config, wander};
+use crate::rig::{BEND, Rig, bend, config, perfect_imu, wander};
 use nalgebra::{UnitQuaternion, Vector3};
 use retroflex::primitives::sample::ImuSample;
 use retroflex::primitives::units::Steps;
@@ -41,7 +41,7 @@ fn the_integrated_gyroscope_is_the_orientation() {
     let mut c = config(
         "[base]\npitch_deg = 80.0\n[effects.gravity]\nsag_deg = 5.0\n[effects.torsion]\ntwist_deg = 12.0\n[effects.creep]\nshare = 0.2",
     );
-    c.imu = ImuConfig::perfect();
+    c.imu = perfect_imu();
     for dt in [0.0005, 0.001, 0.003, 0.01] {
         let mut rig = Rig::new(&c);
         rig.dt_s = dt;
@@ -155,7 +155,7 @@ fn the_motor_field_follows_the_coils_and_falls_at_idle() {
         let mut c = config(
             "[effects.motor_field]\namplitude_ut = [5.0, 0.0, 0.0]\n[shape]\nr_mm = [20.0, 20.0, 20.0]\n[line]\nk_epsilon = [20.0, 20.0, 20.0]",
         );
-        c.imu = ImuConfig { mag_period_s: 0.002, ..ImuConfig::perfect() };
+        c.imu = ImuConfig { mag_period_s: 0.002, ..perfect_imu() };
         let mut plant = Plant::new(&c, 1).unwrap();
         let mut last = Vector3::zeros();
         let mut first = Vector3::zeros();

@@ -1,6 +1,6 @@
 //! Every effect has its characteristic signature.
 
-use crate::rig::{BEND, Rig, bend, config};
+use crate::rig::{BEND, Rig, bend, config, perfect_imu};
 use nalgebra::Vector2;
 use retroflex::simulation::plant::Output;
 
@@ -323,7 +323,7 @@ fn effects_outside_the_catalogue_have_their_signatures() {
 #[test]
 fn base_motion_moves_no_piston_and_no_joint() {
     let mut c = config("[effects.base_motion]\nangle_deg = 8.0\nat_s = 2.0\nover_s = 2.0\n[base]\nimu = true");
-    c.imu = retroflex::simulation::plant::imu::chip::ImuConfig::perfect();
+    c.imu = perfect_imu();
     let mut rig = Rig::new(&c);
     let out = rig.hold(6.0);
     assert!(bends(&out).iter().all(|b| *b < 1e-9));

@@ -22,23 +22,12 @@ pub enum EstimatorName {
 }
 
 impl EstimatorName {
-    /// Every estimator of the loop.
-    pub const ALL: [Self; 1 + FilterName::ALL.len()] = {
-        let mut all = [Self::Bend; 1 + FilterName::ALL.len()];
+    /// The names of all estimators of the loop.
+    pub const NAMES: [&'static str; 1 + FilterName::ALL.len()] = {
+        let mut names = [Self::Bend.as_str(); 1 + FilterName::ALL.len()];
         let mut i = 0;
         while i < FilterName::ALL.len() {
-            all[1 + i] = Self::Generic(FilterName::ALL[i]);
-            i += 1;
-        }
-        all
-    };
-
-    /// The names of [`Self::ALL`].
-    pub const NAMES: [&'static str; Self::ALL.len()] = {
-        let mut names = [""; Self::ALL.len()];
-        let mut i = 0;
-        while i < names.len() {
-            names[i] = Self::ALL[i].as_str();
+            names[1 + i] = FilterName::ALL[i].name();
             i += 1;
         }
         names
@@ -49,7 +38,7 @@ impl EstimatorName {
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Bend => "bend",
-            Self::Generic(name) => name.as_str(),
+            Self::Generic(name) => name.name(),
         }
     }
     /// The independent estimator to compare with: Madgwick, or the bend filter if Madgwick is selected.
@@ -66,8 +55,11 @@ impl Setting for EstimatorName {
 impl TryFrom<String> for EstimatorName {
     type Error = String;
     fn try_from(name: String) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|e| e.as_str() == name);
-        found.ok_or_else(|| format!("there is no estimator \"{name}\"; use one of {}", Self::NAMES.join(", ")))
+        if name == Self::Bend.as_str() {
+            return Ok(Self::Bend);
+        }
+        let generic = name.parse().map(Self::Generic);
+        generic.map_err(|_| format!("there is no estimator \"{name}\"; use one of {}", Self::NAMES.join(", ")))
     }
 }
 

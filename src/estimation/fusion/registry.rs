@@ -13,40 +13,29 @@ use crate::estimation::fusion::filter::{OrientationFilter, Periods};
 use crate::estimation::fusion::madgwick::{Madgwick, MadgwickConfig};
 use crate::estimation::fusion::mekf::{Mekf, MekfConfig};
 use crate::estimation::fusion::vqf::{Vqf, VqfConfig};
+use crate::named;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::{Deref, DerefMut};
 use std::str::FromStr;
 
-/// A filter with its shipped settings, by the name that files and the command line use.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum FilterName {
-    /// [`Madgwick`] with its default settings.
-    Madgwick,
-    /// [`Vqf`] with the settings of its authors.
-    Vqf,
-    /// [`Vqf`] with the magnetometer time constant [`super::vqf::TAU_MAG_LONG_S`].
-    VqfLong,
-    /// [`Mekf`] with its default settings.
-    Mekf,
+named! {
+    /// A filter with its shipped settings, by the name that files and the command line use.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum FilterName {
+        /// [`Madgwick`] with its default settings.
+        Madgwick = "madgwick",
+        /// [`Vqf`] with the settings of its authors.
+        Vqf = "vqf",
+        /// [`Vqf`] with the magnetometer time constant [`super::vqf::TAU_MAG_LONG_S`].
+        VqfLong = "vqf-long",
+        /// [`Mekf`] with its default settings.
+        Mekf = "mekf",
+    }
 }
 
 impl FilterName {
-    /// Every filter, simplest first.
-    pub const ALL: [Self; 4] = [Self::Madgwick, Self::Vqf, Self::VqfLong, Self::Mekf];
-
-    /// The name as files and the command line write it.
-    #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Madgwick => "madgwick",
-            Self::Vqf => "vqf",
-            Self::VqfLong => "vqf-long",
-            Self::Mekf => "mekf",
-        }
-    }
-
     /// A new filter with its shipped settings.
     #[must_use]
     pub fn build(self, periods: Periods) -> Filter {
@@ -94,7 +83,7 @@ impl DerefMut for Filter {
 
 /// A name that belongs to no filter.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("there is no filter \"{name}\"; use one of {}", FilterName::ALL.map(FilterName::as_str).join(", "))]
+#[error("there is no filter \"{name}\"; use one of {}", FilterName::ALL.map(FilterName::name).join(", "))]
 pub struct UnknownFilter {
     /// The name as given.
     pub name: String,
@@ -102,14 +91,14 @@ pub struct UnknownFilter {
 
 impl fmt::Display for FilterName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.as_str())
+        f.pad(self.name())
     }
 }
 
 impl FromStr for FilterName {
     type Err = UnknownFilter;
     fn from_str(name: &str) -> Result<Self, UnknownFilter> {
-        Self::ALL.into_iter().find(|f| f.as_str() == name).ok_or_else(|| UnknownFilter { name: name.to_owned() })
+        Self::ALL.into_iter().find(|f| f.name() == name).ok_or_else(|| UnknownFilter { name: name.to_owned() })
     }
 }
 
@@ -120,7 +109,7 @@ mod tests {
     #[test]
     fn names_round_trip_and_unknown_names_are_refused() {
         for f in FilterName::ALL {
-            assert_eq!(f.as_str().parse(), Ok(f));
+            assert_eq!(f.name().parse(), Ok(f));
             assert_eq!(serde_json::to_string(&f).unwrap(), format!("\"{f}\""));
         }
         assert!("kalman".parse::<FilterName>().unwrap_err().to_string().contains("madgwick, vqf, vqf-long, mekf"));

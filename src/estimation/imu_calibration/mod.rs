@@ -114,16 +114,6 @@ pub struct Correction {
 }
 
 impl Correction {
-    /// The identity.
-    pub const NONE: Self = Self {
-        gyro_bias_rad_s: Vector3::new(0.0, 0.0, 0.0),
-        gyro_matrix: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-        acc_bias_m_s2: Vector3::new(0.0, 0.0, 0.0),
-        acc_matrix: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-        mag_bias_ut: Vector3::new(0.0, 0.0, 0.0),
-        mag_matrix: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-    };
-
     /// The sample of an ideal sensor in the axes of the tip.
     #[must_use]
     pub fn apply(&self, raw: &ImuSample) -> ImuSample {
@@ -150,7 +140,6 @@ mod tests {
             mag_ut: Some(Vector3::new(30.0, -10.0, 5.0)),
         };
         assert_eq!(ImuCalibration::default().correction().apply(&raw), raw);
-        assert_eq!(ImuCalibration::default().correction(), Correction::NONE);
         let from = Pedigree { date: "2025-01-31", source: "tumble.csv" };
         let calibration = ImuCalibration {
             gyro_bias_rad_s: Some(from.entry([0.1, 0.0, -0.1], [1e-4; 3])),

@@ -68,11 +68,6 @@ impl<I: I2c> Icm20948<I> {
         Ok(Self { bus, port, settings, ready: false, bank: None, reads: 0, ranges_next: false, last, last_mag })
     }
 
-    /// Returns the bus.
-    pub fn release(self) -> I {
-        self.bus
-    }
-
     fn set(&mut self, register: u8, value: u8) -> Result<(), ImuError> {
         self.port.set(&mut self.bus, register, value)
     }

@@ -21,10 +21,6 @@ pub mod reg {
     pub const CFG_REG_C: u8 = 0x62;
     /// New data; first byte of the burst.
     pub const STATUS: u8 = 0x67;
-    /// First data byte.
-    pub const OUTX_L: u8 = 0x68;
-    /// Last data byte; the address counter wraps after it.
-    pub const OUTZ_H: u8 = 0x6D;
 }
 
 /// Content of WHO_AM_I.

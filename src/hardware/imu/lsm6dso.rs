@@ -36,12 +36,6 @@ pub mod reg {
     pub const CTRL9_XL: u8 = 0x18;
     /// New data; first byte of the burst.
     pub const STATUS_REG: u8 = 0x1E;
-    /// First byte of temperature.
-    pub const OUT_TEMP_L: u8 = 0x20;
-    /// First byte of the gyroscope.
-    pub const OUTX_L_G: u8 = 0x22;
-    /// First byte of the accelerometer.
-    pub const OUTX_L_A: u8 = 0x28;
 }
 
 /// Content of WHO_AM_I.
@@ -81,11 +75,6 @@ impl<I: I2c> Lsm6dsoLis2mdl<I> {
         let port = Port { part: Part::Lsm6dso, address: settings.address };
         let mag_rate_hz = f64::from(config.mag_rate_hz);
         Ok(Self { bus, port, mag, settings, mag_rate_hz, ready: false, reads: 0, since_mag: 0 })
-    }
-
-    /// Returns the bus.
-    pub fn release(self) -> I {
-        self.bus
     }
 
     fn configure(&mut self, delay: &mut dyn DelayNs) -> Result<(), ImuError> {

@@ -119,12 +119,6 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
     pub fn restarts(&self) -> u32 {
         self.restarts
     }
-
-    /// The error of the last initialisation, until a reading succeeds.
-    #[must_use]
-    pub fn init_error(&self) -> Option<ImuError> {
-        self.init_error
-    }
 }
 
 #[cfg(test)]
@@ -176,10 +170,10 @@ mod tests {
         assert_eq!(imu.restarts(), 0);
         bus.machine().stuck = true;
         let (samples, fault) = read_for(&bus, &mut imu, 1.0, 0.5);
-        assert!(samples == 0 && fault.is_some() && imu.restarts() > 2 && imu.init_error().is_some());
+        assert!(samples == 0 && fault.is_some() && imu.restarts() > 2 && imu.init_error.is_some());
         bus.machine().stuck = false;
         let (samples, _) = read_for(&bus, &mut imu, 2.0, 0.5);
-        assert!(samples > 200 && imu.init_error().is_none(), "{samples}");
+        assert!(samples > 200 && imu.init_error.is_none(), "{samples}");
     }
 
     /// Polls for `seconds` at a share of the conversion rate with wake-ups that are late by up to a fifth of a period.

@@ -1,135 +1,19 @@
-//! Pins without hardware that record every edge with its time. `bench rt` and boards with
-//! `pins.backend = "mock"` use them.
+//! Pins without hardware, for `bench rt` and boards with `pins.backend = "mock"`.
 
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{PinError, Pins};
-use crate::hardware::rt::monotonic_ns;
 use crate::motion::lines::{Inputs, Levels};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A line of a driver.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum LineName {
-    /// STEP of a channel, from 0.
-    Step(usize),
-    /// DIR of a channel, from 0.
-    Dir(usize),
-    /// EN.
-    Enable,
-}
-
-/// A change of one line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Edge {
-    /// Time of the write, ns of the monotonic clock.
-    pub t_ns: u64,
-    /// The line.
-    pub line: LineName,
-    /// The new logical level.
-    pub high: bool,
-}
-
-/// The edges between two states of the lines.
-pub fn edges(t_ns: u64, old: &Levels, new: &Levels) -> impl Iterator<Item = Edge> {
-    let (old, new) = (*old, *new);
-    let edge = move |line, was: bool, is: bool| (was != is).then_some(Edge { t_ns, line, high: is });
-    (0..3)
-        .flat_map(move |c| [edge(LineName::Step(c), old.step[c], new.step[c]), edge(LineName::Dir(c), old.dir[c], new.dir[c])])
-        .chain([edge(LineName::Enable, old.enable, new.enable)])
-        .flatten()
-}
-
-/// Pins that record edges.
+/// Pins that take every write; the voltage of every input of the map is low.
 #[derive(Debug)]
-pub struct MockPins {
-    map: LineMap,
-    levels: Levels,
-    record: Vec<Edge>,
-    dropped: u64,
-    inputs: Arc<AtomicU64>,
-    fail_after: Option<u64>,
-    found_energised: bool,
-    writes: u64,
-}
-
-impl MockPins {
-    /// Pins of a map that record up to `capacity` edges and count the rest.
-    #[must_use]
-    pub fn new(map: LineMap, capacity: usize) -> Self {
-        Self {
-            map,
-            levels: Levels::default(),
-            record: Vec::with_capacity(capacity),
-            dropped: 0,
-            inputs: Arc::default(),
-            fail_after: None,
-            found_energised: false,
-            writes: 0,
-        }
-    }
-
-    /// Makes every write after the first `writes` fail.
-    #[must_use]
-    pub fn failing_after(mut self, writes: u64) -> Self {
-        self.fail_after = Some(writes);
-        self
-    }
-
-    /// Reports the drivers as found energised.
-    #[must_use]
-    pub fn energised(mut self) -> Self {
-        (self.levels.enable, self.found_energised) = (true, true);
-        self
-    }
-
-    /// A handle that sets the voltages of the inputs, in the order of [`LineMap::inputs`].
-    #[must_use]
-    pub fn inputs(&self) -> Arc<AtomicU64> {
-        self.inputs.clone()
-    }
-
-    /// The recorded edges in order.
-    #[must_use]
-    pub fn record(&self) -> &[Edge] {
-        &self.record
-    }
-
-    /// Number of edges beyond the capacity.
-    #[must_use]
-    pub fn dropped(&self) -> u64 {
-        self.dropped
-    }
-
-    /// The present levels.
-    #[must_use]
-    pub fn levels(&self) -> &Levels {
-        &self.levels
-    }
-}
+pub struct MockPins(pub LineMap);
 
 impl Pins for MockPins {
-    fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
-        self.writes += 1;
-        if self.fail_after.is_some_and(|n| self.writes > n) {
-            return Err(PinError::Pin { what: "write", why: "the mock was set to fail".into() });
-        }
-        for edge in edges(monotonic_ns(), &self.levels, levels) {
-            if self.record.len() < self.record.capacity() {
-                self.record.push(edge);
-            } else {
-                self.dropped += 1;
-            }
-        }
-        self.levels = *levels;
+    fn write(&mut self, _: &Levels) -> Result<(), PinError> {
         Ok(())
     }
 
-    fn found_energised(&self) -> bool {
-        self.found_energised
-    }
-
     fn read(&mut self) -> Result<Inputs, PinError> {
-        Ok(self.map.inputs_from(self.inputs.load(Ordering::Relaxed)))
+        Ok(self.0.inputs_from(0))
     }
 }

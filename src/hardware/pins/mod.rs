@@ -39,7 +39,7 @@ pub fn open(config: &PinsConfig, microsteps: u32) -> Result<Box<dyn Pins>, OpenE
     config.validate()?;
     let map = map::LineMap::new(config, microsteps)?;
     match config.backend {
-        Backend::Mock => Ok(Box::new(MockPins::new(map, 0))),
+        Backend::Mock => Ok(Box::new(MockPins(map))),
         Backend::Cdev => Ok(Box::new(cdev::CdevPins::open(&config.chip, map)?)),
         #[cfg(feature = "hw")]
         Backend::Rppal => Ok(Box::new(rppal::open(map)?)),

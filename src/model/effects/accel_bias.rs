@@ -13,11 +13,10 @@
 //! `gravity` (the tip really sags), a tilted base and `mount_misalignment` (turns the other sensors
 //! too). Many attitudes separate it.
 
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Offset of the specific force.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct AccelBias;
 
 /// The catalogue entry.
@@ -29,14 +28,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "many attitudes",
     events: 0,
     params: &Param::new("", "m/s²", 0.0, 0.3, (-3.0, 3.0)).named(["x", "y", "z"]),
+    starts: &[&[0.02; 3]],
 };
 
 impl Effect for AccelBias {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.02; 3]]
     }
     fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut ImuPrediction) {
         reading.acc_m_s2 += Vector3::new(p[0], p[1], p[2]);

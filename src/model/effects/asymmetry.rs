@@ -16,14 +16,13 @@
 //! offset of length, which shifts the corner, separate it.
 
 use crate::model::effects::smooth::magnitude;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Rounding of the corner, mm.
 const EDGE_MM: f64 = 0.3;
 
 /// A corner at rest in each bellow's curve.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Asymmetry;
 
 /// The catalogue entry.
@@ -35,14 +34,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "amplitudes of both signs, with the length offset",
     events: 0,
     params: &Param::new("difference", "", 0.0, 0.1, (-0.6, 0.6)).each(),
+    starts: &[&[0.02; 3]],
 };
 
 impl Effect for Asymmetry {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.02; 3]]
     }
     fn bellows(&self, p: &[f64], _m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         for i in 0..3 {

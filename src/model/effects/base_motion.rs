@@ -23,7 +23,6 @@ use crate::model::effects::{Effect, EffectInfo, Moment, Param, Stage, Starts};
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Turns of the base at up to three times.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct BaseMotion;
 
 /// Parameters of one turn: its beginning, its duration and its rotation vector.
@@ -46,6 +45,7 @@ const INFO: EffectInfo = EffectInfo {
         &turn(150.0, ["t2_s", "lasting2", "x2", "y2", "z2"]),
         &turn(220.0, ["t3_s", "lasting3", "x3", "y3", "z3"]),
     ]),
+    starts: &[],
 };
 
 impl Effect for BaseMotion {

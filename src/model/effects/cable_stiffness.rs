@@ -17,14 +17,13 @@
 //! Signature: two-fold in the direction δ. Similar to unequal k_ε (whose common-mode length
 //! leaks into bend), `crosstalk` and `clocking`. Length changes separate it.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
 use nalgebra::Matrix2;
 
 /// Bend at which x is 1: 75°, rad.
 const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
 
 /// Two-fold anisotropy of the bend.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct CableStiffness;
 
 /// The catalogue entry.
@@ -36,14 +35,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "length changes at several directions",
     events: 0,
     params: &Param::new("", "", 0.0, 0.1, (-0.5, 0.5)).named(["along", "aslant", "along_grow", "aslant_grow"]),
+    starts: &[&[0.02; 4]],
 };
 
 impl Effect for CableStiffness {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.02; 4]]
     }
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
         let grown = pose.bend.norm() / REACH_RAD - 0.75;

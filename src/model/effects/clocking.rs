@@ -13,12 +13,11 @@
 //! base frame is refitted. Also similar to `crosstalk`. A full circle of δ separates it; a reference
 //! separates the common turn.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
 use nalgebra::{Matrix2x3, Matrix3, Vector3};
 use std::f64::consts::TAU;
 
 /// Angular places of the bellows.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Clocking;
 
 /// The catalogue entry.
@@ -30,14 +29,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "a full circle of directions; a reference for a turn of all three",
     events: 0,
     params: &Param::new("angle", "rad", 0.0, 0.1, (-0.5, 0.5)).each(),
+    starts: &[&[0.01; 3]],
 };
 
 impl Effect for Clocking {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.01; 3]]
     }
     /// One bellow is off its place, or all are alike: the part of the angles that the nearest of these four forms leaves.
     fn unusual(&self, p: &[f64]) -> f64 {

@@ -30,7 +30,6 @@ use std::f64::consts::{FRAC_PI_4, TAU};
 const EDGE_RAD: f64 = 0.01;
 
 /// A straight wall in the bend plane.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Contact;
 
 /// The catalogue entry.
@@ -48,6 +47,7 @@ const INFO: EffectInfo = EffectInfo {
         Param::new("give", "rad", 0.02, 0.06, (0.002, 0.6)),
         Param::new("friction", "", 0.0, 0.2, (0.0, 1.5)),
     ],
+    starts: &[],
 };
 
 impl Effect for Contact {

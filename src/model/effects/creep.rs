@@ -17,14 +17,13 @@
 //! `thermal_drift` (follows the clock) and `hysteresis`. Hold, return, hold separates it.
 
 use crate::model::effects::smooth::share;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Time constant of the slow element over that of the fast one.
 const DECADE: f64 = 12.0;
 
 /// Two Kelvin-Voigt elements, the same for each bellow.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Creep;
 
 /// The catalogue entry.
@@ -40,14 +39,12 @@ const INFO: EffectInfo = EffectInfo {
         Param::new("slow", "", 0.0, 0.08, (0.0, 0.8)),
         Param::new("tau", "s", 2.0, 2.0, (0.3, 20.0)),
     ],
+    starts: &[&[0.04, 0.04, 1.0], &[0.04, 0.04, 6.0]],
 };
 
 impl Effect for Creep {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        [1.0, 6.0].map(|tau| vec![0.04, 0.04, tau]).to_vec()
     }
     /// Memory holds the two elements of each bellow.
     fn bellows(&self, p: &[f64], m: &mut Memory, at: &Moment, q_mm: &mut Vector3<f64>) {

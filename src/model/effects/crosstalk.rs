@@ -16,7 +16,7 @@
 //! signs of pressure alike). Single-channel moves and the common-mode length separate it.
 
 use crate::model::effects::smooth::positive;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Play output over which the wall begins to bulge, mm.
@@ -26,7 +26,6 @@ const EDGE_MM: f64 = 0.2;
 const PAIRS: [(usize, usize); 6] = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)];
 
 /// Coupling of pressurised lines into their neighbours.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Crosstalk;
 
 /// The catalogue entry.
@@ -38,14 +37,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "single-channel moves of both signs; common-mode length",
     events: 0,
     params: &Param::new("", "", 0.0, 0.1, (-0.2, 0.6)).named(["c12", "c13", "c21", "c23", "c31", "c32"]),
+    starts: &[&[0.05; PAIRS.len()]],
 };
 
 impl Effect for Crosstalk {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.05; PAIRS.len()]]
     }
     fn play_output(&self, p: &[f64], _m: &mut Memory, _at: &Moment, w_mm: &mut Vector3<f64>) {
         let pressed = w_mm.map(|w| positive(w, EDGE_MM));

@@ -16,13 +16,12 @@
 //! Signature: an isotropic function of β. Similar to `stiffening` (depends on the length of
 //! each bellow, too) and `gravity`. Length changes or a shape sensor separate it.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
 
 /// Bend at which x is 1: 75°, rad.
 const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
 
 /// Isotropic curve of bend over bend.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Curvature;
 
 /// The catalogue entry.
@@ -34,14 +33,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "the same bends at another length; a shape sensor",
     events: 0,
     params: &[Param::new("bow", "", 0.0, 0.1, (-0.8, 0.8)), Param::new("curl", "", 0.0, 0.2, (-1.0, 1.0))],
+    starts: &[&[0.03, 0.0]],
 };
 
 impl Effect for Curvature {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.03, 0.0]]
     }
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
         let x = pose.bend.norm() / REACH_RAD;

@@ -21,7 +21,6 @@ use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Boyle's law in place of a linear air spring.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct GasCompression;
 
 /// The catalogue entry.
@@ -33,6 +32,7 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "a pressure signal; common-mode length changes",
     events: 0,
     params: &[Param::new("boyle", "1/mm", 0.0, 0.04, (-0.05, 0.25))],
+    starts: &[],
 };
 
 impl Effect for GasCompression {

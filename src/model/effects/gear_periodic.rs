@@ -17,12 +17,11 @@
 //! motors too, but in the magnetometer alone). Two speeds separate it.
 
 use crate::model::effects::param::join;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 
 /// Periodic transmission error of the three racks.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct GearPeriodic;
 
 /// The catalogue entry.
@@ -38,15 +37,13 @@ const INFO: EffectInfo = EffectInfo {
         &Param::new("cos", "mm", 0.0, 0.15, (-0.7, 0.7)).each(),
         &[Param::new("pitch", "mm", PI, 0.1, (1.4, 6.5))],
     ]),
+    // Modules 1 and 0.5: a fit does not move from one pitch to the other.
+    starts: &[&[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI], &[0.03, 0.03, 0.03, 0.03, 0.03, 0.03, PI / 2.0]],
 };
 
 impl Effect for GearPeriodic {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    /// Modules 1 and 0.5: a fit does not move from one pitch to the other.
-    fn starts(&self) -> Starts {
-        [PI, PI / 2.0].map(|pitch| vec![0.03, 0.03, 0.03, 0.03, 0.03, 0.03, pitch]).to_vec()
     }
     fn pistons(&self, p: &[f64], _m: &mut Memory, _at: &Moment, u_mm: &mut Vector3<f64>) {
         for i in 0..3 {

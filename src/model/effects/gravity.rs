@@ -26,7 +26,6 @@ use crate::primitives::units::Mm;
 use nalgebra::{Vector2, Vector3};
 
 /// Sag under the tip's weight.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Gravity;
 
 /// The catalogue entry.
@@ -38,6 +37,7 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "another attitude of the base",
     events: 0,
     params: &[Param::new("sag", "rad", 0.0, 0.06, (0.0, 0.5)), Param::new("lever", "", 0.5, 0.3, (0.0, 1.0))],
+    starts: &[],
 };
 
 impl Effect for Gravity {

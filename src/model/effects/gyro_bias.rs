@@ -14,7 +14,7 @@
 //! Signature: in the gyroscope only; the other sensors measure no motion. Similar to
 //! `thermal_drift` and `base_motion`, which the accelerometer measures. Still holds separate it.
 
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Times of the knots after the first, s.
@@ -26,7 +26,6 @@ const NAMES: [&str; 39] = [
 ];
 
 /// A wander of the three rates.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct GyroBias;
 
 /// The catalogue entry.
@@ -38,14 +37,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "still holds, early and late",
     events: 0,
     params: &Param::new("", "rad/s", 0.0, 0.02, (-0.3, 0.3)).named(NAMES),
+    starts: &[&[1e-4; NAMES.len()]],
 };
 
 impl Effect for GyroBias {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![1e-4; NAMES.len()]]
     }
     fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut ImuPrediction) {
         let next = KNOTS_S.iter().position(|&k| at.t_s < k);

@@ -12,11 +12,10 @@
 //! Signature: in the magnetometer only, fixed to the body. Similar to `motor_field` (fixed
 //! in the world, follows the motors) and `torsion`. A tumble with the motors off separates it.
 
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Field of magnetised parts on the tip.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct HardIron;
 
 /// The catalogue entry.
@@ -28,14 +27,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "many attitudes with the motors off",
     events: 0,
     params: &Param::new("", "µT", 0.0, 10.0, (-120.0, 120.0)).named(["x", "y", "z"]),
+    starts: &[&[1.0; 3]],
 };
 
 impl Effect for HardIron {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![1.0; 3]]
     }
     fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut ImuPrediction) {
         reading.mag_ut += Vector3::new(p[0], p[1], p[2]);

@@ -23,7 +23,7 @@
 //! speed). Nested loops, slow and fast, separate it.
 
 use crate::model::effects::param::join;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Half-widths of the plays, mm of bellow length; two share a weight.
@@ -33,7 +33,6 @@ const RADII_MM: [f64; 6] = [0.15, 0.4, 0.8, 1.4, 2.4, 4.0];
 const SIDE_MM: f64 = 3.0;
 
 /// Loops of the wall, similar for each bellow.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Hysteresis;
 
 /// The catalogue entry.
@@ -49,14 +48,12 @@ const INFO: EffectInfo = EffectInfo {
         &[Param::new("skew", "", 0.0, 0.2, (-0.7, 0.7)), Param::new("waist", "", 0.0, 0.2, (-0.9, 0.9))],
         &[Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(2), Param::new("excess", "", 0.0, 0.2, (-0.9, 1.5)).on(3)],
     ]),
+    starts: &[&[0.05, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0]],
 };
 
 impl Effect for Hysteresis {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.05, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0]]
     }
     /// Memory holds the six plays of each bellow.
     fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {

@@ -19,14 +19,13 @@
 
 use crate::model::effects::param::join;
 use crate::model::effects::smooth::{share, sign};
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Play output over which pressure turns into vacuum, mm.
 const EDGE_MM: f64 = 0.5;
 
 /// Loss of air in proportion to pressure.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Leak;
 
 /// The catalogue entry.
@@ -41,14 +40,12 @@ const INFO: EffectInfo = EffectInfo {
         &Param::new("rate", "1/s", 0.0, 0.01, (0.0, 0.3)).each(),
         &[Param::new("vacuum_ratio", "", 1.0, 0.5, (0.0, 4.0))],
     ]),
+    starts: &[&[0.003, 0.003, 0.003, 1.0], &[0.03, 0.03, 0.03, 1.0]],
 };
 
 impl Effect for Leak {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        [0.003, 0.03].map(|rate| vec![rate, rate, rate, 1.0]).to_vec()
     }
     fn play_output(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {

@@ -17,14 +17,13 @@
 
 use crate::model::effects::param::join;
 use crate::model::effects::smooth::sign;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Gap over which filling turns into draining, mm.
 const EDGE_MM: f64 = 0.05;
 
 /// First-order lag of each line.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct LineLag;
 
 /// The catalogue entry.
@@ -36,14 +35,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "steps and a chirp",
     events: 0,
     params: &join::<4>(&[&Param::new("tau", "s", 0.0, 0.2, (0.0, 3.0)).each(), &[Param::new("fill_drain", "", 0.0, 0.3, (-0.9, 0.9))]]),
+    starts: &[&[0.08, 0.08, 0.08, 0.0], &[0.4, 0.4, 0.4, 0.0]],
 };
 
 impl Effect for LineLag {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        [0.08, 0.4].map(|tau| vec![tau, tau, tau, 0.0]).to_vec()
     }
     /// Memory holds where the far end of each line stands.
     fn play_output(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {

@@ -29,7 +29,6 @@ use nalgebra::Vector3;
 const RISE_S: f64 = 0.05;
 
 /// Steps lost at up to four instants.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct MissedSteps;
 
 /// Parameters of one event: its time and the offset of each channel.
@@ -53,6 +52,7 @@ const INFO: EffectInfo = EffectInfo {
         &event(200.0, ["t3_s", "d3_1", "d3_2", "d3_3"]),
         &event(240.0, ["t4_s", "d4_1", "d4_2", "d4_3"]),
     ]),
+    starts: &[],
 };
 
 impl Effect for MissedSteps {

@@ -36,44 +36,27 @@ pub mod thermal_drift;
 pub mod torsion;
 pub mod transport_delay;
 
+use crate::named;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
-use std::fmt::Write as _;
 
-/// Part of the machine that an effect acts in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Stage {
-    /// Motor, rack and pinion.
-    Drive,
-    /// Air line from syringe to bellow.
-    Transmission,
-    /// Rubber.
-    Bellows,
-    /// From bellow lengths to tip orientation.
-    Shape,
-    /// IMU.
-    Sensor,
-    /// Dead times.
-    Timing,
-    /// Attitude of the base.
-    Base,
-}
-
-impl Stage {
-    /// All stages, in the order of the signal.
-    pub const ALL: [Self; 7] = [Self::Drive, Self::Transmission, Self::Bellows, Self::Shape, Self::Sensor, Self::Timing, Self::Base];
-
-    /// Name in files and reports.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Drive => "drive",
-            Self::Transmission => "transmission",
-            Self::Bellows => "bellows",
-            Self::Shape => "shape",
-            Self::Sensor => "sensor",
-            Self::Timing => "timing",
-            Self::Base => "base",
-        }
+named! {
+    /// Part of the machine that an effect acts in.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+    pub enum Stage {
+        /// Motor, rack and pinion.
+        Drive = "drive",
+        /// Air line from syringe to bellow.
+        Transmission = "transmission",
+        /// Rubber.
+        Bellows = "bellows",
+        /// From bellow lengths to tip orientation.
+        Shape = "shape",
+        /// IMU.
+        Sensor = "sensor",
+        /// Dead times.
+        Timing = "timing",
+        /// Attitude of the base.
+        Base = "base",
     }
 }
 
@@ -114,6 +97,8 @@ pub struct EffectInfo {
     pub events: usize,
     /// Parameters, in the order of the slices that the methods of [`Effect`] take.
     pub params: &'static [Param],
+    /// Starting points of a fit, where one at half a scale from `start` in each parameter does not do.
+    pub starts: &'static [&'static [f64]],
 }
 
 impl EffectInfo {
@@ -196,9 +181,12 @@ pub trait Effect: Send + Sync {
     fn params(&self) -> &'static [Param] {
         self.info().params
     }
-    /// Starting points of a fit; by default one, half a scale from `start` in each parameter.
+    /// Starting points of a fit.
     fn starts(&self) -> Starts {
-        vec![self.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect()]
+        match self.info().starts {
+            [] => vec![self.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect()],
+            starts => starts.iter().map(|start| start.to_vec()).collect(),
+        }
     }
     /// True piston positions, mm.
     fn pistons(&self, _p: &[f64], _m: &mut Memory, _at: &Moment, _u_mm: &mut Vector3<f64>) {}
@@ -281,42 +269,6 @@ pub fn catalogue() -> Vec<Box<dyn Effect>> {
 #[must_use]
 pub fn by_name(name: &str) -> Option<Box<dyn Effect>> {
     catalogue().into_iter().find(|e| e.name() == name)
-}
-
-/// What closes the gap of an effect, for people.
-fn remedy(e: &dyn Effect) -> &'static str {
-    if e.info().is_event() {
-        "mend the cause: it happens once"
-    } else if e.stage() == Stage::Timing {
-        "dead time in the calibration"
-    } else if e.sensing_only() {
-        "`calibrate imu`"
-    } else {
-        "feedforward"
-    }
-}
-
-/// The catalogue as a Markdown table, for the documentation.
-#[must_use]
-pub fn describe() -> String {
-    let mut out = String::from(
-        "| effect | stage | signature | confused with | separated by | parameters | remedy |\n|---|---|---|---|---|---|---|\n",
-    );
-    for e in catalogue() {
-        let confused = e.info().confused_with.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
-        // writing to a String cannot fail
-        let _ = writeln!(
-            out,
-            "| `{}` | {} | {} | {confused} | {} | {} | {} |",
-            e.name(),
-            e.stage().name(),
-            e.info().signature,
-            e.info().separated_by,
-            param::summary(e.params()),
-            remedy(e.as_ref()),
-        );
-    }
-    out
 }
 
 #[cfg(test)]

@@ -59,6 +59,7 @@ const INFO: EffectInfo = EffectInfo {
         &COIL.on(3).named(NAMES),
         &[Param::new("idle", "", 0.5, 0.3, (0.0, 1.0)), Param::new("idle_after", "s", 0.5, 0.5, (0.1, 10.0))],
     ]),
+    starts: &[],
 };
 
 impl Effect for MotorField {

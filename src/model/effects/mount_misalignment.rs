@@ -13,11 +13,10 @@
 //! `clocking` (in the IMU alone a turn of all bellows is the turn about z), a tilted base and `accel_bias`. A known
 //! rotation of the base separates it.
 
-use crate::model::effects::{Effect, EffectInfo, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Param, Stage};
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Constant turn from sensor to tip.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct MountMisalignment;
 
 /// The catalogue entry.
@@ -29,14 +28,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "a known rotation of the base; a reference",
     events: 0,
     params: &Param::new("", "rad", 0.0, 0.1, (-0.6, 0.6)).named(["x", "y", "z"]),
+    starts: &[&[0.01; 3]],
 };
 
 impl Effect for MountMisalignment {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.01; 3]]
     }
     fn mount(&self, p: &[f64]) -> Option<UnitQuaternion<f64>> {
         let turn = Vector3::new(p[0], p[1], p[2]);

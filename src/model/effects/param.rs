@@ -60,37 +60,9 @@ pub const fn join<const N: usize>(parts: &[&[Param]]) -> [Param; N] {
     out
 }
 
-/// Parameters in one cell of a table: `rate ×3 (1/s), vacuum_ratio`.
-#[must_use]
-pub fn summary(params: &[Param]) -> String {
-    let mut seen: Vec<(&Param, usize)> = Vec::new();
-    for p in params {
-        match seen.iter_mut().find(|(q, _)| q.name == p.name) {
-            Some((_, count)) => *count += 1,
-            None => seen.push((p, 1)),
-        }
-    }
-    let words = seen.iter().map(|(p, count)| {
-        let times = if *count > 1 { format!(" ×{count}") } else { String::new() };
-        let unit = p.shown(0.0).1;
-        let unit = if unit.is_empty() { String::new() } else { format!(" ({unit})") };
-        format!("{}{times}{unit}", p.name)
-    });
-    words.collect::<Vec<_>>().join(", ")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn channels_share_one_entry() {
-        let mut params = Param::new("rate", "1/s", 0.0, 1.0, (0.0, 2.0)).each().to_vec();
-        params.push(Param::new("turn", "rad", 0.0, 1.0, (0.0, 2.0)));
-        params.push(Param::new("ratio", "", 0.0, 1.0, (0.0, 2.0)));
-        assert_eq!(summary(&params), "rate ×3 (1/s), turn (deg), ratio");
-        assert_eq!(params[2].channel, 3);
-    }
 
     #[test]
     fn angles_are_shown_in_degrees() {

@@ -11,10 +11,9 @@
 //! Signature: all sensors are late by the same time; the tip itself is on time. Similar to
 //! `transport_delay` (tip and sensors late) and `line_lag` (rounds off). An outside reference separates it.
 
-use crate::model::effects::{Effect, EffectInfo, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Param, Stage};
 
 /// Dead time after the tip.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct SensorLatency;
 
 /// The catalogue entry.
@@ -26,14 +25,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "an outside reference; a chirp",
     events: 0,
     params: &[Param::new("latency", "s", 0.0, 0.08, (0.0, 0.5))],
+    starts: &[&[0.03], &[0.15]],
 };
 
 impl Effect for SensorLatency {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.03], vec![0.15]]
     }
     fn latency_s(&self, p: &[f64]) -> f64 {
         p[0]

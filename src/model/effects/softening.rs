@@ -29,7 +29,6 @@ use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, St
 use nalgebra::Vector3;
 
 /// Damage by the largest stretch so far, the same law for each bellow.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Softening;
 
 /// The catalogue entry.
@@ -50,6 +49,7 @@ const INFO: EffectInfo = EffectInfo {
             Param::new("toe", "mm", 0.0, 0.4, (0.0, 4.0)),
         ],
     ]),
+    starts: &[],
 };
 
 impl Effect for Softening {

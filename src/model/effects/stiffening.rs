@@ -25,7 +25,6 @@ const REACH_MM: f64 = 5.0;
 const STEPS: usize = 5;
 
 /// Odd stiffening of each bellow.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Stiffening;
 
 /// The catalogue entry.
@@ -37,6 +36,7 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "an amplitude ladder at two lengths",
     events: 0,
     params: &Param::new("extra", "", 0.0, 0.15, (0.0, 1.5)).each(),
+    starts: &[],
 };
 
 impl Effect for Stiffening {

@@ -17,11 +17,10 @@
 //! lengthens all bellows alike, sizes in proportion to 1 + k_ε: the prior determines it.
 
 use crate::model::effects::param::join;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
 use nalgebra::Vector3;
 
 /// Warming of the three lines towards a steady state.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct ThermalDrift;
 
 /// The catalogue entry.
@@ -33,14 +32,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "an idle hold; a pose repeated late",
     events: 0,
     params: &join::<4>(&[&Param::new("size", "mm", 0.0, 0.8, (-6.0, 6.0)).each(), &[Param::new("tau", "s", 60.0, 60.0, (5.0, 900.0))]]),
+    starts: &[&[0.1, 0.0, -0.1, 30.0], &[0.1, 0.0, -0.1, 120.0]],
 };
 
 impl Effect for ThermalDrift {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        [30.0, 120.0].map(|tau| vec![0.1, 0.0, -0.1, tau]).to_vec()
     }
     fn play_output(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         let warm = -(-at.t_s / p[3]).exp_m1();

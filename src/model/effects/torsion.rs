@@ -15,10 +15,9 @@
 //! the magnetometer, `hard_iron` and `mount_misalignment` (whose turn does not grow). A reference or a clean field
 //! separates it; in the accelerometer it shows as a turn of the in-plane part.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
 
 /// Turn about the tip's axis that grows with bend.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct Torsion;
 
 /// The catalogue entry.
@@ -30,14 +29,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "a reference or a clean magnetic field",
     events: 0,
     params: &[Param::new("twist", "", 0.0, 0.08, (-0.6, 0.6)), Param::new("twist_grow", "1/rad", 0.0, 0.06, (-0.4, 0.4))],
+    starts: &[&[0.02, 0.0]],
 };
 
 impl Effect for Torsion {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.02, 0.0]]
     }
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
         let beta = pose.bend.norm();

@@ -11,10 +11,9 @@
 //! `sensor_latency` (differs only in the reference and in body-fixed disturbances) and
 //! `line_lag` (rounds off). A chirp separates it from the lag; an outside reference from the latency.
 
-use crate::model::effects::{Effect, EffectInfo, Param, Stage, Starts};
+use crate::model::effects::{Effect, EffectInfo, Param, Stage};
 
 /// Dead time before the pistons.
-#[derive(Debug, Clone, Copy, Default)]
 pub struct TransportDelay;
 
 /// The catalogue entry.
@@ -26,14 +25,12 @@ const INFO: EffectInfo = EffectInfo {
     separated_by: "a chirp; an outside reference",
     events: 0,
     params: &[Param::new("delay", "s", 0.0, 0.08, (0.0, 0.5))],
+    starts: &[&[0.03], &[0.15]],
 };
 
 impl Effect for TransportDelay {
     fn info(&self) -> &'static EffectInfo {
         &INFO
-    }
-    fn starts(&self) -> Starts {
-        vec![vec![0.03], vec![0.15]]
     }
     fn transport_s(&self, p: &[f64]) -> f64 {
         p[0]

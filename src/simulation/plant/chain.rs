@@ -135,13 +135,13 @@ impl Plant {
         let since_s = self.t - self.sensed_t;
         self.sensed_t = self.t;
         self.laws.iter_mut().for_each(|law| law.field(&mut here.field_ut, counts, since_s));
-        let base_imu = self.base_imu.as_mut().and_then(|imu| {
+        let base_imu = self.base_imu.as_mut().map(|imu| {
             let r_world_base = self.stand.attitude(self.t, &self.laws) * self.r_base_plate.inverse();
             // this chip stands in the base frame, which takes the place of its tip frame
             let r_world_tip = Rotation::assert_frames(r_world_base.quat());
             imu.sample(&Surroundings { r_world_tip, at_mm: Vector3::zeros(), ..here }, &mut Vec::new())
         });
-        (self.imu.sample(&here, &mut self.laws), base_imu)
+        (Some(self.imu.sample(&here, &mut self.laws)), base_imu)
     }
 }
 

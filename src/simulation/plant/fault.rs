@@ -37,8 +37,6 @@ impl Channel {
 /// A fault of the plant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum InjectedFault {
-    /// The IMU does not respond (bus error, disconnected): no samples.
-    NoSample,
     /// The IMU repeats its last reading under new time stamps.
     FrozenSample,
     /// Readings of the IMU contain NaN.
@@ -52,17 +50,10 @@ pub enum InjectedFault {
     },
     /// Gyroscope and accelerometer read full scale.
     Saturation,
-    /// The magnetometer alone gives no readings.
-    NoMag,
     /// The gyroscope's bias jumps.
     GyroBias {
         /// Change, °/s per axis.
         deg_s: [f64; 3],
-    },
-    /// The accelerometer's bias jumps.
-    AccBias {
-        /// Change, mg per axis.
-        mg: [f64; 3],
     },
     /// A rotor slips.
     StepLoss {
@@ -160,16 +151,13 @@ impl Plant {
         use InjectedFault as F;
         let (imu, drive, bellows) = (&mut self.imu.faults, &mut self.drive, &mut self.bellows.faults);
         match fault {
-            F::NoSample => imu.silent = true,
             F::FrozenSample => imu.frozen = true,
             F::NanSample => imu.nan = true,
             F::Spike { gyro_deg_s, acc_g } => {
                 imu.spike = Some((Vector3::repeat(gyro_deg_s.to_radians()), Vector3::repeat(acc_g * GRAVITY_M_S2)));
             }
             F::Saturation => imu.saturated = true,
-            F::NoMag => imu.mag_silent = true,
             F::GyroBias { deg_s } => imu.rate = Vector3::from(deg_s).map(f64::to_radians),
-            F::AccBias { mg } => imu.force = Vector3::from(mg) * (1e-3 * GRAVITY_M_S2),
             F::StepLoss { channel, microsteps } => drive.slip(channel.index(), -f64::from(microsteps)),
             F::Inverted { channel } => drive.faults.gain[channel.index()] = -1.0,
             F::Disabled { channel } => drive.faults.gain[channel.index()] = 0.0,

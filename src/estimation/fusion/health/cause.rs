@@ -3,86 +3,48 @@
 //! A cause is named after its symptom, not after the defect: a loose plug, a short and a dead chip all appear as
 //! [`HealthCause::Nack`].
 
+use crate::named;
 use serde::{Deserialize, Serialize};
 
-/// Why a reading, or a part of it, must not be used.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum HealthCause {
-    /// The chip did not acknowledge, or the transfer failed in another way.
-    Nack,
-    /// Fewer bytes arrived than were requested.
-    ShortRead,
-    /// Many transfers in a row failed: a line is held low or unplugged.
-    StuckBus,
-    /// Another chip than the configured one responds.
-    WrongId,
-    /// The chip lost its settings because its supply dipped.
-    BrownOut,
-    /// Identical samples in a row: the chip no longer converts.
-    Frozen,
-    /// A value is NaN or infinite.
-    NotFinite,
-    /// A jump that no motion of the tip can cause.
-    Spike,
-    /// The gyroscope is at the end of its range, so the true rate is unknown.
-    Saturated,
-    /// The sample is old or repeats the time of the previous one, or no sample arrives.
-    StaleTimestamp,
-    /// The time of the sample runs backwards, jumps ahead, or lies in the future.
-    JumpingTimestamp,
-    /// The magnetometer reports an overflow.
-    MagOverflow,
-    /// The magnetometer has delivered no new value for too long.
-    MagSilent,
-    /// Strength or dip of the field differ from the alignment.
-    FieldDisturbed,
-    /// The norm of the specific force differs from gravity.
-    AccelDisturbed,
+named! {
+    /// Why a reading, or a part of it, must not be used.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum HealthCause {
+        /// The chip did not acknowledge, or the transfer failed in another way.
+        Nack = "nack",
+        /// Fewer bytes arrived than were requested.
+        ShortRead = "short_read",
+        /// Many transfers in a row failed: a line is held low or unplugged.
+        StuckBus = "stuck_bus",
+        /// Another chip than the configured one responds.
+        WrongId = "wrong_id",
+        /// The chip lost its settings because its supply dipped.
+        BrownOut = "brown_out",
+        /// Identical samples in a row: the chip no longer converts.
+        Frozen = "frozen",
+        /// A value is NaN or infinite.
+        NotFinite = "not_finite",
+        /// A jump that no motion of the tip can cause.
+        Spike = "spike",
+        /// The gyroscope is at the end of its range, so the true rate is unknown.
+        Saturated = "saturated",
+        /// The sample is old or repeats the time of the previous one, or no sample arrives.
+        StaleTimestamp = "stale_timestamp",
+        /// The time of the sample runs backwards, jumps ahead, or lies in the future.
+        JumpingTimestamp = "jumping_timestamp",
+        /// The magnetometer reports an overflow.
+        MagOverflow = "mag_overflow",
+        /// The magnetometer has delivered no new value for too long.
+        MagSilent = "mag_silent",
+        /// Strength or dip of the field differ from the alignment.
+        FieldDisturbed = "field_disturbed",
+        /// The norm of the specific force differs from gravity.
+        AccelDisturbed = "accel_disturbed",
+    }
 }
 
 impl HealthCause {
-    /// Every cause, in numerical order.
-    pub const ALL: [Self; 15] = [
-        Self::Nack,
-        Self::ShortRead,
-        Self::StuckBus,
-        Self::WrongId,
-        Self::BrownOut,
-        Self::Frozen,
-        Self::NotFinite,
-        Self::Spike,
-        Self::Saturated,
-        Self::StaleTimestamp,
-        Self::JumpingTimestamp,
-        Self::MagOverflow,
-        Self::MagSilent,
-        Self::FieldDisturbed,
-        Self::AccelDisturbed,
-    ];
-
-    /// Name in files and status lines.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Nack => "nack",
-            Self::ShortRead => "short_read",
-            Self::StuckBus => "stuck_bus",
-            Self::WrongId => "wrong_id",
-            Self::BrownOut => "brown_out",
-            Self::Frozen => "frozen",
-            Self::NotFinite => "not_finite",
-            Self::Spike => "spike",
-            Self::Saturated => "saturated",
-            Self::StaleTimestamp => "stale_timestamp",
-            Self::JumpingTimestamp => "jumping_timestamp",
-            Self::MagOverflow => "mag_overflow",
-            Self::MagSilent => "mag_silent",
-            Self::FieldDisturbed => "field_disturbed",
-            Self::AccelDisturbed => "accel_disturbed",
-        }
-    }
-
     /// Advice to the operator.
     #[must_use]
     pub fn advice(self) -> &'static str {

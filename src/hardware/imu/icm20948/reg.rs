@@ -18,10 +18,6 @@ pub const INT_PIN_CFG: u8 = 0x0F;
 pub const I2C_MST_STATUS: u8 = 0x17;
 /// Bank 0: first byte of the burst.
 pub const ACCEL_XOUT_H: u8 = 0x2D;
-/// Bank 0: first byte of temperature.
-pub const TEMP_OUT_H: u8 = 0x39;
-/// Bank 0: first byte fetched from the magnetometer.
-pub const EXT_SLV_SENS_DATA_00: u8 = 0x3B;
 /// Bank 2: gyroscope rate divider.
 pub const GYRO_SMPLRT_DIV: u8 = 0x00;
 /// Bank 2: gyroscope range and filter.
@@ -34,8 +30,6 @@ pub const ACCEL_SMPLRT_DIV_1: u8 = 0x10;
 pub const ACCEL_SMPLRT_DIV_2: u8 = 0x11;
 /// Bank 2: accelerometer range and filter.
 pub const ACCEL_CONFIG: u8 = 0x14;
-/// Bank 3: rate of the internal master while the gyroscope is off.
-pub const I2C_MST_ODR_CONFIG: u8 = 0x00;
 /// Bank 3: clock of the internal master.
 pub const I2C_MST_CTRL: u8 = 0x01;
 /// Bank 3: shadowing of fetched bytes.
@@ -60,8 +54,6 @@ pub const I2C_SLV4_DI: u8 = 0x17;
 pub const AK_WIA2: u8 = 0x01;
 /// AK09916: data ready and overrun.
 pub const AK_ST1: u8 = 0x10;
-/// AK09916: overflow; reading it ends a measurement read.
-pub const AK_ST2: u8 = 0x18;
 /// AK09916: mode.
 pub const AK_CNTL2: u8 = 0x31;
 /// AK09916: soft reset.

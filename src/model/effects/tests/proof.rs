@@ -141,7 +141,16 @@ struct Absent;
 
 impl Effect for Absent {
     fn info(&self) -> &'static EffectInfo {
-        &EffectInfo { name: "absent", stage: Stage::Base, signature: "", confused_with: &[], separated_by: "", events: 0, params: &[] }
+        &EffectInfo {
+            name: "absent",
+            stage: Stage::Base,
+            signature: "",
+            confused_with: &[],
+            separated_by: "",
+            events: 0,
+            params: &[],
+            starts: &[],
+        }
     }
 }
 

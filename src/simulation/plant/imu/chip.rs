@@ -61,22 +61,6 @@ parameters! {
 }
 
 impl ImuConfig {
-    /// A chip without any error.
-    #[must_use]
-    pub fn perfect() -> Self {
-        Self {
-            gyro_noise_deg_s_rthz: 0.0,
-            acc_noise_mg_rthz: 0.0,
-            mag_noise_ut: 0.0,
-            gyro_wander_deg_s: 0.0,
-            acc_wander_mg: 0.0,
-            mag_wander_ut: 0.0,
-            gyro_digit_deg_s: 0.0,
-            acc_digit_mg: 0.0,
-            mag_digit_ut: 0.0,
-            ..Self::default()
-        }
-    }
     /// The same make with no constant bias.
     pub(crate) fn unbiased(&self) -> Self {
         Self { gyro_bias_deg_s: [0.0; 3], acc_bias_mg: [0.0; 3], mag_bias_ut: [0.0; 3], ..self.clone() }

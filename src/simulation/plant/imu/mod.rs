@@ -46,22 +46,16 @@ pub(crate) struct Imu {
 /// Faults of an IMU.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ImuFaults {
-    /// No samples.
-    pub(crate) silent: bool,
     /// Every sample repeats the last one.
     pub(crate) frozen: bool,
     /// Readings contain NaN.
     pub(crate) nan: bool,
     /// Rate and force read full scale.
     pub(crate) saturated: bool,
-    /// No magnetometer readings.
-    pub(crate) mag_silent: bool,
     /// Added to the next sample only: rate (rad/s) and force (m/s²).
     pub(crate) spike: Option<(Vector3<f64>, Vector3<f64>)>,
     /// Added to every rate, rad/s.
     pub(crate) rate: Vector3<f64>,
-    /// Added to every force, m/s².
-    pub(crate) force: Vector3<f64>,
 }
 
 impl Imu {
@@ -96,7 +90,7 @@ impl Imu {
     }
 
     /// The sample that is due.
-    pub(crate) fn sample(&mut self, here: &Surroundings, laws: &mut Laws) -> Option<ImuSample> {
+    pub(crate) fn sample(&mut self, here: &Surroundings, laws: &mut Laws) -> ImuSample {
         let t = here.t;
         let at = Moment { t, dt_s: t - self.last.t };
         self.due_s = next_due(self.due_s, self.chip.period_s(), t);
@@ -108,18 +102,18 @@ impl Imu {
         laws.iter_mut().for_each(|law| law.sensor(&mut stimulus, &at));
         let (rate, force) = self.faults.spike.take().unwrap_or_default();
         stimulus.rate = stimulus.rate + self.faults.rate + rate;
-        stimulus.force = stimulus.force + self.faults.force + force;
+        stimulus.force += force;
         let fresh_mag = t >= self.mag_due_s - 1e-9;
         if fresh_mag {
             self.mag_due_s = next_due(self.mag_due_s, self.chip.mag_period_s(), t);
         }
-        let mut sample = self.chip.read(&stimulus, at.dt_s, fresh_mag && !self.faults.mag_silent);
+        let mut sample = self.chip.read(&stimulus, at.dt_s, fresh_mag);
         sample.t = Seconds(laws.iter().fold(t, |stamp, law| law.clock(stamp)));
         self.output(sample, laws.iter().any(|law| law.hangs(t)))
     }
 
     /// The output of a chip that may be faulty.
-    fn output(&mut self, mut sample: ImuSample, hangs: bool) -> Option<ImuSample> {
+    fn output(&mut self, mut sample: ImuSample, hangs: bool) -> ImuSample {
         match self.shown {
             Some(shown) if hangs || self.faults.frozen => {
                 sample = ImuSample { t: sample.t, mag_ut: sample.mag_ut.and(shown.mag_ut), ..shown };
@@ -135,7 +129,7 @@ impl Imu {
             sample.gyro_rad_s.x = f64::NAN;
             sample.acc_m_s2.z = f64::NAN;
         }
-        (!self.faults.silent).then_some(sample)
+        sample
     }
 
     /// The quantities at the chip, from the pose now and at the last sample.
