@@ -297,5 +297,16 @@ fn a_base_imu_keeps_the_bend_while_the_base_sways() {
     assert!(with < WITH_BASE_IMU_MAX_DEG && with < without, "{with} {without}");
 }
 
+#[test]
+#[ignore = "two thirds of the units reach the goal: one IMU sees too little of a sway within a hold"]
+fn a_sway_without_a_base_imu_costs_at_most_half_a_degree() {
+    let Some(folder) = compiled() else { return };
+    let sizes = |seed| [("sway", 0.05), ("sway", 0.17), ("sway,base_motion", 0.05)].map(|(effect, value)| (effect, Some(value), seed));
+    let cases: Vec<Case> = (1..=5).flat_map(sizes).map(|(effect, value, seed)| Case { effect, value, seed, cold: Cold::Own }).collect();
+    let measured = measure_all(&folder, &cases);
+    let harmed = rows(&measured, |f| f.closed > f.open + 0.5);
+    assert!(harmed.is_empty(), "{} of {}: {harmed:#?}", harmed.len(), measured.len());
+}
+
 /// Bend RMSE with a base IMU that is mounted within 3 degrees.
 const WITH_BASE_IMU_MAX_DEG: f64 = 1.0;

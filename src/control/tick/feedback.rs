@@ -97,7 +97,8 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
         outer.integral_s = gains.integral_s;
         let timing = timing_s * observed.predicted_rate;
         let before = outer.pi;
-        outer.integral_full = outer.pi.step(observed.unexplained, timing, &gains, f.integral_max_rad, dt_s);
+        let unexplained = observed.unexplained * state.base.watch.share_of_tip();
+        outer.integral_full = outer.pi.step(unexplained, timing, &gains, f.integral_max_rad, dt_s);
         if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
             outer.pi = before;
         }

@@ -2,7 +2,7 @@
 
 use super::state::{BaseState, LoopState, QuietPose};
 use super::types::{Input, LoopConfig};
-use crate::estimation::fusion::base_watch::WatchInput;
+use crate::estimation::fusion::base_watch::{Watch, WatchInput};
 use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::fusion::tip::FusionInput;
 use crate::model::bend::Bend;
@@ -53,7 +53,7 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
     }
     if state.fusion.tracks_base() {
         // also again: what was noticed while the base IMU was lost no longer counts
-        state.base.moved = false;
+        (state.base.moved, state.base.watch) = (false, Watch::default());
     }
     let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.fusion.tracks_base()) else {
         return;
@@ -79,7 +79,8 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
     state.base.moved = flagged;
     if flagged {
         // the integral from before the base turned
-        (pi.integral, pi.feedback) = (state.base.quiet.integral, state.base.quiet.integral);
+        pi.integral = state.base.quiet.integral * state.base.watch.share_of_tip();
+        pi.feedback = pi.integral;
     } else if state.base.watch.quiet() {
         state.base.quiet = QuietPose { integral: pi.integral, estimate: estimate.0, played };
         state.fusion.remember(input.t);

@@ -21,6 +21,7 @@
 //! does not freeze the feedback, since a disturbed field has the same effect.
 
 use crate::estimation::fusion::intake::share;
+use crate::estimation::fusion::sway::Sway;
 use crate::parameters;
 use nalgebra::{Vector2, Vector3};
 
@@ -47,6 +48,13 @@ parameters! {
         misfit: f64 = 0.8, "sigma", 0.05..=100.0, "0.8 is reached by a slow turn of the base";
         /// Time constant with which both quantities are forgotten. A larger value detects slower turns, and more creep.
         memory_s: f64 = 1.5, "s", 0.1..=600.0, "1.5 is longer than a motion of the base";
+    }
+}
+
+impl WatchConfig {
+    /// Largest twist per bend that is the tip's own.
+    fn twist_share(&self, input: &WatchInput) -> f64 {
+        input.twist_per_bend_max.map_or(self.twist_share, |shown| self.twist_share.min(shown))
     }
 }
 
@@ -89,11 +97,12 @@ pub struct Watch {
     bend: Vector2<f64>,
     onset: Onset,
     /// Unexplained bend that came back by itself, rad: the tip sways, and the base does not.
-    sway: f64,
+    tolerated: f64,
     /// Largest unexplained bend since the flag, rad.
     excursion: f64,
     /// Time for which it has been back without a twist, s.
     back_s: f64,
+    sway: Sway,
 }
 
 /// How the present unexplained bend began.
@@ -125,7 +134,6 @@ const SWAY_MARGIN: f64 = 1.3;
 const SWAY_MAX_RAD: f64 = 0.26;
 /// Unexplained motion that counts as none, rad (1°).
 const QUIET_RAD: f64 = 0.017;
-
 impl Watch {
     /// Processes one tick; true when the base has moved.
     pub fn step(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
@@ -140,7 +148,19 @@ impl Watch {
         // b = (φ_y, φ_x)
         let turned = Vector2::new(phi_rate.y, phi_rate.x) * input.dt_s;
         self.follow_bend(config, input, turned, input.model - model, fade);
+        if self.path_fast > CONSTANT_RAD {
+            self.sway.depart();
+        } else {
+            let turned = (turned - (input.model - model)).push(phi_rate.z * input.dt_s);
+            self.sway.step(&turned, config.twist_share(input), &(input.model - input.estimate), input.dt_s);
+        }
         self.exceeds(config, input)
+    }
+
+    /// Share of the unexplained bend that is due to the tip, see [`Sway::share_of_tip`].
+    #[must_use]
+    pub fn share_of_tip(&self) -> f64 {
+        self.sway.share_of_tip()
     }
 
     fn follow_bend(&mut self, config: &WatchConfig, input: &WatchInput, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
@@ -161,25 +181,27 @@ impl Watch {
     }
 
     fn exceeds(&mut self, config: &WatchConfig, input: &WatchInput) -> bool {
-        let share = input.twist_per_bend_max.map_or(config.twist_share, |shown| config.twist_share.min(shown));
-        let twist_max = config.twist_deg.to_radians() + share * self.path_slow;
+        let twist_max = config.twist_deg.to_radians() + config.twist_share(input) * self.path_slow;
         self.twisted_s = if self.twist.abs() > twist_max { self.twisted_s + input.dt_s } else { 0.0 };
-        let bent = self.bend.norm() > config.bend_deg.to_radians() + self.sway && self.onset == Onset::Unprovoked;
+        let bent = self.bend.norm() > config.bend_deg.to_radians() + self.tolerated
+            && self.onset == Onset::Unprovoked
+            && !self.sway.is_disturbance();
         config.enabled && (bent || self.twisted_s > CONFIRM_S)
     }
 
     /// Follows the unexplained bend since the last quiet pose while the flag is up; true once it has come back without a
     /// twist. Then it was no turn of the base, or one that was undone, and sways of that size are tolerated from now on.
-    /// A base that sways passes through agreement; so it must last.
+    /// A base that sways passes through agreement; so it must last. A disturbance that bends the tip again and again is none of the
+    /// base.
     pub fn returned(&mut self, unexplained: &Vector2<f64>, dt_s: f64) -> bool {
         let size = unexplained.norm();
         self.excursion = self.excursion.max(size);
         let agrees = size < RETURNED_RAD && self.twist.abs() < QUIET_RAD;
         self.back_s = if agrees { self.back_s + dt_s } else { 0.0 };
-        let back = self.back_s >= RETURN_AFTER_S;
+        let back = self.back_s >= RETURN_AFTER_S || self.sway.is_disturbance();
         if back {
             self.back_s = 0.0;
-            self.sway = self.sway.max(SWAY_MARGIN * self.excursion).min(SWAY_MAX_RAD);
+            self.tolerated = self.tolerated.max(SWAY_MARGIN * self.excursion).min(SWAY_MAX_RAD);
             (self.excursion, self.bend, self.onset, self.settled) = (0.0, Vector2::zeros(), Onset::None, false);
         }
         back

@@ -6,7 +6,7 @@
 //! | [`madgwick`], [`vqf`], [`mekf`] | generic orientation filters; [`registry`] lists them by name |
 //! | [`bend`] | the filter that is constrained to the motion of the bellows |
 //! | [`estimator`] | the estimator that the loop has selected; [`second`] compares it with an independent one |
-//! | [`align`], [`base`], [`base_watch`] | the still stretch at the start, and motion of the base after it |
+//! | [`align`], [`base`], [`base_watch`], [`sway`] | the still stretch at the start, and motion of the base after it |
 //! | [`health`] | whether a reading may be used |
 //! | [`tip`] | the whole chain, from a reading to the tip's bend |
 //!
@@ -29,6 +29,7 @@ pub mod mekf;
 pub mod registry;
 pub mod second;
 pub mod standstill;
+pub mod sway;
 pub mod tip;
 pub mod vqf;
 
