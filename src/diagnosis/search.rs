@@ -22,8 +22,8 @@ const ROUNDS: usize = 8;
 const BEAM: usize = 3;
 /// Pairs that are fitted from each single.
 const GROWN: usize = 5;
-/// Most rounds in which events are dated again after a fit.
-const DATED: usize = 4;
+/// Most rounds in which events are dated again after a fit, for a single effect and for a pair: the first of a pair has been dated.
+const DATED: [usize; 2] = [4, 1];
 /// A fit with events dated again is kept if it leaves less than this part of the cost.
 const DATED_GAIN: f64 = 0.99;
 
@@ -131,10 +131,11 @@ fn sort_by_energy(list: &mut [Candidate]) {
 /// Fits a problem until it converges, and scores it.
 fn settle<'a>(problem: Problem<'a>, start: &[f64]) -> (Candidate, BaseFit<'a>) {
     let (mut point, mut tangent) = fit(&problem, start, ROUNDS);
-    for _ in 0..DATED {
-        let again = |slow_too| dated_again(&problem, &point, slow_too).map(|dated| fit(&problem, &dated, ROUNDS));
+    let pair = problem.model.effects.len() > 1;
+    for _ in 0..DATED[usize::from(pair)] {
+        let again = |slow_too: bool| dated_again(&problem, &point, slow_too).map(|dated| fit(&problem, &dated, ROUNDS));
         let better = |(p, _): &(Point, Tangent)| p.data() < DATED_GAIN * point.data();
-        let Some(next) = again(false).filter(better).or_else(|| again(true).filter(better)) else { break };
+        let Some(next) = again(false).filter(better).or_else(|| (!pair).then(|| again(true))?.filter(better)) else { break };
         (point, tangent) = next;
     }
     let base = BaseFit { problem, point, tangent };

@@ -6,6 +6,7 @@
 
 use crate::diagnosis::chain::Event;
 use crate::diagnosis::fit::step;
+use crate::diagnosis::observe::Segment;
 use crate::diagnosis::problem::{Point, Problem};
 use crate::diagnosis::tangent::{BaseFit, Tangent};
 use crate::model::effects::{Effect, Stage};
@@ -56,29 +57,41 @@ fn predict(base: &BaseFit<'_>, to: &Problem<'_>, fresh: &[f64]) -> Option<Start>
     Some(Start { theta, predicted: predicted.max(CREDIBLE * base.point.total()) })
 }
 
-/// Sets time and offsets of an event to those that lower the sum of squares most.
-fn date(event: &Event, problem: &Problem<'_>, theta: &mut [f64]) {
-    let log = problem.log;
-    let mut best = (0.0, 0, Vector3::zeros());
-    for segment in &log.segments {
-        let mut early = theta.to_vec();
-        early[event.time] = segment.start_s - log.start_s() + EARLY_S;
-        event.offsets.iter().for_each(|&o| early[o] = 0.0);
-        // gravity and field solved on the whole log would follow the event
-        let r0 = problem.residual_from_rest(&early, EARLY_S);
-        let columns = event.offsets.map(|o| {
-            let (mut moved, scale) = (early.clone(), problem.bounds[o].scale);
-            moved[o] += scale;
-            problem.residual_from_rest(&moved, EARLY_S).iter().zip(&r0).map(|(x, y)| (x - y) / scale).collect()
-        });
-        let found = best_time(segment.bins.clone(), r0.len() / log.bins.len(), &columns, &r0);
-        if found.0 > best.0 {
-            best = found;
-        }
+/// Finds the time of an event by what its offsets would change from the rest of a log on.
+struct Dating {
+    /// Per log, what one unit of each offset changes in the residuals.
+    columns: Vec<[Vec<f64>; 3]>,
+}
+
+impl Dating {
+    /// For the events of one effect, all of which are absent: an event changes little of what another one does.
+    fn new(problem: &Problem<'_>, theta: &[f64], events: &[Event]) -> Self {
+        let (log, mut without) = (problem.log, theta.to_vec());
+        events.iter().flat_map(|e| e.offsets).for_each(|o| without[o] = 0.0);
+        let r0 = problem.residual_from_rest(&without, EARLY_S);
+        let of = |segment: &Segment, event: &Event| {
+            event.offsets.map(|o| {
+                let (mut moved, scale) = (without.clone(), problem.bounds[o].scale);
+                (moved[event.time], moved[o]) = (segment.start_s - log.start_s() + EARLY_S, scale);
+                problem.residual_from_rest(&moved, EARLY_S).iter().zip(&r0).map(|(x, y)| (x - y) / scale).collect()
+            })
+        };
+        Self { columns: events.first().map_or(vec![], |event| log.segments.iter().map(|s| of(s, event)).collect()) }
     }
-    theta[event.time] = log.bins[best.1].t_s - log.start_s();
-    for (&o, v) in event.offsets.iter().zip(best.2.iter()) {
-        theta[o] = v.clamp(problem.bounds[o].low, problem.bounds[o].high);
+
+    /// Sets time and offsets of an event to those that lower the sum of squares most.
+    fn date(&self, event: &Event, problem: &Problem<'_>, theta: &mut [f64]) {
+        let log = problem.log;
+        event.offsets.iter().for_each(|&o| theta[o] = 0.0);
+        // gravity and field solved on the whole log would follow the event
+        let r = problem.residual_from_rest(theta, EARLY_S);
+        let stride = r.len() / log.bins.len();
+        let of = log.segments.iter().zip(&self.columns).map(|(s, columns)| best_time(s.bins.clone(), stride, columns, &r));
+        let Some((_, bin, offsets)) = of.max_by(|a, b| a.0.total_cmp(&b.0)) else { return };
+        theta[event.time] = log.bins[bin].t_s - log.start_s();
+        for (&o, v) in event.offsets.iter().zip(offsets.iter()) {
+            theta[o] = v.clamp(problem.bounds[o].low, problem.bounds[o].high);
+        }
     }
 }
 
@@ -92,8 +105,9 @@ fn scan(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Vec<
     for lasting in events.iter().filter_map(|e| e.lasting) {
         theta[lasting] = SCANNED_S;
     }
+    let dating = Dating::new(to, &theta, &events);
     for _ in 0..=DATED_ROUNDS {
-        events.iter().for_each(|e| date(e, to, &mut theta));
+        events.iter().for_each(|e| dating.date(e, to, &mut theta));
     }
     (!events.is_empty()).then(|| to.model.of(&theta, effect).to_vec())
 }
@@ -112,19 +126,23 @@ pub fn dates(problem: &Problem<'_>) -> Vec<usize> {
 /// quick events. With `slow_too` the slow events become quick ones; `None` if there are none.
 #[must_use]
 pub fn dated_again(problem: &Problem<'_>, point: &Point, slow_too: bool) -> Option<Vec<f64>> {
-    let mut theta = point.theta.clone();
     let is_slow = |e: &Event| e.lasting.is_some_and(|l| point.theta[l] > QUICK_S);
     if slow_too && !events(problem).any(|e| is_slow(&e)) {
         return None;
     }
-    let quick: Vec<Event> = events(problem).filter(|e| slow_too || !is_slow(e)).collect();
-    for lasting in quick.iter().filter_map(|e| e.lasting).filter(|_| slow_too) {
-        theta[lasting] = SCANNED_S;
+    let (mut theta, mut any) = (point.theta.clone(), false);
+    for effect in 0..problem.model.effects.len() {
+        let quick: Vec<Event> = problem.model.events(effect).filter(|e| slow_too || !is_slow(e)).collect();
+        for lasting in quick.iter().filter_map(|e| e.lasting).filter(|_| slow_too) {
+            theta[lasting] = SCANNED_S;
+        }
+        let dating = Dating::new(problem, &theta, &quick);
+        for _ in 0..DATED_ROUNDS {
+            quick.iter().for_each(|e| dating.date(e, problem, &mut theta));
+        }
+        any |= !quick.is_empty();
     }
-    for _ in 0..DATED_ROUNDS {
-        quick.iter().for_each(|e| date(e, problem, &mut theta));
-    }
-    (!quick.is_empty()).then_some(theta)
+    any.then_some(theta)
 }
 
 /// The step of three offsets that lowers the squares of `r` most within `bins`, of `stride` rows each: its gain, its first bin, and
