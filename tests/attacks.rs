@@ -7,7 +7,7 @@ use common::{repo, twin};
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::drill::bench::BenchConfig;
-use retroflex::drill::process::{self, Repeats};
+use retroflex::drill::process::{self, Plan};
 use retroflex::drill::row::Row;
 use std::path::Path;
 
@@ -23,6 +23,10 @@ fn tries(default: u32) -> u32 {
     std::env::var("RETROFLEX_TRIES").ok().and_then(|n| n.parse().ok()).unwrap_or(default)
 }
 
+fn plan<'a>(config: &'a BenchConfig, scratch: &'a Path, selected: &'a dyn Fn(&str) -> bool) -> Plan<'a> {
+    Plan { config, program: program(), scratch, kills: tries(4) * 5, tries: tries(4), selected }
+}
+
 fn assert_all(rows: &[Row]) {
     rows.iter().for_each(|r| eprintln!("{}: {} {}", r.fault, r.message, r.why));
     let failed: Vec<_> = rows.iter().filter(|r| !r.ok).map(|r| format!("{}: {}", r.fault, r.why)).collect();
@@ -33,21 +37,20 @@ fn assert_all(rows: &[Row]) {
 #[test]
 fn a_stop_is_answered_under_every_attack_and_nothing_moves_after_it() {
     let folder = tempfile::tempdir().unwrap();
-    assert_all(&process::attacks(&config(), program(), folder.path(), tries(4), &|_| true).unwrap());
+    assert_all(&process::attacks(&plan(&config(), folder.path(), &|_| true)).unwrap());
 }
 
 #[test]
 fn a_memory_is_never_believed_falsely_after_a_kill() {
     let folder = tempfile::tempdir().unwrap();
-    assert_all(&process::kills(&config(), program(), folder.path(), tries(4) * 5, &|_| true).unwrap());
+    assert_all(&process::kills(&plan(&config(), folder.path(), &|_| true)).unwrap());
 }
 
 #[test]
 fn clients_that_contradict_each_other_fall_silent_or_die_are_survived() {
     let folder = tempfile::tempdir().unwrap();
     let of_clients = |name: &str| ["two_clients", "stream_silent", "client_dies_in_motion", "sigterm_while_bent"].contains(&name);
-    let repeats = Repeats { kills: 0, tries: 0 };
-    let rows = process::rows(&config(), program(), folder.path(), repeats, &of_clients).unwrap();
+    let rows = process::rows(&plan(&config(), folder.path(), &of_clients)).unwrap();
     assert_eq!(rows.len(), 4);
     assert_all(&rows);
 }

@@ -13,7 +13,7 @@ use crate::hardware::pins::{self, MockPins, OpenError, Pins, PinsConfig};
 use crate::hardware::stepper::StartError;
 use crate::motion::StepperConfig;
 use clap::{Args, Subcommand};
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
 
 /// Measurements of this machine.
@@ -54,7 +54,8 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
     let Bench::Rt(args) = command;
     let inputs: Vec<&Path> = args.board.iter().map(PathBuf::as_path).collect();
     output::check(&[("--svg", args.svg.as_deref())], &inputs)?;
-    let base = RtBenchConfig { rate_hz: args.rate, duration_s: args.seconds, load_threads: args.load, ..RtBenchConfig::default() };
+    let (rate_hz, duration_s, load_threads) = (args.rate, args.seconds, args.load);
+    let base = RtBenchConfig { rate_hz, duration_s, load_threads, ..RtBenchConfig::default() };
     let (bench, through) = match &args.board {
         Some(path) => on_board(path, base)?,
         None => {
@@ -62,37 +63,37 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
             (measure(&base, MockPins(map))?, "the mock".to_owned())
         }
     };
-    let text = format!("through {through}\n{}\n", bench.table());
-    output::print(&text);
+    output::print(&format!("through {through}\n{}\n", bench.table()));
     if let Some(path) = &args.svg {
         output::write(path, &bench.svg())?;
     }
     if !args.alone {
         compare(&bench);
     }
-    Ok(if bench.is_good() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
+    Ok(bench.is_good().into())
 }
 
 fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
     let board: Board = source::read(path)?;
+    let file = path.display();
     let Some(wiring) = &board.pins else {
-        return Err(miette!("{}: there is no [pins] table, so there is nothing to pulse; omit --board to use the mock", path.display()));
+        bail!("{file}: there is no [pins] table, so there is nothing to pulse; omit --board to use the mock");
     };
     if wiring.channels.iter().any(|c| c.enable.is_none()) {
-        return Err(miette!(
-            "{}: the EN input of a channel is hard-wired, so its motor would run; wire EN to a line and name it in pins.channels",
-            path.display()
-        ));
+        bail!("{file}: the EN input of a channel is hard-wired, so its motor would run; wire EN to a line and name it in pins.channels");
     }
-    let _lock = HardwareLock::take().map_err(|device| manual_motion::hardware_error(path, HardwareError::InUse(device)))?;
+    let refused = |e| manual_motion::hardware_error(path, e);
+    let _lock = HardwareLock::take().map_err(|device| refused(HardwareError::InUse(device)))?;
     let pins = pins::open(wiring, board.drive.microsteps).map_err(|e| match e {
-        OpenError::Config(e) => miette!("{}: {e}", path.display()),
-        OpenError::Pin(e) => Unreachable { what: "the GPIO".to_owned(), why: e.to_string() }.into(),
+        OpenError::Config(e) => miette!("{file}: {e}"),
+        OpenError::Pin(e) => Unreachable::report("the GPIO", e),
     })?;
     // no motor turns, so only the pulse widths limit the rate; a fifth of the period leaves room to catch up
     let least_us = board.stepper.pulse_high_us + board.stepper.pulse_low_us;
-    let close_us = (0.2e6 / base.rate_hz).clamp(least_us, board.stepper.step_interval_min_us.max(least_us));
-    let config = RtBenchConfig { stepper: StepperConfig { step_interval_min_us: close_us, ..board.stepper }, ..base };
+    let most_us = board.stepper.step_interval_min_us.max(least_us);
+    let step_interval_min_us = (0.2e6 / base.rate_hz).clamp(least_us, most_us);
+    let stepper = StepperConfig { step_interval_min_us, ..board.stepper };
+    let config = RtBenchConfig { stepper, ..base };
     let through = format!("{:?} on {}", wiring.backend, board.machine.name).to_lowercase();
     Ok((measure(&config, NoCurrent(pins))?, through))
 }
@@ -107,14 +108,14 @@ fn measure<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<RtBench
 
 /// Prints the latency that `cyclictest` measures at the same priority, and the ratio.
 fn compare(bench: &RtBench) {
-    let text = match cyclictest::run(bench.config.stepper.priority, bench.config.rate_hz, 10.0, bench.config.load_threads) {
+    let RtBenchConfig { stepper, rate_hz, load_threads, .. } = bench.config;
+    let text = match cyclictest::run(stepper.priority, rate_hz, 10.0, load_threads) {
         Ok(theirs) => {
             let ours = bench.steps.wake.quantile_ns(0.999) as f64 * 1e-3;
+            let (p999, most) = (theirs.p999_us, theirs.max_us);
+            let ratio = ours / p999.max(1.0);
             format!(
-                "cyclictest at the same priority: p99.9 {:.0} µs, maximum {:.0} µs; p99.9 of the wake-up lateness {ours:.1} µs, ratio {:.2}\n",
-                theirs.p999_us,
-                theirs.max_us,
-                ours / theirs.p999_us.max(1.0)
+                "cyclictest at the same priority: p99.9 {p999:.0} µs, maximum {most:.0} µs; p99.9 of the wake-up lateness {ours:.1} µs, ratio {ratio:.2}\n"
             )
         }
         Err(why) => format!("cyclictest: {why}\n"),

@@ -8,9 +8,8 @@ use crate::config::sections::Header;
 use crate::config::{shipped, show};
 use crate::primitives::parameters::{Check, Parameters};
 use crate::report::wiring::{self, Device, Wire};
-use miette::{Result, miette};
+use miette::{Result, bail};
 use serde::de::DeserializeOwned;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Boards, gains and calibrations.
@@ -72,8 +71,7 @@ pub fn run(command: &BoardCommand) -> Result<CommandOutcome> {
     } else {
         show::whole(&inputs::board(file)?)
     };
-    // a reader that has gone away is no failure
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    output::print(&text);
     Ok(CommandOutcome::Good)
 }
 
@@ -82,27 +80,34 @@ fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
     output::check(&[("--svg", Some(&args.svg))], &[&args.board])?;
     let board = inputs::board(Some(&args.board))?;
     let path = args.board.display();
-    let Some(pins) = &board.pins else { return Err(miette!("{path}: this board has no [pins], so there is nothing to wire")) };
+    let Some(pins) = &board.pins else {
+        bail!("{path}: this board has no [pins], so there is nothing to wire");
+    };
     let raspberry = board.machine.header == Header::RaspberryPi;
     let supply = |name: &str, position| raspberry.then(|| (name.to_owned(), Wire::Position(position)));
     let uses = pins.uses();
-    let mut devices: Vec<Device> = (0..3)
-        .map(|i| {
-            let own = uses.iter().filter(|u| u.key.starts_with(&format!("channels.{i}.")));
-            let lines = own.map(|u| (u.name.to_uppercase(), Wire::Line(u.pin)));
-            Device { name: format!("driver of bellow {}", i + 1), terminals: lines.chain(supply("GND", [9, 14, 20][i])).collect() }
-        })
-        .collect();
+    let mut devices = Vec::new();
+    for (i, ground) in [9, 14, 20].into_iter().enumerate() {
+        let channel = format!("channels.{i}.");
+        let own = uses.iter().filter(|u| u.key.starts_with(&channel));
+        let lines = own.map(|u| (u.name.to_uppercase(), Wire::Line(u.pin)));
+        let terminals = lines.chain(supply("GND", ground)).collect();
+        devices.push(Device { name: format!("driver of bellow {}", i + 1), terminals });
+    }
     if let Some(imu) = &board.imu {
-        let bus = imu.bus_lines.into_iter().flatten().zip(["SDA", "SCL"]).map(|(pin, name)| (name.to_owned(), Wire::Line(pin)));
-        let name = format!("IMU at the tip, {}", imu.bus);
-        devices.push(Device { name, terminals: supply("3.3 V", 1).into_iter().chain(bus).chain(supply("GND", 6)).collect() });
+        let bus = imu.bus_lines.into_iter().flatten().zip(["SDA", "SCL"]);
+        let bus = bus.map(|(pin, name)| (name.to_owned(), Wire::Line(pin)));
+        let power = supply("3.3 V", 1).into_iter();
+        let terminals = power.chain(bus).chain(supply("GND", 6)).collect();
+        devices.push(Device { name: format!("IMU at the tip, {}", imu.bus), terminals });
     }
     if let Some(stop) = pins.emergency_stop {
-        let terminals = [Some(("NC".to_owned(), Wire::Line(stop.pin))), supply("GND", 39)];
-        devices.push(Device { name: "emergency stop".to_owned(), terminals: terminals.into_iter().flatten().collect() });
+        let contact = [("NC".to_owned(), Wire::Line(stop.pin))];
+        let terminals = contact.into_iter().chain(supply("GND", 39)).collect();
+        devices.push(Device { name: "emergency stop".to_owned(), terminals });
     }
-    output::write(&args.svg, &wiring::draw(&format!("Wiring of {}", board.machine.name), raspberry, &devices))?;
+    let title = format!("Wiring of {}", board.machine.name);
+    output::write(&args.svg, &wiring::draw(&title, raspberry, &devices))?;
     Ok(CommandOutcome::Good)
 }
 
@@ -111,7 +116,7 @@ fn check(path: &Path) -> Result<CommandOutcome> {
     let board = inputs::board(Some(path))?;
     let bound = PressureBound::of(&board);
     output::print(&format!("file      consistent\npressure  {bound}\n"));
-    Ok(if bound.is_bounded() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
+    Ok(bound.is_bounded().into())
 }
 
 /// A file, or what comes with the program in its place, as the whole of its keys.

@@ -4,9 +4,10 @@ use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, manual_motion, output};
 use crate::config::board::Board;
 use crate::config::{place, source};
-use crate::supervisor::commission::trial::{self, Findings, TrialConfig, TrialError};
-use crate::supervisor::commission::wiring::Wiring;
+use crate::supervisor::commission::trial::{self, TrialConfig, TrialError};
+use crate::supervisor::commission::wiring::{TURN_SMALL_RAD, Wiring};
 use miette::{IntoDiagnostic, Result, miette};
+use nalgebra::{UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
 
 /// Arguments of `commission`.
@@ -32,7 +33,8 @@ pub struct Args {
 /// A report: bad input, hardware that does not answer, or the reason that ended the procedure.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let (board, mut machine) = manual_motion::open(&args.board, |_| ())?;
-    let config = TrialConfig { stroke_mm: args.stroke, hold_s: args.hold, ..TrialConfig::new(board.geometry.law()) };
+    let mut config = TrialConfig::new(board.geometry.law());
+    (config.stroke_mm, config.hold_s) = (args.stroke, args.hold);
     let findings = manual_motion::with_manual_control(machine.as_mut(), |hand| {
         trial::run(hand, &config, &mut |step| eprintln!("{step}")).map_err(|e| match e {
             TrialError::Motion(e) => manual_motion::motion_error(e),
@@ -44,11 +46,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let (true, Some(wiring)) = (args.write, &findings.wiring) {
         write_back(&args.board, &board, wiring)?;
     }
-    Ok(verdict(&findings))
-}
-
-fn verdict(findings: &Findings) -> CommandOutcome {
-    if findings.is_good() { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough }
+    Ok(findings.is_good().into())
 }
 
 /// Writes the wiring that was found into the board file and keeps everything else as it is.
@@ -56,17 +54,14 @@ fn write_back(path: &Path, board: &Board, wiring: &Wiring) -> Result<()> {
     if wiring.is_right() {
         return Ok(());
     }
-    let text = std::fs::read_to_string(path).into_diagnostic()?;
+    let (file, text) = (path.display(), std::fs::read_to_string(path).into_diagnostic()?);
     let (new, changes) = rewired(&text, board, wiring).map_err(|key| {
-        miette!(
-            "{}: {key} is not written in the file, so it cannot be changed there; copy its table from `retroflex board show` and run again",
-            path.display()
-        )
+        miette!("{file}: {key} is not written in the file, so it cannot be changed there; copy its table from `retroflex board show` and run again")
     })?;
-    source::parse::<Board>(&path.display().to_string(), &new)?;
+    source::parse::<Board>(&file.to_string(), &new)?;
     output::write(path, &new)?;
     for change in changes {
-        eprintln!("{}: {change}", path.display());
+        eprintln!("{file}: {change}");
     }
     Ok(())
 }
@@ -76,8 +71,8 @@ fn rewired(text: &str, board: &Board, wiring: &Wiring) -> Result<(String, Vec<St
     let mut new = text.to_owned();
     let mut changes = Vec::new();
     let mut set = |key: String, value: String| -> Result<(), String> {
-        new = place::replace(&new, &key, &value).ok_or_else(|| key.clone())?;
         changes.push(format!("{key} = {value}"));
+        new = place::replace(&new, &key, &value).ok_or(key)?;
         Ok(())
     };
     let Some(pins) = &board.pins else { return Err("pins".to_owned()) };
@@ -93,10 +88,10 @@ fn rewired(text: &str, board: &Board, wiring: &Wiring) -> Result<(String, Vec<St
             set(format!("pins.channels.{bellow}.dir_inverted"), turned.to_string())?;
         }
     }
-    if let (Some(imu), true) = (&board.imu, wiring.turned_rad.abs() >= crate::supervisor::commission::wiring::TURN_SMALL_RAD) {
-        let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), wiring.turned_rad);
-        let mount = (turn * imu.mount()).scaled_axis().map(f64::to_degrees);
-        set("imu.mount_deg".to_owned(), format!("[{:.1}, {:.1}, {:.1}]", mount.x, mount.y, mount.z))?;
+    if let (Some(imu), true) = (&board.imu, wiring.turned_rad.abs() >= TURN_SMALL_RAD) {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), wiring.turned_rad);
+        let mount: [f64; 3] = (turn * imu.mount()).scaled_axis().map(f64::to_degrees).into();
+        set("imu.mount_deg".to_owned(), format!("{mount:.1?}"))?;
     }
     Ok((new, changes))
 }

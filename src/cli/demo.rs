@@ -43,44 +43,45 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::check(&[("--html", Some(&args.html))], &[])?;
     // before half a minute is spent
-    let report = std::fs::File::options().append(true).create(true).open(&args.html);
-    report.map_err(|e| miette!("--html {}: {e}; name a file in a folder in which you may write", args.html.display()))?;
+    let report = args.html.display();
+    let mut options = std::fs::File::options();
+    let opened = options.append(true).create(true).open(&args.html);
+    opened.map_err(|e| miette!("--html {report}: {e}; name a file in a folder in which you may write"))?;
     let scratch = output::Scratch::new("demo")?;
-    let demo = Demo { program: std::env::current_exe().into_diagnostic()?, folder: &scratch.0 };
+    let program = std::env::current_exe().into_diagnostic()?;
+    let demo = Demo { program, folder: &scratch.0 };
     std::fs::write(demo.file("schedule.csv"), SCHEDULE).into_diagnostic()?;
     output::print(&format!("A simulated tip, {PACE} times faster than real time. Every line after `$` is a command that you can type.\n"));
     {
-        let service = demo.serve("healthy", None)?;
-        demo.step("The tip moves.", &["arm"], Some(&service))?;
-        demo.step("", &["bend", "60", "--toward", "90", "--wait"], Some(&service))?;
-        demo.step("", &["status"], Some(&service))?;
+        let service = Some(&demo.serve("healthy", None)?);
+        demo.step("The tip moves.", &["arm"], service)?;
+        demo.step("", &["bend", "60", "--toward", "90", "--wait"], service)?;
+        demo.step("", &["status"], service)?;
     }
-    let found = demo.diagnose(
-        &format!("Line {} now leaks. A schedule of poses is played and recorded.", LEAK.0),
-        "leaky",
-        Some(LEAK.0),
-        &args.html,
-    )?;
+    let leaks = LEAK.0;
+    let about = format!("Line {leaks} now leaks. A schedule of poses is played and recorded.");
+    let found = demo.diagnose(&about, "leaky", Some(leaks), &args.html)?;
     let Some(line) = leaking(&found) else {
         output::print("The diagnosis does not name the leak.\n");
         return Ok(CommandOutcome::NotGoodEnough);
     };
-    let sealed = Some(LEAK.0).filter(|leak| *leak != line);
-    let second = demo.file("mended.html");
-    let after = demo.diagnose(&format!("The remedy: line {line} is sealed. The same schedule again."), "mended", sealed, &second)?;
-    let good = after["verdict"]["names"].as_array().is_some_and(|names| names.iter().all(|n| n != "leak"));
-    let end = if good { "The leak is gone." } else { "The leak is still there." };
-    output::print(&format!("\n{end} The report of the leaky tip is {}.\n", args.html.display()));
-    Ok(if good { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
+    let sealed = Some(leaks).filter(|leak| *leak != line);
+    let about = format!("The remedy: line {line} is sealed. The same schedule again.");
+    let after = demo.diagnose(&about, "mended", sealed, &demo.file("mended.html"))?;
+    let names = after["verdict"]["names"].as_array();
+    let good = names.is_some_and(|names| names.iter().all(|n| n != "leak"));
+    let end = if good { "gone" } else { "still there" };
+    output::print(&format!("\nThe leak is {end}. The report of the leaky tip is {report}.\n"));
+    Ok(good.into())
 }
 
 /// The line that leaks according to a diagnosis, from 1.
 fn leaking(diagnosis: &Value) -> Option<usize> {
-    if !diagnosis["verdict"]["names"].as_array()?.iter().any(|n| n == "leak") {
-        return None;
-    }
-    let leak = diagnosis["effects"].as_array()?.iter().find(|e| e["name"] == "leak")?;
-    let rates = leak["params"].as_array()?.iter().filter(|p| p["name"] == "rate");
+    let mut named = diagnosis["verdict"]["names"].as_array()?.iter();
+    named.find(|n| *n == "leak")?;
+    let mut effects = diagnosis["effects"].as_array()?.iter();
+    let params = effects.find(|e| e["name"] == "leak")?["params"].as_array()?;
+    let rates = params.iter().filter(|p| p["name"] == "rate");
     let rates = rates.filter_map(|p| Some((p["channel"].as_u64()?, p["value"].as_f64()?)));
     let largest = rates.max_by(|a, b| a.1.total_cmp(&b.1))?;
     usize::try_from(largest.0).ok()
@@ -98,41 +99,47 @@ impl Demo<'_> {
 
     /// Starts a service on the simulated tip, of which one line may leak.
     fn serve(&self, name: &str, leak: Option<usize>) -> Result<Daemon> {
-        let rates: Vec<String> = (1..=3).map(|line| if leak == Some(line) { LEAK.1 } else { 0.0 }.to_string()).collect();
+        let rates = [1, 2, 3].map(|line| if leak == Some(line) { LEAK.1 } else { 0.0 });
         let board = self.file(&format!("{name}.toml"));
-        let text = format!("base = \"demo\"\n[plant.effects.leak]\nrate_per_s = [{}]\n", rates.join(", "));
+        let text = format!("base = \"demo\"\n[plant.effects.leak]\nrate_per_s = {rates:?}\n");
         std::fs::write(&board, text).into_diagnostic()?;
         let path = board.display().to_string();
         let options = ["--board", path.as_str(), "--fast", PACE];
-        let service = Daemon::start_with(&self.program, &self.file(name), &options).map_err(|e| miette!("the simulated tip: {e}"))?;
-        service.until(30.0, "alignment", |s| s["mode"] == "disarmed").into_diagnostic()?;
-        Ok(service)
+        let service = Daemon::start_with(&self.program, &self.file(name), &options);
+        let service = service.map_err(|e| miette!("the simulated tip: {e}"))?;
+        let aligned = service.until(30.0, "alignment", |s| s["mode"] == "disarmed");
+        aligned.into_diagnostic().map(|_| service)
     }
 
     /// Prints a command and runs it; its failure ends the demonstration.
     fn step(&self, about: &str, words: &[&str], service: Option<&Daemon>) -> Result<()> {
-        let folder = format!("{}/", self.folder.display());
-        let about = if about.is_empty() { String::new() } else { format!("\n{about}\n") };
-        output::print(&format!("{about}$ retroflex {}\n", words.join(" ").replace(&folder, "")));
+        let (folder, line) = (format!("{}/", self.folder.display()), words.join(" "));
+        if !about.is_empty() {
+            output::print(&format!("\n{about}\n"));
+        }
+        output::print(&format!("$ retroflex {}\n", line.replace(&folder, "")));
         let socket = service.map_or(self.folder, |s| s.sockets()[0].as_path());
-        let done = Command::new(&self.program).args(words).env("RETROFLEX_SOCKET", socket).status().into_diagnostic()?;
-        match done.code() {
+        let mut command = Command::new(&self.program);
+        let done = command.args(words).env("RETROFLEX_SOCKET", socket).status();
+        match done.into_diagnostic()?.code() {
             Some(0) => Ok(()),
-            Some(3) => Err(Unreachable { what: "the simulated tip".to_owned(), why: "its service has ended".to_owned() }.into()),
-            _ => Err(miette!("`retroflex {}` failed; see above", words.join(" "))),
+            Some(3) => Err(Unreachable::report("the simulated tip", "its service has ended")),
+            _ => Err(miette!("`retroflex {line}` failed; see above")),
         }
     }
 
     /// Plays the schedule on a fresh service, and diagnoses the recording.
     fn diagnose(&self, about: &str, name: &str, leak: Option<usize>, html: &Path) -> Result<Value> {
-        let (schedule, html, json) = (self.file("schedule.csv"), html.display().to_string(), self.file(&format!("{name}.json")));
+        let path = |name: &str| self.file(name).display().to_string();
         {
-            let service = self.serve(name, leak)?;
-            self.step(about, &["arm"], Some(&service))?;
-            self.step("", &["play", &schedule.display().to_string(), "--record", name], Some(&service))?;
+            let service = Some(&self.serve(name, leak)?);
+            self.step(about, &["arm"], service)?;
+            self.step("", &["play", &path("schedule.csv"), "--record", name], service)?;
         }
-        let log = self.file(&format!("{name}/state/recordings/{name}.csv.gz")).display().to_string();
-        self.step("", &["gap", "diagnose", &log, "--html", &html, "--json", &json.display().to_string()], None)?;
+        let log = path(&format!("{name}/state/recordings/{name}.csv.gz"));
+        let (html, json) = (html.display().to_string(), path(&format!("{name}.json")));
+        let words = ["gap", "diagnose", &log, "--html", &html, "--json", &json];
+        self.step("", &words, None)?;
         let text = std::fs::read_to_string(&json).into_diagnostic()?;
         serde_json::from_str(&text).into_diagnostic()
     }

@@ -6,6 +6,7 @@ use crate::config::pressure_bound::PressureBound;
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::Sensor;
 use crate::hardware::rt::{self, Grant, RtRequest};
+use crate::service::disk::free_bytes;
 use crate::service::paths::Paths;
 use miette::Result;
 use serde::Serialize;
@@ -94,7 +95,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let text: String = findings.iter().map(Finding::line).collect();
     output::show(&text, args.json.as_deref());
     let failed = findings.iter().any(|f| f.verdict == Verdict::Fail);
-    Ok(if failed { CommandOutcome::NotGoodEnough } else { CommandOutcome::Good })
+    Ok(CommandOutcome::from(!failed))
 }
 
 /// All checks that need no motion.
@@ -104,19 +105,23 @@ pub fn examine(board: &Board) -> Vec<Finding> {
     findings.extend(devices(board));
     findings.extend(real_time(board));
     let paths = Paths::of(&board.service);
-    findings.extend([clock(), throttling(), disk(&paths.state), folder("socket folder", paths.control.parent())]);
+    let sockets = folder("socket folder", paths.control.parent());
+    findings.extend([clock(), throttling(), disk(&paths.state), sockets]);
     findings
 }
 
 fn read(path: &str) -> Option<String> {
-    std::fs::read_to_string(path).ok().map(|t| t.trim_end_matches(['\0', '\n']).to_owned())
+    let text = std::fs::read_to_string(path).ok()?;
+    Some(text.trim_end_matches(['\0', '\n']).to_owned())
 }
 
 fn model() -> Finding {
+    let another = "not a Raspberry Pi: use the GPIO character device for the pins";
+    let none = "no device tree: only simulations and replays run here";
     match read("/proc/device-tree/model") {
         Some(model) if model.contains("Raspberry Pi") => Finding::pass("computer", model),
-        Some(model) => Finding::warn("computer", model, "not a Raspberry Pi: use the GPIO character device for the pins"),
-        None => Finding::warn("computer", std::env::consts::ARCH, "no device tree: only simulations and replays run here"),
+        Some(model) => Finding::warn("computer", model, another),
+        None => Finding::warn("computer", std::env::consts::ARCH, none),
     }
 }
 
@@ -129,7 +134,8 @@ fn kernel() -> Finding {
 
 fn pressure(board: &Board) -> Finding {
     let bound = PressureBound::of(board);
-    Finding::pass_or_warn(bound.is_bounded(), "pressure", bound.to_string(), PressureBound::REMEDY)
+    let (good, remedy) = (bound.is_bounded(), PressureBound::REMEDY);
+    Finding::pass_or_warn(good, "pressure", bound.to_string(), remedy)
 }
 
 /// Buses, GPIO chips and sensors that the board names. Sensors are identified; no output is driven.
@@ -137,21 +143,23 @@ fn devices(board: &Board) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (what, section) in [("tip IMU", &board.imu), ("base IMU", &board.base_imu)] {
         let Some(imu) = section else { continue };
-        findings.push(device(&format!("{what}, bus"), Path::new(&imu.bus), "enable I²C (`dtparam=i2c_arm=on`) and join the group i2c"));
+        let remedy = "enable I²C (`dtparam=i2c_arm=on`) and join the group i2c";
+        findings.push(device(&format!("{what}, bus"), &imu.bus, remedy));
         findings.extend(bus_speed(&imu.bus));
     }
     if let Some(pins) = &board.pins
         && pins.chip.starts_with("/dev/")
     {
         let remedy = "join the group gpio; on a Raspberry Pi 5 with an older kernel the header is /dev/gpiochip4";
-        findings.push(device("pins", Path::new(&pins.chip), remedy));
+        findings.push(device("pins", &pins.chip, remedy));
     }
     let Some(machine) = board.hardware() else { return findings };
     let _lock = match HardwareLock::take() {
         Ok(lock) => lock,
         Err(path) => {
             let remedy = "a running service (`retroflex status` shows its sensors) or another command uses the hardware: the sensors are not touched";
-            findings.push(Finding::warn("sensors", format!("{} is locked", path.display()), remedy));
+            let found = format!("{} is locked", path.display());
+            findings.push(Finding::warn("sensors", found, remedy));
             return findings;
         }
     };
@@ -159,49 +167,61 @@ fn devices(board: &Board) -> Vec<Finding> {
         let Some(config) = sensor else { continue };
         findings.push(match Sensor::start(config) {
             Ok(s) => {
-                let i = s.identity();
-                Finding::pass(what, format!("{} at {:#04x}, {:.0} Hz", i.inertial.part, i.inertial.address, i.rate_hz))
+                let (chip, rate_hz) = (s.identity().inertial, s.identity().rate_hz);
+                let found = format!("{} at {:#04x}, {rate_hz:.0} Hz", chip.part, chip.address);
+                Finding::pass(what, found)
             }
-            Err(e) => Finding::fail(what, e.to_string(), "check connector, supply, address and part; see [imu] in the board file"),
+            Err(e) => {
+                let remedy = "check connector, supply, address and part; see [imu] in the board file";
+                Finding::fail(what, e.to_string(), remedy)
+            }
         });
     }
     findings
 }
 
-fn device(what: &str, path: &Path, remedy: &str) -> Finding {
+fn device(what: &str, path: &str, remedy: &str) -> Finding {
     match std::fs::File::options().read(true).write(true).open(path) {
-        Ok(_) => Finding::pass(what, path.display().to_string()),
-        Err(e) => Finding::fail(what, format!("{}: {e}", path.display()), remedy),
+        Ok(_) => Finding::pass(what, path),
+        Err(e) => Finding::fail(what, format!("{path}: {e}"), remedy),
     }
 }
 
 /// Clock frequency of a bus in the device tree, Hz as a big-endian 32-bit number; fast mode (400 kHz) is required for the sample rate.
 fn bus_speed(bus: &str) -> Option<Finding> {
     let name = Path::new(bus).file_name()?.to_str()?;
-    let bytes = std::fs::read(format!("/sys/class/i2c-adapter/{name}/of_node/clock-frequency")).ok()?;
+    let path = format!("/sys/class/i2c-adapter/{name}/of_node/clock-frequency");
+    let bytes = std::fs::read(path).ok()?;
     let hz = u32::from_be_bytes(bytes.get(..4)?.try_into().ok()?);
+    let found = format!("{} kHz", hz / 1000);
     let remedy = "set `dtparam=i2c_arm_baudrate=400000` in config.txt and restart";
-    Some(Finding::pass_or_warn(hz >= 400_000, "bus speed", format!("{} kHz", hz / 1000), remedy))
+    Some(Finding::pass_or_warn(hz >= 400_000, "bus speed", found, remedy))
 }
 
 /// What the kernel grants, requested in a temporary thread so that this one keeps its scheduling.
 fn real_time(board: &Board) -> Vec<Finding> {
-    let request = RtRequest { priority: board.service.priority, cpu: board.service.cpu };
+    let (priority, cpu) = (board.service.priority, board.service.cpu);
+    let request = RtRequest { priority, cpu };
     let Ok(status) = std::thread::spawn(move || rt::enter(&request).0).join() else {
         return vec![Finding::fail("real time", "the test thread panicked", "")];
     };
     let line = |(name, grant): (&'static str, Grant)| match grant {
         Grant::NotRequested => None,
         Grant::Granted => Some(Finding::pass(name, "granted")),
-        Grant::Denied(d) => Some(Finding::warn(name, format!("{} denied", d.request), d.remedy)),
+        Grant::Denied(d) => {
+            let found = format!("{} denied", d.request);
+            Some(Finding::warn(name, found, d.remedy))
+        }
     };
     status.into_iter().filter_map(line).collect()
 }
 
 fn clock() -> Finding {
-    let source = read("/sys/devices/system/clocksource/clocksource0/current_clocksource").unwrap_or_else(|| "unknown".to_owned());
+    let source = read("/sys/devices/system/clocksource/clocksource0/current_clocksource");
+    let source = source.unwrap_or_else(|| "unknown".to_owned());
     let good = ["arch_sys_counter", "tsc", "kvm-clock"].contains(&source.as_str());
-    Finding::pass_or_warn(good, "clock", source, "reading the time is slow with this clock source; select another in sysfs")
+    let remedy = "reading the time is slow with this clock source; select another in sysfs";
+    Finding::pass_or_warn(good, "clock", source, remedy)
 }
 
 /// Bits of the firmware's status (`vcgencmd get_throttled`): 0 under-voltage, 1 frequency capped, 2 throttled;
@@ -218,40 +238,44 @@ fn throttling() -> Finding {
         (16, "under-voltage since boot"),
         (18, "throttled since boot"),
     ];
-    let set: Vec<&str> = names.iter().filter(|(bit, _)| bits >> bit & 1 == 1).map(|(_, name)| *name).collect();
+    let set = names.iter().filter(|(bit, _)| bits >> bit & 1 == 1);
+    let set: Vec<&str> = set.map(|(_, name)| *name).collect();
     if set.is_empty() {
         return Finding::pass("power", "no under-voltage, not throttled");
     }
-    let verdict = if bits & 1 == 1 { Verdict::Fail } else { Verdict::Warn };
-    Finding::new("power", verdict, set.join(", "), "use the official power supply, and a separate one for the motors")
+    let new = if bits & 1 == 1 { Finding::fail } else { Finding::warn };
+    let remedy = "use the official power supply, and a separate one for the motors";
+    new("power", set.join(", "), remedy)
 }
 
 /// Free space for state and recordings: 1 MiB holds the state, 512 MiB about half an hour of recording.
 fn disk(state: &Path) -> Finding {
-    let folder = state.ancestors().find(|f| f.exists()).unwrap_or(Path::new("/"));
-    let out = std::process::Command::new("df").arg("-Pk").arg(folder).output();
-    let free_kib = out.ok().and_then(|o| {
-        let text = String::from_utf8_lossy(&o.stdout).into_owned();
-        text.lines().nth(1)?.split_whitespace().nth(3)?.parse::<u64>().ok()
-    });
-    let Some(kib) = free_kib else {
-        return Finding::warn("disk", "free space unknown", "make sure that the state folder is writable");
+    let mut folders = state.ancestors();
+    let folder = folders.find(|f| f.exists()).unwrap_or(Path::new("/"));
+    let Ok(free) = free_bytes(folder) else {
+        let remedy = "make sure that the state folder is writable";
+        return Finding::warn("disk", "free space unknown", remedy);
     };
-    let found = format!("{} MiB free under {}", kib / 1024, folder.display());
-    match kib {
-        ..1024 => Finding::fail("disk", found, "free some space: the state and recordings need it"),
-        1024..524_288 => Finding::warn("disk", found, "a recording takes 15 MiB per minute"),
+    let found = format!("{} MiB free under {}", free >> 20, folder.display());
+    let scarce = "free some space: the state and recordings need it";
+    match free >> 20 {
+        0 => Finding::fail("disk", found, scarce),
+        1..512 => Finding::warn("disk", found, "a recording takes 15 MiB per minute"),
         _ => Finding::pass("disk", found),
     }
 }
 
 fn folder(what: &str, path: Option<&Path>) -> Finding {
     let Some(path) = path else { return Finding::fail(what, "none", "give the socket's path with its folder") };
+    let shown = path.display();
     match std::fs::metadata(path) {
-        Ok(m) => Finding::pass(what, format!("{} ({:o}, {}:{})", path.display(), m.mode() & 0o777, m.uid(), m.gid())),
+        Ok(m) => {
+            let (mode, user, group) = (m.mode() & 0o777, m.uid(), m.gid());
+            Finding::pass(what, format!("{shown} ({mode:o}, {user}:{group})"))
+        }
         Err(e) => {
             let remedy = "RuntimeDirectory= of the systemd unit creates it; use --socket when starting by hand";
-            Finding::warn(what, format!("{}: {e}", path.display()), remedy)
+            Finding::warn(what, format!("{shown}: {e}"), remedy)
         }
     }
 }

@@ -4,13 +4,14 @@ use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::gains::Gains;
 use crate::drill::bench::BenchConfig;
-use crate::drill::process::{self, Harm, Repeats};
+use crate::drill::process::{self, Harm};
 use crate::drill::row::Row;
 use crate::drill::run::{Allowance, fly};
 use crate::drill::{list, soak};
+use crate::service::memory::Memory;
 use crate::service::store::Store;
 use comfy_table::{ColumnConstraint, Width};
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -71,27 +72,28 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let rows = rows(args, &config)?;
     if rows.is_empty() {
-        return Err(miette!("--only {}: no fault has a name that contains this text", args.only.as_deref().unwrap_or("")));
+        let only = args.only.as_deref().unwrap_or("");
+        bail!("--only {only}: no fault has a name that contains this text");
     }
     output::json(args.json.as_deref(), &json!({ "rows": rows }))?;
     show(&rows, args.json.as_deref());
-    Ok(outcome(rows.iter().all(|r| r.ok)))
-}
-
-fn outcome(good: bool) -> CommandOutcome {
-    if good { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough }
+    Ok(rows.iter().all(|r| r.ok).into())
 }
 
 /// The simulated machine of the paper with the paper's calibration.
 fn simulation() -> Result<BenchConfig> {
-    Ok(BenchConfig { board: inputs::board(None)?, calibration: inputs::calibration(None)?, gains: Gains::default() })
+    let (board, calibration) = (inputs::board(None)?, inputs::calibration(None)?);
+    let gains = Gains::default();
+    Ok(BenchConfig { board, calibration, gains })
 }
 
 fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
-    let selected = |name: &str| args.only.as_ref().is_none_or(|only| name.contains(only.as_str()));
+    let only = args.only.as_deref().unwrap_or_default();
+    let selected = |name: &str| name.contains(only);
     let mut rows = Vec::new();
     let allowance = Allowance::new(config).into_diagnostic()?;
-    let specs: Vec<_> = list::specs().into_iter().filter(|s| selected(s.name) && !args.process).collect();
+    let mut specs = list::specs();
+    specs.retain(|s| selected(s.name) && !args.process);
     let bar = output::bar(specs.len() as u64, "fault {pos} of {len}");
     for spec in &specs {
         rows.push(fly(config, spec, &allowance).into_diagnostic()?);
@@ -101,33 +103,41 @@ fn rows(args: &Args, config: &BenchConfig) -> Result<Vec<Row>> {
     if !args.in_flight && (args.only.is_none() || rows.is_empty()) {
         let program = std::env::current_exe().into_diagnostic()?;
         let scratch = output::Scratch::new("drill")?;
-        let process =
-            process::rows(config, &program, &scratch.0, Repeats { kills: args.kills, tries: args.tries }, &selected).into_diagnostic()?;
-        rows.extend(process);
+        let plan =
+            process::Plan { config, program: &program, scratch: &scratch.0, kills: args.kills, tries: args.tries, selected: &selected };
+        rows.extend(process::rows(&plan).into_diagnostic()?);
     }
     Ok(rows)
 }
 
 fn recall(folder: &Path) -> Result<CommandOutcome> {
     let (_, recall) = Store::open(folder).into_diagnostic()?;
-    let position = recall.memory.as_ref().and_then(|m| Some(format!("armed {}, steps {:?}", m.armed, m.restart?.steps.0)));
-    println!("recalled {} . {}", recall.sequence, position.as_deref().unwrap_or("nothing"));
-    Ok(outcome(position.is_some()))
+    let words = |m: Memory| Some(format!("armed {}, steps {:?}", m.armed, m.restart?.steps.0));
+    let position = recall.memory.and_then(words);
+    let shown = position.as_deref().unwrap_or("nothing");
+    println!("recalled {} . {shown}", recall.sequence);
+    Ok(position.is_some().into())
 }
 
 fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<CommandOutcome> {
     eprintln!("seed {}", args.seed);
     let bar = output::bar(1000, "soak {percent} %");
-    let result = soak::run(config, hours, args.seed, &mut |h| bar.set_position((1000.0 * h / hours) as u64));
+    let mut progress = |h| bar.set_position((1000.0 * h / hours) as u64);
+    let result = soak::run(config, hours, args.seed, &mut progress);
     bar.finish_and_clear();
     let soak = result.into_diagnostic()?;
     output::json(args.json.as_deref().or(Some(Path::new("-"))), &soak)?;
-    Ok(outcome(soak.ok))
+    Ok(soak.ok.into())
 }
 
 fn show(rows: &[Row], json: Option<&Path>) {
-    let time = |s: f64| if s < 1.0 { format!("{:.0} ms", s * 1e3) } else { format!("{s:.1} s") };
+    let time = |s: f64| match s < 1.0 {
+        true => format!("{:.0} ms", s * 1e3),
+        false => format!("{s:.1} s"),
+    };
     let cells = rows.iter().map(|r| {
+        let (ok, why) = if r.ok { ("yes", "") } else { ("NO", &*r.why) };
+        let between = if r.ok { "" } else { " · " };
         [
             r.fault.clone(),
             r.detected_s.map_or_else(|| "–".to_owned(), time),
@@ -135,15 +145,17 @@ fn show(rows: &[Row], json: Option<&Path>) {
             r.state.clone(),
             format!("{:.1}°", r.error_deg_during),
             format!("{:.1}°", r.error_deg_after),
-            if r.ok { "yes" } else { "NO" }.to_owned(),
-            if r.ok { r.message.clone() } else { format!("{} · {}", r.why, r.message) },
+            ok.to_owned(),
+            format!("{why}{between}{}", r.message),
         ]
     });
-    let header = ["fault", "detected", "steps after", "state", "error during", "after", "ok", "message"];
+    let header = "fault,detected,steps after,state,error during,after,ok,message";
+    let header: Vec<&str> = header.split(',').collect();
     let mut table = output::table(&header, 1..6, cells);
     if let Some(column) = table.column_mut(7) {
         column.set_constraint(ColumnConstraint::UpperBoundary(Width::Fixed(80)));
     }
     let failed = rows.iter().filter(|r| !r.ok).count();
-    output::show(&format!("{table}\n{} faults, {failed} failed\n", rows.len()), json);
+    let all = rows.len();
+    output::show(&format!("{table}\n{all} faults, {failed} failed\n"), json);
 }

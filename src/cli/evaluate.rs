@@ -225,11 +225,8 @@ fn noise_of(purpose: Purpose) -> u64 {
 fn verdict(e: &Evaluation) -> CommandOutcome {
     let bad = |a: &ArmResult| a.bend_rmse_deg > GOOD_ENOUGH_DEG;
     let lost = |t: &TrackResult| t.rmse_delayed_deg > FOLLOWED_DEG;
-    if !e.converged || e.track.as_ref().is_some_and(lost) || e.arm(Arm::Closed).is_some_and(bad) {
-        CommandOutcome::NotGoodEnough
-    } else {
-        CommandOutcome::Good
-    }
+    let failed = e.track.as_ref().is_some_and(lost) || e.arm(Arm::Closed).is_some_and(bad);
+    CommandOutcome::from(e.converged && !failed)
 }
 
 /// The table of arms and the gains, for people.

@@ -19,39 +19,70 @@ pub const GROUPS: [(&str, &[&str]); 7] = [
 ];
 
 /// Two examples of each command that has arguments. A command with commands of its own stands for all of them.
-const EXAMPLES: [(&str, [&str; 2]); 24] = [
-    ("run", ["run", "run --board boards/pi4.toml --calib calib/paper.toml"]),
-    ("bend", ["bend 60 --toward 90 --wait", "bend 30 --speed 10 --length 21"]),
-    ("play", ["play schedule.csv", "play schedule.csv --record today"]),
-    ("status", ["status --watch", "status --json -"]),
-    ("subscribe", ["subscribe", "subscribe --rate 100"]),
-    ("board", ["board show pi4", "board check boards/pi4.toml"]),
-    ("doctor", ["doctor --board boards/pi4.toml", "doctor --json -"]),
-    ("release", ["release --board boards/pi4.toml", "release --hold --board boards/pi4.toml"]),
-    ("jog", ["jog --board boards/pi4.toml --channel 1 --mm 2", "jog --board boards/pi4.toml --channel 3 --mm -5 --speed 1"]),
-    ("home", ["home --board boards/pi4.toml", "home --board boards/pi4.toml --at-rest"]),
-    ("commission", ["commission --board boards/pi4.toml", "commission --board boards/pi4.toml --write"]),
-    ("bench", ["bench rt", "bench rt --board boards/pi4.toml --seconds 60 --load 4"]),
-    ("zero", ["zero", "zero --straight"]),
-    ("calibrate", ["calibrate transmission --short", "calibrate imu gyro rest.csv --out tip.toml"]),
-    ("imu", ["imu score recording.csv", "imu score --all --json - recording.csv"]),
-    ("record", ["record start today", "record stop"]),
-    ("log", ["log info flight.mcap", "log export flight.mcap --csv flight.csv"]),
-    ("replay", ["replay today.csv.gz", "replay flight.mcap --gains gains.toml"]),
-    ("gap", ["gap diagnose today.csv --html today.html --save model.toml", "gap check model.toml tomorrow.csv"]),
-    ("demo", ["demo --html leak.html", "demo"]),
-    ("evaluate", ["evaluate --seed 7 --html figures.html", "evaluate --track examples/circle.csv --json -"]),
-    ("drill", ["drill --in-flight", "drill --only kink --json -"]),
-    ("completions", ["completions bash", "completions fish"]),
-    ("man", ["man .", "man target/man"]),
-];
+const EXAMPLES: &str = "
+run
+run --board boards/pi4.toml --calib calib/paper.toml
+bend 60 --toward 90 --wait
+bend 30 --speed 10 --length 21
+play schedule.csv
+play schedule.csv --record today
+status --watch
+status --json -
+subscribe
+subscribe --rate 100
+board show pi4
+board check boards/pi4.toml
+doctor --board boards/pi4.toml
+doctor --json -
+release --board boards/pi4.toml
+release --hold --board boards/pi4.toml
+jog --board boards/pi4.toml --channel 1 --mm 2
+jog --board boards/pi4.toml --channel 3 --mm -5 --speed 1
+home --board boards/pi4.toml
+home --board boards/pi4.toml --at-rest
+commission --board boards/pi4.toml
+commission --board boards/pi4.toml --write
+bench rt
+bench rt --board boards/pi4.toml --seconds 60 --load 4
+zero
+zero --straight
+calibrate transmission --short
+calibrate imu gyro rest.csv --out tip.toml
+imu score recording.csv
+imu score --all --json - recording.csv
+record start today
+record stop
+log info flight.mcap
+log export flight.mcap --csv flight.csv
+replay today.csv.gz
+replay flight.mcap --gains gains.toml
+gap diagnose today.csv --html today.html --save model.toml
+gap check model.toml tomorrow.csv
+demo --html leak.html
+demo
+evaluate --seed 7 --html figures.html
+evaluate --track examples/circle.csv --json -
+drill --in-flight
+drill --only kink --json -
+completions bash
+completions fish
+man .
+man target/man
+";
 
 const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
+
+/// The commands with examples, in their order, with the two of each.
+fn all_examples() -> Vec<(&'static str, [&'static str; 2])> {
+    let lines: Vec<&str> = EXAMPLES.lines().skip(1).collect();
+    let pairs = lines.chunks_exact(2).map(|pair| [pair[0], pair[1]]);
+    pairs.filter_map(|pair| Some((pair[0].split(' ').next()?, pair))).collect()
+}
 
 /// Two examples of a command, without the name of the program.
 #[must_use]
 pub fn examples(name: &str) -> [String; 2] {
-    match EXAMPLES.iter().find(|e| e.0 == name) {
+    match all_examples().into_iter().find(|e| e.0 == name) {
         Some((_, lines)) => lines.map(str::to_owned),
         None => [name.to_owned(), format!("{name} --socket /tmp/tip.sock")],
     }
@@ -64,18 +95,14 @@ pub fn explained(cli: Command) -> Command {
     for (task, names) in GROUPS {
         let _ = writeln!(text, "\n{task}:");
         for name in names {
-            let about = cli
-                .find_subcommand(name)
-                .and_then(Command::get_about)
-                .map_or_else(|| "Print help for a command.".to_owned(), ToString::to_string);
+            let about = cli.find_subcommand(name).and_then(Command::get_about);
+            let about = about.map_or("Print help for a command.".to_owned(), ToString::to_string);
             let _ = writeln!(text, "  {name:<13} {about}");
         }
-        let own = EXAMPLES.iter().filter(|e| names.contains(&e.0) && e.1[0].contains(' ')).take(2).collect::<Vec<_>>();
-        let [first, second] = match own[..] {
-            [a, b] => [a.1[0], b.1[0]],
-            [a] => a.1,
-            _ => continue,
-        };
+        let mut own = all_examples();
+        own.retain(|e| names.contains(&e.0) && e.1[0].contains(' '));
+        let Some((_, [first, second])) = own.first() else { continue };
+        let second = own.get(1).map_or(second, |other| &other.1[0]);
         let _ = writeln!(text, "  Examples: `retroflex {first}`, `retroflex {second}`");
     }
     let numbers = |c: Command| c.allow_negative_numbers(true);

@@ -11,7 +11,7 @@ use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use crate::supervisor::machine::Machine;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -29,7 +29,8 @@ pub fn open(path: &Path, prepare: impl FnOnce(&mut MachineConfig)) -> Result<(Bo
         return Ok((board, Box::new(machine)));
     }
     let Some(plant) = &board.plant else {
-        return Err(miette!("{}: there is neither a [pins] nor a [plant] table, so there is nothing to move", path.display()));
+        let file = path.display();
+        bail!("{file}: there is neither a [pins] nor a [plant] table, so there is nothing to move");
     };
     let sim = Sim::new(&plant.make(), 0, 0, plant.period_s).into_diagnostic()?;
     let machine = Lockstep::new(sim, &board.drive_limits());
@@ -47,7 +48,7 @@ pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
         HardwareError::Stepper(_) | HardwareError::Thread(_) => "the scheduler",
         _ => "the IMU",
     };
-    Unreachable { what: what.to_owned(), why: error.to_string() }.into()
+    Unreachable::report(what, error)
 }
 
 /// Runs `work` with manual control of the machine, in real time unless the machine is simulated. SIGINT and SIGTERM end the
@@ -80,9 +81,7 @@ pub fn with_manual_control<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut 
 #[must_use]
 pub fn motion_error(error: ManualMotionError) -> miette::Report {
     match &error {
-        ManualMotionError::Alarm { .. } | ManualMotionError::NotSwitched(_) | ManualMotionError::World(_) => {
-            Unreachable { what: "the machine".to_owned(), why: error.to_string() }.into()
-        }
-        _ => miette!("{error}"),
+        ManualMotionError::EmergencyStop | ManualMotionError::Cancelled | ManualMotionError::NotArrived(..) => miette!("{error}"),
+        _ => Unreachable::report("the machine", error),
     }
 }

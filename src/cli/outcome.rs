@@ -9,6 +9,15 @@ pub enum CommandOutcome {
     NotGoodEnough,
 }
 
+impl From<bool> for CommandOutcome {
+    fn from(good: bool) -> Self {
+        match good {
+            true => Self::Good,
+            false => Self::NotGoodEnough,
+        }
+    }
+}
+
 /// Hardware or a service that does not answer. Anywhere in the chain of a report it makes the exit code 3.
 ///
 /// Convert it to a `Report` with `?` or `Report::from`; `into_diagnostic` would hide its type.
@@ -19,4 +28,12 @@ pub struct Unreachable {
     pub what: String,
     /// The system's reason, and the remedy.
     pub why: String,
+}
+
+impl Unreachable {
+    /// The report about a device, bus or service that does not answer.
+    pub fn report(what: &str, why: impl ToString) -> miette::Report {
+        let (what, why) = (what.to_owned(), why.to_string());
+        Self { what, why }.into()
+    }
 }

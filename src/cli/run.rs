@@ -12,11 +12,11 @@ use crate::service::error::ServiceError;
 use crate::service::flight::start::hash;
 use crate::service::start::RunConfig;
 use crate::service::{Claim, Setup, serve};
-use crate::simulation::link::{self, Link};
+use crate::simulation::link::Link;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
 use crate::supervisor::machine::Machine;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
 
 /// Arguments of `run`.
@@ -67,18 +67,22 @@ pub struct Args {
 /// A report about the input, the machine or the system.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let _logging = logging::start();
-    let path = args.board.clone().or_else(|| inputs::own_board().filter(|_| args.plant.is_none()));
-    let mut board = inputs::board(Some(path.as_deref().unwrap_or(Path::new(if args.plant.is_some() { "sim" } else { "demo" }))))?;
-    let shown = path.as_ref().map_or("a simulated tip, because there is no board file".to_owned(), |p| p.display().to_string());
+    let foreign = args.plant.is_some();
+    let path = args.board.clone().or_else(|| inputs::own_board().filter(|_| !foreign));
+    let own = Path::new(if foreign { "sim" } else { "demo" });
+    let mut board = inputs::board(Some(path.as_deref().unwrap_or(own)))?;
+    let shown = path.as_ref().map(|p| p.display().to_string());
+    let shown = shown.unwrap_or("a simulated tip, because there is no board file".to_owned());
     let gains = inputs::gains(args.gains.as_deref())?;
     let calibration = inputs::calibration(args.calib.as_deref())?;
     let tip = check_tip(args, &calibration)?;
-    if args.fast.is_some() && args.plant.is_none() && board.plant.is_none() {
-        return Err(miette!("--fast: only a simulation can run faster than real time; give --plant, or a board with a [plant] table"));
+    if args.fast.is_some() && !foreign && board.plant.is_none() {
+        bail!("--fast: only a simulation can run faster than real time; give --plant, or a board with a [plant] table");
     }
     tracing::info!(event = "board", "board: {shown}");
     let mut texts = vec![show::compact(&board), show::compact(&gains), show::compact(&calibration)];
-    let feedforward = inputs::feedforward(args.feedforward.as_deref(), args.calib.as_deref(), &calibration);
+    let given = args.feedforward.as_deref();
+    let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
     let described = feedforward.as_deref().map(|path| inputs::described(path, &board)).transpose()?;
     if let Some(path) = &feedforward {
         texts.push(std::fs::read_to_string(path).into_diagnostic()?);
@@ -91,7 +95,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         board.service.state = Some(state.clone());
     }
     let bound = PressureBound::of(&board);
-    if args.plant.is_none() && !bound.is_bounded() {
+    if !foreign && !bound.is_bounded() {
         tracing::warn!("pressure: {bound}; {}", PressureBound::REMEDY);
     }
     let claim = Claim::new(&board.service).map_err(report)?;
@@ -110,15 +114,14 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         calibration,
         tip,
     };
-    serve(claim, Setup { machine, config, pace: args.fast, record: args.record.clone() }).map_err(report)?;
+    let (pace, record) = (args.fast, args.record.clone());
+    serve(claim, Setup { machine, config, pace, record }).map_err(report)?;
     Ok(CommandOutcome::Good)
 }
 
 fn report(error: ServiceError) -> miette::Report {
     match error {
-        ServiceError::Machine(_) | ServiceError::LoopPanicked => {
-            Unreachable { what: "the machine".to_owned(), why: error.to_string() }.into()
-        }
+        ServiceError::Machine(_) | ServiceError::LoopPanicked => Unreachable::report("the machine", error),
         _ => miette!("{error}"),
     }
 }
@@ -139,15 +142,14 @@ fn check_tip(args: &Args, calibration: &Calibration) -> Result<String> {
 /// Opens the machine of the board, or the external plant.
 fn open(args: &Args, path: Option<&Path>, board: &Board) -> Result<Box<dyn Machine>> {
     if let Some(plant) = &args.plant {
-        let line = plant.strip_prefix("exec:").ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…`"))?;
-        let mut words = link::words(line).map_err(|why| miette!("--plant `{plant}`: {why}"))?.into_iter();
-        let program = words.next().ok_or_else(|| miette!("--plant `{plant}`: a program must follow `exec:`"))?;
-        let args: Vec<String> = words.collect();
-        return Ok(Box::new(Lockstep::new(Link::start(&program, &args).into_diagnostic()?, &board.drive_limits())));
+        let (program, args) = inputs::program(plant)?;
+        let link = Link::start(&program, &args).into_diagnostic()?;
+        return Ok(Box::new(Lockstep::new(link, &board.drive_limits())));
     }
     if let Some(config) = board.hardware() {
         let path = path.unwrap_or(Path::new("the built-in board"));
-        return Ok(Box::new(Hardware::open(&config).map_err(|e| manual_motion::hardware_error(path, e))?));
+        let hardware = Hardware::open(&config);
+        return Ok(Box::new(hardware.map_err(|e| manual_motion::hardware_error(path, e))?));
     }
     let section = board.plant.clone().ok_or_else(|| {
         miette!("this board has neither [pins] nor [plant], so there is no machine to run; give --plant, or a board that describes one")

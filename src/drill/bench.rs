@@ -50,9 +50,10 @@ impl FaultyMachine {
     pub fn restore_racks(&mut self) {
         self.inner.world.plant_mut().vent();
         let step_mm = self.info().step_mm;
-        let Some(play_output_mm) = self.inner.world.last().map(|out| out.truth.play_output_mm) else { return };
+        let Some(out) = self.inner.world.last() else { return };
+        let lost = out.truth.play_output_mm.map(|mm| (mm / step_mm).round() as i32);
         for channel in Channel::ALL {
-            let microsteps = (play_output_mm[channel.index()] / step_mm).round() as i32;
+            let microsteps = lost[channel.index()];
             self.inject(InjectedFault::StepLoss { channel, microsteps });
         }
     }
@@ -159,7 +160,8 @@ impl BenchConfig {
     pub fn bench_on(&self, machine: FaultyMachine, restart: Option<RestartState>, now_s: f64) -> Bench {
         let config = self.supervisor(machine.info());
         let period_s = machine.info().period_s;
-        Bench { runner: Runner::new(machine, Supervisor::new(config, restart)), now_s, period_s, straight: None, truth: None }
+        let runner = Runner::new(machine, Supervisor::new(config, restart));
+        Bench { runner, now_s, period_s, straight: None, truth: None }
     }
 }
 
@@ -213,12 +215,28 @@ impl Bench {
     /// True bend relative to the straight orientation.
     #[must_use]
     pub fn true_bend(&self) -> Bend {
-        let truth = self.truth.unwrap_or_else(Rotation::identity);
-        match &self.straight {
+        let mut truth = self.truth.unwrap_or_else(Rotation::identity);
+        if let Some(straight) = &self.straight {
             // base and tip frame coincide in the new rest pose
-            Some(straight) => Bend::from_rotation(&Rotation::assert_frames(straight.quat().inverse() * truth.quat())),
-            None => Bend::from_rotation(&truth),
+            truth = Rotation::assert_frames(straight.quat().inverse() * truth.quat());
         }
+        Bend::from_rotation(&truth)
+    }
+
+    /// Distance of the true bend from a pose, degrees.
+    #[must_use]
+    pub fn error_deg(&self, bend_deg: f64, dir_deg: f64) -> f64 {
+        let target = Bend::from_deg(bend_deg, dir_deg);
+        (self.true_bend().0 - target.0).norm().to_degrees()
+    }
+
+    /// Arms, and waits for the drivers.
+    ///
+    /// # Errors
+    /// [`MachineError`].
+    pub fn arm(&mut self) -> Result<CycleOutput, MachineError> {
+        self.turn(Some(Order::Arm))?;
+        self.run(0.05)
     }
 
     /// Period of a cycle, s.
@@ -231,5 +249,6 @@ impl Bench {
 /// An order to bend; angles in degrees.
 #[must_use]
 pub fn bend(bend_deg: f64, dir_deg: f64) -> Order {
-    Order::Bend(Command { bend: Bend::from_deg(bend_deg, dir_deg), length: Mm(20.0) }, None)
+    let (bend, length) = (Bend::from_deg(bend_deg, dir_deg), Mm(20.0));
+    Order::Bend(Command { bend, length }, None)
 }

@@ -36,6 +36,12 @@ impl Row {
         Self { fault: fault.to_owned(), requires: requires.into(), ok: true, ..Self::default() }
     }
 
+    /// With its final state.
+    #[must_use]
+    pub fn ending(self, state: &str) -> Self {
+        Self { state: state.to_owned(), ..self }
+    }
+
     /// Adds a failure.
     pub fn fail(&mut self, why: impl AsRef<str>) {
         self.ok = false;
@@ -46,7 +52,7 @@ impl Row {
     }
 
     /// Adds a failure unless `met`.
-    pub fn require(&mut self, met: bool, why: impl FnOnce(&Self) -> String) {
+    pub fn require<S: AsRef<str>>(&mut self, met: bool, why: impl FnOnce(&Self) -> S) {
         if !met {
             let why = why(self);
             self.fail(why);

@@ -3,7 +3,6 @@
 use crate::drill::bench::{Bench, BenchConfig, bend};
 use crate::drill::row::Row;
 use crate::drill::spec::{Bound, Detector, Injection, Situation, Spec};
-use crate::model::bend::Bend;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::{Order, Refusal};
 use crate::supervisor::gate::SafeState;
@@ -50,16 +49,20 @@ impl Allowance {
         let (gate, motion) = (supervisor.gate, supervisor.tick.motion);
         let blind_mm = motion.limits.speed_max_mm_s * supervisor.tick.fuse.health.blind_max_s;
         let steps = |mm: f64| (3.0 * mm / gate.step_mm).ceil() as i64 + 6;
-        let (stopping, braking) = (steps(motion.braking_mm()), steps(motion.braking_mm() + blind_mm));
-        let Some(mut last) = take_off(&mut bench)? else { return Ok(Self { stopping, braking, moving: 0 }) };
+        let stopping = steps(motion.braking_mm());
+        let braking = steps(motion.braking_mm() + blind_mm);
         let mut moving = 0;
+        let Some(mut last) = take_off(&mut bench)? else {
+            return Ok(Self { stopping, braking, moving });
+        };
         bench.turn(Some(bend(TO.0, TO.1)))?;
         for _ in 0..(OBSERVED_S / bench.period_s()) as usize {
             let output = bench.turn(None)?;
             moving += emitted(&last, &output);
             last = output;
         }
-        Ok(Self { stopping, braking, moving: 2 * moving + (3.0 * gate.travel_mm / gate.step_mm) as i64 })
+        moving = 2 * moving + (3.0 * gate.travel_mm / gate.step_mm) as i64;
+        Ok(Self { stopping, braking, moving })
     }
 
     /// Microsteps that braking from full speed needs.
@@ -79,7 +82,8 @@ impl Allowance {
 }
 
 fn emitted(before: &CycleOutput, after: &CycleOutput) -> i64 {
-    (0..3).map(|i| (i64::from(after.counted.0[i]) - i64::from(before.counted.0[i])).abs()).sum()
+    let pairs = after.counted.0.into_iter().zip(before.counted.0);
+    pairs.map(|(now, then)| (i64::from(now) - i64::from(then)).abs()).sum()
 }
 
 /// Aligns, arms and moves to the first pose; `None` if the alignment fails.
@@ -87,8 +91,7 @@ fn take_off(bench: &mut Bench) -> Result<Option<CycleOutput>, MachineError> {
     if !bench.until(10.0, |t| t.mode == Mode::Disarmed)? {
         return Ok(None);
     }
-    bench.turn(Some(Order::Arm))?;
-    bench.run(0.05)?;
+    bench.arm()?;
     bench.turn(Some(bend(FROM.0, FROM.1)))?;
     bench.run(2.0).map(Some)
 }
@@ -100,7 +103,8 @@ fn take_off(bench: &mut Bench) -> Result<Option<CycleOutput>, MachineError> {
 pub fn fly(config: &BenchConfig, spec: &Spec, allowance: &Allowance) -> Result<Row, MachineError> {
     let steps_allowed = allowance.of(spec.bound);
     let requires = spec.words(steps_allowed, AFTER_MAX_DEG);
-    let mut row = Row { steps_allowed, state: "boot".to_owned(), ..Row::new(spec.name, requires) };
+    let mut row = Row::new(spec.name, requires).ending("boot");
+    row.steps_allowed = steps_allowed;
     let mut config = config.clone();
     if spec.situation == Situation::Returning {
         config.board.safety.on.emergency_stop = SafeState::Relax;
@@ -111,19 +115,24 @@ pub fn fly(config: &BenchConfig, spec: &Spec, allowance: &Allowance) -> Result<R
         return Ok(row);
     }
     let before = enter(&mut bench, spec)?;
-    row.require(before.mode == spec.situation.mode(), |_| format!("injected in mode {}", before.mode));
+    let mode = before.mode;
+    row.require(mode == spec.situation.mode(), |_| format!("injected in mode {mode}"));
     let last = observe(&mut bench, spec, before, &mut row)?;
-    row.require(row.detected_s.is_some(), |_| "not detected".to_owned());
-    row.require(row.detected_s.is_none_or(|s| s <= spec.within_s), |row| format!("detected after {:?} s", row.detected_s));
-    row.require(row.steps_after <= row.steps_allowed, |row| format!("{} microsteps after the detection", row.steps_after));
-    row.require(spec.states.contains(&row.state.as_str()), |row| format!("final state {}", row.state));
-    row.require(spec.detector.accepts(&last), |_| format!("diagnosed as `{}`", last.suspicion.map_or_else(String::new, |s| s.to_string())));
-    row.error_deg_after = recover(&mut bench, spec, &mut row)?;
-    let estimate = bench.runner.supervisor.state().fusion.estimate().map_or(0.0, |f| f.bend.beta().to_degrees());
+    let (after_s, steps) = (row.detected_s, row.steps_after);
+    row.require(after_s.is_some(), |_| "not detected");
+    let in_time = after_s.is_none_or(|s| s <= spec.within_s);
+    row.require(in_time, |_| format!("detected after {after_s:?} s"));
+    row.require(steps <= steps_allowed, |_| format!("{steps} microsteps after the detection"));
+    let ends = spec.states.contains(&row.state.as_str());
+    row.require(ends, |row| format!("final state {}", row.state));
+    let named = last.suspicion.map_or_else(String::new, |s| s.to_string());
+    row.require(spec.detector.accepts(&last), |_| format!("diagnosed as `{named}`"));
+    let error = recover(&mut bench, spec, &mut row)?;
+    row.error_deg_after = error;
+    let estimate = bench.runner.supervisor.state().fusion.estimate();
+    let estimate = estimate.map_or(0.0, |f| f.bend.beta().to_degrees());
     let truth = bench.true_bend().beta().to_degrees();
-    row.require(row.error_deg_after <= AFTER_MAX_DEG, |row| {
-        format!("error {:.1}° after the repair (estimate {estimate:.1}°, truth {truth:.1}°)", row.error_deg_after)
-    });
+    row.require(error <= AFTER_MAX_DEG, |_| format!("error {error:.1}° after the repair (estimate {estimate:.1}°, truth {truth:.1}°)"));
     Ok(row)
 }
 
@@ -133,7 +142,8 @@ fn enter(bench: &mut Bench, spec: &Spec) -> Result<CycleOutput, MachineError> {
         bench.turn(Some(Order::Calibrate(true)))?;
     }
     bench.turn(Some(bend(spec.target.0, spec.target.1)))?;
-    let output = bench.run(if spec.situation == Situation::Held { HELD_S } else { MID_MOTION_S })?;
+    let held = spec.situation == Situation::Held;
+    let output = bench.run(if held { HELD_S } else { MID_MOTION_S })?;
     match spec.situation {
         Situation::Relaxing => bench.turn(Some(Order::Relax))?,
         Situation::Returning => {
@@ -166,9 +176,11 @@ fn observe(bench: &mut Bench, spec: &Spec, before: CycleOutput, row: &mut Row) -
         }
         if matches!(spec.injection, Injection::Stop) {
             let moves = output.order.is_some_and(|order| order.starts_motion());
-            row.require(!moves || output.answer == Some(Err(Refusal::Stopped)), |_| format!("{:?} was not refused", output.order));
+            let refused = !moves || output.answer == Some(Err(Refusal::Stopped));
+            row.require(refused, |_| format!("{:?} was not refused", output.order));
             let every = (RUNAWAY_S / bench.period_s()) as u64;
-            order = ((elapsed_s / bench.period_s()) as u64).is_multiple_of(every).then(|| bend(FURTHER.0, FURTHER.1));
+            let due = ((elapsed_s / bench.period_s()) as u64).is_multiple_of(every);
+            order = due.then(|| bend(FURTHER.0, FURTHER.1));
         }
         if row.detected_s.is_some() {
             row.steps_after += emitted(&last, &output);
@@ -176,14 +188,15 @@ fn observe(bench: &mut Bench, spec: &Spec, before: CycleOutput, row: &mut Row) -
             row.detected_s = Some((elapsed_s * 1e6).round() * 1e-6);
             row.message = message;
         }
-        let error = (bench.true_bend().0 - output.frame.setpoint.bend.0).norm().to_degrees();
-        row.error_deg_during = row.error_deg_during.max(error);
+        let error = bench.true_bend().0 - output.frame.setpoint.bend.0;
+        row.error_deg_during = row.error_deg_during.max(error.norm().to_degrees());
         last = output;
     }
     if let Some(s) = last.suspicion {
         row.message = s.to_string();
     }
-    row.state = if last.frame.senses.held && last.mode.moves() { "holding" } else { last.mode.name() }.to_owned();
+    let held = last.frame.senses.held && last.mode.moves();
+    row.state = if held { "holding" } else { last.mode.name() }.to_owned();
     Ok(last)
 }
 
@@ -208,8 +221,11 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, Machine
     }
     if bench.runner.supervisor.mode() == Mode::Faulted {
         // the gate may still brake: an operator tries again
-        let accepted = (0..100).any(|_| bench.run(0.1).is_ok() && bench.turn(Some(Order::Reset)).is_ok_and(|t| t.answer == Some(Ok(()))));
-        row.require(accepted, |_| "the fault could not be reset within 10 s".to_owned());
+        let accepted = (0..100).any(|_| {
+            let output = bench.run(0.1).and_then(|_| bench.turn(Some(Order::Reset)));
+            output.is_ok_and(|t| t.answer == Some(Ok(())))
+        });
+        row.require(accepted, |_| "the fault could not be reset within 10 s");
     }
     if !stays {
         return_to_rest(bench, spec, zero, row)?;
@@ -221,19 +237,19 @@ fn recover(bench: &mut Bench, spec: &Spec, row: &mut Row) -> Result<f64, Machine
         bench.set_straight();
     }
     let ready = bench.until(8.0, |t| t.mode != Mode::Aligning)?;
-    row.require(ready, |_| "not aligned again".to_owned());
+    row.require(ready, |_| "not aligned again");
     if bench.runner.supervisor.mode() == Mode::Disarmed {
         order(bench, Order::Arm, row)?;
         bench.run(0.05)?;
     }
     order(bench, bend(AFTER.0, AFTER.1), row)?;
     let output = bench.run(3.5)?;
-    row.require(output.mode == Mode::Holding, |_| format!("mode {} after the repair", output.mode));
-    let target = Bend::from_deg(AFTER.0, AFTER.1);
+    let mode = output.mode;
+    row.require(mode == Mode::Holding, |_| format!("mode {mode} after the repair"));
     let (mut sum, n) = (0.0, (0.3 / bench.period_s()) as u32);
     for _ in 0..n {
         bench.turn(None)?;
-        sum += (bench.true_bend().0 - target.0).norm().to_degrees();
+        sum += bench.error_deg(AFTER.0, AFTER.1);
     }
     Ok(sum / f64::from(n))
 }
@@ -243,8 +259,9 @@ fn return_to_rest(bench: &mut Bench, spec: &Spec, zero: bool, row: &mut Row) -> 
     if supervisor.mode() != Mode::Relaxing && supervisor.keep().steps.0 != [0; 3] {
         order(bench, Order::Relax, row)?;
     }
-    let rested = bench.until(15.0, |t| matches!(t.mode, Mode::Disarmed | Mode::Aligning | Mode::Lost))?;
-    row.require(rested, |_| "did not return to rest".to_owned());
+    let rests = |t: &CycleOutput| matches!(t.mode, Mode::Disarmed | Mode::Aligning | Mode::Lost);
+    let rested = bench.until(15.0, rests)?;
+    row.require(rested, |_| "did not return to rest");
     // at rest, a leaking line reaches the ambient pressure, at which it is closed again
     bench.run(if zero { VENT_S } else { 1.0 })?;
     bench.runner.machine.clear_faults();

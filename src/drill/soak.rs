@@ -3,7 +3,6 @@
 use crate::drill::bench::{Bench, BenchConfig, bend};
 use crate::drill::list::specs;
 use crate::drill::spec::{Injection, Spec};
-use crate::model::bend::Bend;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::machine::MachineError;
 use crate::supervisor::mode::Mode;
@@ -57,14 +56,16 @@ pub fn run(config: &BenchConfig, hours: f64, seed: u64, progress: &mut dyn FnMut
         let mut bench = config.bench(1 + session % 5, session)?;
         while bench.now_s < SESSION_S {
             if !to_armed(&mut bench)? {
-                soak.why.push(format!("session {session}: stuck in mode {}", bench.runner.supervisor.mode()));
+                let mode = bench.runner.supervisor.mode();
+                soak.why.push(format!("session {session}: stuck in mode {mode}"));
                 break;
             }
             soak.poses += 1;
             errors.extend(one_move(&mut bench, &specs, &mut rng, &mut soak)?);
             let lines = bench.runner.supervisor.state().lines();
             for (line, prior) in lines.iter().zip(&prior) {
-                soak.gain_range = soak.gain_range.max((line.k_epsilon - prior).abs() / (1.0 + prior));
+                let change = (line.k_epsilon - prior).abs() / (1.0 + prior);
+                soak.gain_range = soak.gain_range.max(change);
             }
         }
         let before = elapsed_s;
@@ -78,20 +79,22 @@ pub fn run(config: &BenchConfig, hours: f64, seed: u64, progress: &mut dyn FnMut
     soak.hours = elapsed_s / 3600.0;
     soak.rss_kib[1] = rss_kib();
     errors.sort_by(f64::total_cmp);
-    soak.error_deg = [errors.get(errors.len() / 2).copied().unwrap_or(0.0), errors.last().copied().unwrap_or(0.0)];
+    let middle = errors.get(errors.len() / 2);
+    soak.error_deg = [middle, errors.last()].map(|deg| deg.copied().unwrap_or(0.0));
     assess(&mut soak);
     Ok(soak)
 }
 
 /// One random move, sometimes with a fault. Returns the error of the held pose where it can be assessed, degrees.
 fn one_move(bench: &mut Bench, specs: &[Spec], rng: &mut StdRng, soak: &mut Soak) -> Result<Option<f64>, MachineError> {
-    let (angle, dir) = (75.0 * rng.random::<f64>().sqrt(), 360.0 * rng.random::<f64>());
+    let angle = 75.0 * rng.random::<f64>().sqrt();
+    let dir = 360.0 * rng.random::<f64>();
     bench.turn(Some(bend(angle, dir)))?;
     if rng.random::<f64>() >= FAULT_SHARE {
         let output = bench.run(2.0 + 3.0 * rng.random::<f64>())?;
         soak.trips += u64::from(output.tripped.is_some());
-        let error_deg = (bench.true_bend().0 - Bend::from_deg(angle, dir).0).norm().to_degrees();
-        return Ok((output.mode == Mode::Holding && !output.frame.blocked).then_some(error_deg));
+        let holds = output.mode == Mode::Holding && !output.frame.blocked;
+        return Ok(holds.then(|| bench.error_deg(angle, dir)));
     }
     let spec = &specs[rng.random_range(0..specs.len())];
     bench.run(0.05 + 0.4 * rng.random::<f64>())?;
@@ -116,11 +119,12 @@ fn one_move(bench: &mut Bench, specs: &[Spec], rng: &mut StdRng, soak: &mut Soak
 }
 
 fn assess(soak: &mut Soak) {
-    if soak.gain_range > soak.gain_allowed + 1e-9 {
-        soak.why.push(format!("a learned gain changed by {:.2}, allowed is {:.2}", soak.gain_range, soak.gain_allowed));
+    let (range, allowed, [early, late]) = (soak.gain_range, soak.gain_allowed, soak.rss_kib);
+    if range > allowed + 1e-9 {
+        soak.why.push(format!("a learned gain changed by {range:.2}, allowed is {allowed:.2}"));
     }
-    if soak.rss_kib[1] > soak.rss_kib[0] + soak.rss_kib[0] / 10 + 2048 {
-        soak.why.push(format!("memory grew from {} to {} KiB", soak.rss_kib[0], soak.rss_kib[1]));
+    if late > early + early / 10 + 2048 {
+        soak.why.push(format!("memory grew from {early} to {late} KiB"));
     }
     soak.ok = soak.why.is_empty();
 }
@@ -151,16 +155,14 @@ fn to_armed(bench: &mut Bench) -> Result<bool, MachineError> {
                 bench.turn(Some(Order::Reset))?;
                 bench.turn(Some(Order::AssertStraight))?;
                 bench.until(8.0, |t| t.mode != Mode::Aligning)?;
-                bench.turn(Some(Order::Arm))?;
-                bench.run(0.05)?;
+                bench.arm()?;
             }
             Mode::Disarmed if attempt > 4 => {
                 bench.turn(Some(Order::Relax))?;
             }
             Mode::Disarmed => {
                 bench.turn(Some(Order::Reset))?;
-                bench.turn(Some(Order::Arm))?;
-                bench.run(0.05)?;
+                bench.arm()?;
             }
             Mode::Relaxing => {
                 bench.until(20.0, |t| t.mode != Mode::Relaxing)?;
@@ -182,5 +184,6 @@ fn to_armed(bench: &mut Bench) -> Result<bool, MachineError> {
 fn rss_kib() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"));
-    line.and_then(|l| l.trim().trim_end_matches(" kB").trim().parse().ok()).unwrap_or(0)
+    let kib = line.and_then(|l| l.trim().trim_end_matches(" kB").trim().parse().ok());
+    kib.unwrap_or(0)
 }

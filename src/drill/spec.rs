@@ -144,8 +144,9 @@ impl Spec {
     /// A fault in the middle of the standard move.
     #[must_use]
     pub fn new(name: &'static str, injection: Injection, detector: Detector, bound: Bound, states: &'static [&'static str]) -> Self {
+        let (zero, by_hand, within_s) = (false, false, WITHIN_S);
         let (target, situation) = ((68.0, 80.0), Situation::Moving);
-        Self { name, injection, detector, bound, states, zero: false, by_hand: false, target, situation, within_s: WITHIN_S }
+        Self { name, injection, detector, bound, states, zero, by_hand, target, situation, within_s }
     }
 
     /// With a bound of its own on the time until the detection, s.
@@ -166,6 +167,18 @@ impl Spec {
     #[must_use]
     pub fn then_zero(self) -> Self {
         Self { zero: true, ..self }
+    }
+
+    /// With another bend and direction of the move, degrees.
+    #[must_use]
+    pub fn toward(self, bend_deg: f64, dir_deg: f64) -> Self {
+        Self { target: (bend_deg, dir_deg), ..self }
+    }
+
+    /// With another situation.
+    #[must_use]
+    pub fn when(self, situation: Situation) -> Self {
+        Self { situation, ..self }
     }
 
     /// With a rack put back by hand.
@@ -207,9 +220,12 @@ impl Detector {
     /// The message of a cycle that detects the fault.
     #[must_use]
     pub fn detects(&self, output: &CycleOutput) -> Option<String> {
-        let suspicion = || output.suspicion.filter(|_| output.suspects).map(|s| s.to_string());
-        let trip =
-            |causes: &[TripCause]| output.tripped.filter(|c| causes.is_empty() || causes.contains(c)).map(|c| trip_message(c).to_owned());
+        let said = |met: bool, text: &str| met.then(|| text.to_owned());
+        let suspicion = || Some(output.suspicion.filter(|_| output.suspects)?.to_string());
+        let trip = |causes: &[TripCause]| {
+            let among = |cause: &TripCause| causes.is_empty() || causes.contains(cause);
+            Some(trip_message(output.tripped.filter(among)?).to_owned())
+        };
         match self {
             Self::Sensor(causes) => {
                 let found = causes.iter().find(|c| output.raised.contains(**c))?;
@@ -220,16 +236,22 @@ impl Detector {
                 output.raised.contains(shaken).then(|| shaken.advice().to_owned())
             }),
             Self::Trip(causes) => trip(causes),
-            Self::Stopped => output.stopped.then(|| "stopped: `retroflex arm` first".to_owned()),
-            Self::LateCycle => (output.dt_s > 0.0015).then(|| format!("a cycle came {:.0} ms late", (output.dt_s - 1e-3) * 1e3)),
-            Self::Refusal(expected) => output.answer?.err().filter(|refusal| expected(*refusal)).map(|refusal| refusal.to_string()),
-            Self::Bias if output.bias_moved => {
-                Some("the gyroscope bias has changed since the alignment: `zero` when convenient".to_owned())
+            Self::Stopped => said(output.stopped, "stopped: `retroflex arm` first"),
+            Self::LateCycle => {
+                let late_ms = (output.dt_s - 1e-3) * 1e3;
+                (output.dt_s > 0.0015).then(|| format!("a cycle came {late_ms:.0} ms late"))
             }
-            Self::Bias if output.frame.senses.disagrees => Some("the two orientation filters disagree".to_owned()),
+            Self::Refusal(expected) => {
+                let refusal = output.answer?.err().filter(|refusal| expected(*refusal))?;
+                Some(refusal.to_string())
+            }
+            Self::Bias if output.bias_moved => said(true, "the gyroscope bias has changed since the alignment: `zero` when convenient"),
+            Self::Bias if output.frame.senses.disagrees => said(true, "the two orientation filters disagree"),
             Self::Bias => (!output.raised.is_empty()).then(|| output.raised.to_string()),
-            Self::Base if output.frame.base_moved => Some("the base has turned: relax, then zero".to_owned()),
-            Self::Base => suspicion().or_else(|| trip(&[])),
+            Self::Base => {
+                let turned = said(output.frame.base_moved, "the base has turned: relax, then zero");
+                turned.or_else(suspicion).or_else(|| trip(&[]))
+            }
         }
     }
 

@@ -72,7 +72,8 @@ pub fn run(study: &Study, mechanisms: &[Mechanism], progress: &(dyn Fn() + Sync)
             progress();
             result
         };
-        let units = (0..study.units).into_par_iter().map(unit).collect::<Result<Vec<_>, _>>()?;
+        let units: Result<Vec<_>, _> = (0..study.units).into_par_iter().map(unit).collect();
+        let units = units?;
         let held = || units.iter().flat_map(|u| &u.held);
         let settle = |share: f64| percentile(held().map(|h| h.settle_s.unwrap_or(HOLD_S)), share);
         let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);

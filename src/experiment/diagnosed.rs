@@ -34,8 +34,10 @@ pub fn described(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Resul
     let nominal = recalibrated(&log, &config.lines);
     let found = best_predicting(&log, &catalogue, &nominal, &nominal);
     let model = Model::named(&catalogue, &found.names);
-    let causes = model.each(&found.fitted.theta).filter_map(|(e, p)| Some((by_name(e.name())?, p.to_vec()))).collect();
-    Ok(DescribedMachine::new(rig.geometry, log.rest(), &found.fitted.theta, causes).foreseeable())
+    let theta = &found.fitted.theta;
+    let causes = model.each(theta).filter_map(|(e, p)| Some((by_name(e.name())?, p.to_vec())));
+    let machine = DescribedMachine::new(rig.geometry, log.rest(), theta, causes.collect());
+    Ok(machine.foreseeable())
 }
 
 /// Drives the standard schedule in open loop and records pistons and tip IMU, each row a mean over 20 ms.
@@ -44,33 +46,39 @@ pub fn described(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Resul
 /// The world's.
 pub fn record(config: &LoopConfig, rig: &Rig, world: &mut dyn World) -> Result<BendLog, MachineError> {
     let machine = Machine::new(*rig, config.lines);
-    let rows: Vec<_> = standard::rows(&machine).into_iter().filter(|r| machine.reaches(r)).collect();
+    let mut rows = standard::rows(&machine);
+    rows.retain(|r| machine.reaches(r));
     let period_s = world.info().period_s;
     let of = |time_s: f64| ((time_s / period_s).round() as usize).max(1);
     let path = machine.drive(&rows, period_s).rounded(of(ROUNDED_S)).piston_mm;
     let nan = Vector3::repeat(f64::NAN);
-    let mut log = BendLog { imu: Some(ImuColumns { acc: vec![], gyr: vec![], mag: vec![] }), ..BendLog::default() };
+    let mut log = BendLog::default();
+    let (mut acc, mut gyr, mut mag) = (vec![], vec![], vec![]);
     for (n, row) in path.chunks_exact(of(ROW_S)).enumerate() {
-        let (mut piston, mut sums, mut samples) = (Vector3::zeros(), [Vector3::zeros(); 3], [0.0; 3]);
+        let (mut sums, mut samples) = ([Vector3::zeros(); 3], [0.0; 3]);
+        let mut piston = Vector3::zeros();
         for at in row {
             let counts = config.drive.steps(at);
             piston += config.drive.piston_mm(&counts);
-            let Some(sample) = world.step(&counts)?.imu.map(|s| config.imu.apply(&s)) else { continue };
+            let Some(sample) = world.step(&counts)?.imu else { continue };
+            let sample = config.imu.apply(&sample);
             let readings = [Some(sample.acc_m_s2), Some(sample.gyro_rad_s), sample.mag_ut];
-            for (k, value) in readings.into_iter().enumerate().filter_map(|(k, v)| Some((k, v?))) {
-                (sums[k], samples[k]) = (sums[k] + value, samples[k] + 1.0);
+            for (k, value) in readings.iter().enumerate() {
+                if let Some(value) = value {
+                    (sums[k], samples[k]) = (sums[k] + value, samples[k] + 1.0);
+                }
             }
         }
-        let [acc, gyr, mag] = std::array::from_fn(|k| if samples[k] > 0.0 { sums[k] / samples[k] } else { nan });
+        let mean = |k: usize| if samples[k] > 0.0 { sums[k] / samples[k] } else { nan };
+        acc.push(mean(0));
+        gyr.push(mean(1));
+        mag.push(mean(2));
         // the mean of the times of a row
-        log.t_s.push(((n * row.len()) as f64 + 0.5 * (row.len() + 1) as f64) * period_s);
+        let middle = (n * row.len()) as f64 + 0.5 * (row.len() + 1) as f64;
+        log.t_s.push(middle * period_s);
         log.piston_mm.push(piston / row.len() as f64);
         log.command.push(nan);
-        if let Some(imu) = &mut log.imu {
-            imu.acc.push(acc);
-            imu.gyr.push(gyr);
-            imu.mag.push(mag);
-        }
     }
+    log.imu = Some(ImuColumns { acc, gyr, mag });
     Ok(log)
 }

@@ -61,13 +61,11 @@ impl Path {
     fn of(table: Table, geometry: &Geometry) -> Result<Self, ReadError> {
         let t_s = table.clock("t_s")?.to_vec();
         let (bend, dir) = (table.complete("bend_deg")?, table.complete("dir_deg")?);
-        let length = match table.column("len_mm") {
-            Some(_) => Some(table.complete("len_mm")?),
-            None => None,
-        };
+        let length = table.column("len_mm").map(|_| table.complete("len_mm"));
+        let length = length.transpose()?;
         let row = |k: usize| {
-            let bend = Bend::from_deg(bend[k], dir[k]).0;
-            Vector3::new(bend.x, bend.y, length.map_or(geometry.rest_length_mm, |l| l[k]))
+            let length_mm = length.map_or(geometry.rest_length_mm, |l| l[k]);
+            Bend::from_deg(bend[k], dir[k]).0.push(length_mm)
         };
         let rows: Vec<_> = (0..t_s.len()).map(row).collect();
         let second = natural_spline(&t_s, &rows);
@@ -134,13 +132,14 @@ impl Path {
     /// [`ReadError::Field`] for the first row out of reach, with the largest bend in its direction.
     pub fn within(&self, limits: &ActuatorLimits, geometry: &Geometry, lines: &[Line; 3]) -> Result<(), ReadError> {
         for (k, row) in self.rows.iter().enumerate() {
-            let bend = Bend(row.xy());
-            let share = limits.largest_share(geometry, lines, &Shape { bend, length: Mm(row.z) });
+            let shape = shape(row);
+            let share = limits.largest_share(geometry, lines, &shape);
             if share < 1.0 {
-                let (least, dir_deg) = (share * bend.beta().to_degrees(), bend.delta().to_degrees());
-                let given = self.table.column("bend_deg").map_or(0.0, |b| b[k]);
-                let expected = format!("within reach: the largest bend towards {dir_deg:.0}° at {:.1} mm is {least:.1}°", row.z);
-                return Err(self.table.refuse(k, "bend_deg", &given.to_string(), &expected));
+                let (bend_deg, dir_deg) = (shape.bend.beta().to_degrees(), shape.bend.delta().to_degrees());
+                let (largest_deg, length_mm) = (share * bend_deg, row.z);
+                let given = self.table.column("bend_deg").map_or(0.0, |b| b[k]).to_string();
+                let expected = format!("within reach: the largest bend towards {dir_deg:.0}° at {length_mm:.1} mm is {largest_deg:.1}°");
+                return Err(self.table.refuse(k, "bend_deg", &given, &expected));
             }
         }
         Ok(())
@@ -152,7 +151,7 @@ impl Path {
     pub fn demand(&self, geometry: &Geometry, lines: &[Line; 3], limits: &MotionLimits) -> f64 {
         let scans = (self.duration_s() / SCAN_S).ceil() as usize;
         let pistons = |v: Vector2<f64>| {
-            let q = geometry.lengths(&Shape { bend: Bend(v), length: Mm(geometry.rest_length_mm) });
+            let q = geometry.lengths(&shape(&v.push(geometry.rest_length_mm)));
             (0..3).map(|i| lines[i].play_output_mm(q[i]).abs()).fold(0.0, f64::max)
         };
         let (speed_max, acceleration_max) = (USABLE * limits.speed_max_mm_s, USABLE * limits.acceleration_max_mm_s2);
@@ -171,7 +170,14 @@ impl Path {
 }
 
 fn reference([at, rate, acceleration]: [Vector3<f64>; 3]) -> Reference {
-    Reference { shape: Shape { bend: Bend(at.xy()), length: Mm(at.z) }, rate: rate.xy(), acceleration: acceleration.xy() }
+    let (shape, rate, acceleration) = (shape(&at), rate.xy(), acceleration.xy());
+    Reference { shape, rate, acceleration }
+}
+
+/// The shape of a row.
+fn shape(row: &Vector3<f64>) -> Shape {
+    let (bend, length) = (Bend(row.xy()), Mm(row.z));
+    Shape { bend, length }
 }
 
 /// Second derivatives of the natural cubic spline at its rows (Thomas' algorithm).

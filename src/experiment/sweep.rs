@@ -42,98 +42,69 @@ impl Condition {
     }
 }
 
+const fn row(name: &'static str, values: &'static [f64], set: fn(&mut PlantConfig, f64, f64)) -> Condition {
+    Condition { name, values, set }
+}
+
 /// Every condition.
 pub const CONDITIONS: [Condition; 15] = [
-    Condition {
-        name: "line_lag_s",
-        values: &[0.1, 0.25, 0.6, 1.0],
-        set: |p, v, _| p.effects.line_lag.get_or_insert_default().lag_s = [v; 3],
-    },
-    Condition { name: "dead_time_s", values: &[0.05, 0.12, 0.2, 0.3], set: |p, v, _| dead_time(p, v) },
-    Condition { name: "sensor_latency_s", values: &[0.05, 0.12, 0.2, 0.3], set: |p, v, _| latency(p, v) },
-    Condition {
-        name: "dead_time_and_latency_s",
-        values: &[0.1, 0.2, 0.3],
-        set: |p, v, _| {
-            dead_time(p, v / 2.0);
-            latency(p, v / 2.0);
-        },
-    },
-    Condition {
-        name: "motor_field_ut",
-        values: &[0.1, 0.3, 1.0, 3.0, 8.0, 20.0],
-        set: |p, v, turn| {
-            let motors = p.effects.motor_field.get_or_insert_default();
-            motors.amplitude_ut = [v; 3];
-            motors.azimuth_deg = motors.azimuth_deg.map(|a| (a + turn) % 360.0);
-        },
-    },
-    Condition {
-        name: "hard_iron_ut",
-        values: &[5.0, 20.0, 50.0],
-        set: |p, v, turn| p.effects.hard_iron.get_or_insert_default().offset_ut = askew(v, turn),
-    },
-    Condition {
-        name: "contact_and_release_deg",
-        values: &[60.0, 40.0, 20.0],
-        set: |p, v, turn| {
-            let wall = p.effects.contact.get_or_insert_default();
-            (wall.block, wall.at_deg, wall.direction_deg, wall.until_s) = (1.0, v, turn, RELEASE_S);
-        },
-    },
-    Condition {
-        name: "stick_slip_mm",
-        values: &[0.5, 1.6, 2.6],
-        set: |p, v, _| p.effects.outside.stick_slip.get_or_insert_default().breakaway_mm = v,
-    },
-    Condition {
-        name: "respiration_deg",
-        values: &[1.0, 3.0, 5.0],
-        set: |p, v, turn| {
-            let breath = p.effects.outside.respiration.get_or_insert_default();
-            (breath.amplitude_deg, breath.direction_deg) = (v, turn);
-        },
-    },
-    Condition { name: "base_sway_deg", values: &[1.0, 3.0, 5.0], set: sway },
-    Condition {
-        name: "base_sway_with_imu_deg",
-        values: &[1.0, 3.0, 5.0],
-        set: |p, v, turn| {
-            sway(p, v, turn);
-            p.base.imu = true;
-        },
-    },
-    Condition { name: "torsion_deg", values: &[5.0, 10.0, 20.0], set: |p, v, _| p.effects.torsion.get_or_insert_default().twist_deg = v },
-    Condition {
-        name: "mount_deg",
-        values: &[3.0, 8.0, 15.0],
-        set: |p, v, turn| p.effects.mount_misalignment.get_or_insert_default().tilt_deg = askew(v, turn),
-    },
-    Condition {
-        name: "noise_factor",
-        values: &[3.0, 10.0],
-        set: |p, v, _| {
-            let imu = &mut p.imu;
-            for noise in [&mut imu.gyro_noise_deg_s_rthz, &mut imu.acc_noise_mg_rthz, &mut imu.mag_noise_ut] {
-                *noise *= v;
-            }
-        },
-    },
-    Condition {
-        name: "temperature_drift_mm",
-        values: &[1.0, 2.0, 4.0],
-        set: |p, v, _| {
-            let air = p.effects.thermal_drift.get_or_insert_default();
-            (air.offset_mm, air.case_s) = ([v, -0.5 * v, -0.5 * v], 40.0);
-        },
-    },
+    row("line_lag_s", &[0.1, 0.25, 0.6, 1.0], |p, v, _| {
+        p.effects.line_lag.get_or_insert_default().lag_s = [v; 3];
+    }),
+    row("dead_time_s", &[0.05, 0.12, 0.2, 0.3], dead_time),
+    row("sensor_latency_s", &[0.05, 0.12, 0.2, 0.3], latency),
+    row("dead_time_and_latency_s", &[0.1, 0.2, 0.3], |p, v, turn| {
+        dead_time(p, v / 2.0, turn);
+        latency(p, v / 2.0, turn);
+    }),
+    row("motor_field_ut", &[0.1, 0.3, 1.0, 3.0, 8.0, 20.0], |p, v, turn| {
+        let motors = p.effects.motor_field.get_or_insert_default();
+        motors.amplitude_ut = [v; 3];
+        motors.azimuth_deg = motors.azimuth_deg.map(|a| (a + turn) % 360.0);
+    }),
+    row("hard_iron_ut", &[5.0, 20.0, 50.0], |p, v, turn| {
+        p.effects.hard_iron.get_or_insert_default().offset_ut = askew(v, turn);
+    }),
+    row("contact_and_release_deg", &[60.0, 40.0, 20.0], |p, v, turn| {
+        let wall = p.effects.contact.get_or_insert_default();
+        (wall.block, wall.at_deg, wall.direction_deg, wall.until_s) = (1.0, v, turn, RELEASE_S);
+    }),
+    row("stick_slip_mm", &[0.5, 1.6, 2.6], |p, v, _| {
+        let slip = p.effects.outside.stick_slip.get_or_insert_default();
+        slip.breakaway_mm = v;
+    }),
+    row("respiration_deg", &[1.0, 3.0, 5.0], |p, v, turn| {
+        let breath = p.effects.outside.respiration.get_or_insert_default();
+        (breath.amplitude_deg, breath.direction_deg) = (v, turn);
+    }),
+    row("base_sway_deg", &[1.0, 3.0, 5.0], sway),
+    row("base_sway_with_imu_deg", &[1.0, 3.0, 5.0], |p, v, turn| {
+        sway(p, v, turn);
+        p.base.imu = true;
+    }),
+    row("torsion_deg", &[5.0, 10.0, 20.0], |p, v, _| {
+        p.effects.torsion.get_or_insert_default().twist_deg = v;
+    }),
+    row("mount_deg", &[3.0, 8.0, 15.0], |p, v, turn| {
+        let mount = p.effects.mount_misalignment.get_or_insert_default();
+        mount.tilt_deg = askew(v, turn);
+    }),
+    row("noise_factor", &[3.0, 10.0], |p, v, _| {
+        p.imu.gyro_noise_deg_s_rthz *= v;
+        p.imu.acc_noise_mg_rthz *= v;
+        p.imu.mag_noise_ut *= v;
+    }),
+    row("temperature_drift_mm", &[1.0, 2.0, 4.0], |p, v, _| {
+        let air = p.effects.thermal_drift.get_or_insert_default();
+        (air.offset_mm, air.case_s) = ([v, -0.5 * v, -0.5 * v], 40.0);
+    }),
 ];
 
-fn dead_time(p: &mut PlantConfig, s: f64) {
+fn dead_time(p: &mut PlantConfig, s: f64, _: f64) {
     p.effects.transport_delay.get_or_insert_default().delay_s = s;
 }
 
-fn latency(p: &mut PlantConfig, s: f64) {
+fn latency(p: &mut PlantConfig, s: f64, _: f64) {
     p.effects.sensor_latency.get_or_insert_default().latency_s = s;
 }
 
@@ -194,9 +165,10 @@ impl Study {
     /// # Errors
     /// [`RigError`] from the plant.
     pub fn run(&self, config: &LoopConfig, arm: Arm, unit: &PlantConfig, n: u64, directions: usize) -> Result<ArmResult, RigError> {
-        let mut world = Sim::new(unit, 0, 10 * (self.seed + n) + arm as u64, self.period_s).map_err(MachineError::from)?;
-        let config = arm.config(&for_world(config, &world));
-        arm::run(arm.name(), &mut Rig::new(config, &mut world), &arrivals(directions), &mut || ())
+        let noise = 10 * (self.seed + n) + arm as u64;
+        let mut world = Sim::new(unit, 0, noise, self.period_s).map_err(MachineError::from)?;
+        let mut rig = Rig::new(arm.config(&for_world(config, &world)), &mut world);
+        arm::run(arm.name(), &mut rig, &arrivals(directions), &mut || ())
     }
 }
 
@@ -205,7 +177,8 @@ impl Study {
 /// # Errors
 /// [`RigError`] from a plant.
 pub fn run(study: &Study, conditions: &[Condition], progress: &(dyn Fn() + Sync)) -> Result<Vec<SweepRow>, RigError> {
-    let rows: Vec<(&Condition, f64)> = conditions.iter().flat_map(|c| c.values.iter().map(move |&v| (c, v))).collect();
+    let all = conditions.iter().flat_map(|c| c.values.iter().map(move |&v| (c, v)));
+    let rows: Vec<(&Condition, f64)> = all.collect();
     let row = |&(condition, value): &(&Condition, f64)| {
         let unit = |n: u64| {
             let mut unit = study.unit(n);
@@ -214,33 +187,27 @@ pub fn run(study: &Study, conditions: &[Condition], progress: &(dyn Fn() + Sync)
             progress();
             arms.into_iter().collect::<Result<Vec<_>, _>>()
         };
-        let units = (0..study.units).into_par_iter().map(unit).collect::<Result<Vec<_>, _>>()?;
-        Ok(judge(condition.name, value, &units))
+        let units: Result<Vec<_>, _> = (0..study.units).into_par_iter().map(unit).collect();
+        Ok(judge(condition.name, value, &units?))
     };
     rows.par_iter().map(row).collect()
 }
 
 /// The row of the units, each with its arms in the order of [`Arm::PAPER`].
 fn judge(condition: &'static str, value: f64, units: &[Vec<ArmResult>]) -> SweepRow {
-    let rmse = |arm: Arm| root_mean(units.iter().flat_map(|arms| &arms[arm as usize].held).map(|h| h.bend_error_sq));
+    let held = |arm: Arm| units.iter().flat_map(move |arms| &arms[arm as usize].held);
+    let rmse = |arm: Arm| root_mean(held(arm).map(|h| h.bend_error_sq));
     let mut best = Arm::None;
     for arm in [Arm::Extension, Arm::Backlash] {
         best = if rmse(arm) < rmse(best) { arm } else { best };
     }
     let (open_deg, closed_deg) = (rmse(best), rmse(Arm::Closed));
-    let closed = || units.iter().flat_map(|arms| &arms[Arm::Closed as usize].held);
-    let open = units.iter().flat_map(|arms| &arms[best as usize].held);
-    let hunting_deg = closed().zip(open).map(|(c, o)| c.peak_to_peak_deg - o.peak_to_peak_deg).fold(0.0, f64::max);
+    let p95_deg = percentile(held(Arm::Closed).map(|h| h.bend_error_deg.abs()), 0.95);
+    let pairs = held(Arm::Closed).zip(held(best));
+    let hunts = pairs.map(|(c, o)| c.peak_to_peak_deg - o.peak_to_peak_deg);
+    let hunting_deg = hunts.fold(0.0, f64::max);
     let ok = closed_deg <= open_deg.max(GOOD_DEG) && hunting_deg <= HUNTING_MAX_DEG;
-    SweepRow {
-        condition,
-        value,
-        open_deg,
-        closed_deg,
-        p95_deg: percentile(closed().map(|h| h.bend_error_deg.abs()), 0.95),
-        hunting_deg,
-        ok,
-    }
+    SweepRow { condition, value, open_deg, closed_deg, p95_deg, hunting_deg, ok }
 }
 
 #[cfg(test)]

@@ -15,6 +15,15 @@ pub fn why_unreadable(path: &Path, error: &std::io::Error) -> String {
     }
 }
 
+impl ReadError {
+    /// A file of which `rows` are below its header, where `least` are needed.
+    pub(super) fn too_short(file: &str, rows: usize, least: usize) -> Self {
+        let (file, some) = (file.to_owned(), rows.to_string());
+        let rows = if rows == 0 { "no".to_owned() } else { some };
+        Self::TooShort { file, rows, least }
+    }
+}
+
 /// Why a table cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {

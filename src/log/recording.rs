@@ -17,6 +17,7 @@ use crate::primitives::frames::{Rotation, Sensor, World};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
 use nalgebra::{UnitQuaternion, Vector3};
+use std::f64::consts::FRAC_PI_2;
 use std::io::Read;
 use std::path::Path;
 
@@ -79,7 +80,8 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
     .map(|v| v.unwrap_or_else(missing));
     let reference = table.quaternions(REFERENCE)?;
     let moving = table.column(MOVING);
-    if let Some((k, value)) = moving.and_then(|m| m.iter().enumerate().find(|(_, v)| **v != 0.0 && **v != 1.0)) {
+    let mut flags = moving.unwrap_or_default().iter().enumerate();
+    if let Some((k, value)) = flags.find(|(_, v)| **v != 0.0 && **v != 1.0) {
         return Err(table.refuse(k, MOVING, &value.to_string(), "0 or 1"));
     }
     let row = |k: usize| Row {
@@ -92,18 +94,17 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
         reference: reference.as_ref().and_then(|r| r[k]).map(world_from_enu),
         moving: moving.is_none_or(|m| m[k] == 1.0),
     };
-    let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
     let rows: Vec<Row> = (0..table.rows()).map(row).collect();
     if rows.len() < ROWS_MIN {
-        let found = if rows.is_empty() { "no".to_owned() } else { rows.len().to_string() };
-        return Err(ReadError::TooShort { file: path.display().to_string(), rows: found, least: ROWS_MIN });
+        return Err(ReadError::too_short(&path.display().to_string(), rows.len(), ROWS_MIN));
     }
     Ok(Recording { name, rows })
 }
 
 /// Turns a reference from east-north-up to the world frame (north-west-up).
 fn world_from_enu(r_enu_sensor: UnitQuaternion<f64>) -> Rotation<World, Sensor> {
-    let r_world_enu = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -std::f64::consts::FRAC_PI_2);
+    let r_world_enu = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -FRAC_PI_2);
     Rotation::assert_frames(r_world_enu * r_enu_sensor)
 }
 
@@ -111,17 +112,20 @@ impl Recording {
     /// Median time between rows, s; gaps do not affect it.
     #[must_use]
     pub fn period_s(&self) -> f64 {
-        let mut steps: Vec<f64> = self.rows.windows(2).map(|w| w[1].sample.t.0 - w[0].sample.t.0).collect();
-        let middle = steps.len() / 2;
-        if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(middle, f64::total_cmp).1 }
+        let steps = self.rows.windows(2).map(|w| w[1].sample.t.0 - w[0].sample.t.0);
+        let mut steps: Vec<f64> = steps.collect();
+        steps.sort_by(f64::total_cmp);
+        steps.get(steps.len() / 2).copied().unwrap_or(0.0)
     }
 
     /// Mean time between rows with a magnetometer reading, s; the row period if there is none.
     #[must_use]
     pub fn mag_period_s(&self) -> f64 {
-        let with_mag = self.rows.iter().filter(|r| r.sample.mag_ut.is_some()).count();
-        let share = with_mag as f64 / self.rows.len() as f64;
-        if with_mag > 0 { self.period_s() / share } else { self.period_s() }
+        let with_mag = self.rows.iter().filter(|r| r.sample.mag_ut.is_some());
+        match with_mag.count() {
+            0 => self.period_s(),
+            n => self.period_s() / (n as f64 / self.rows.len() as f64),
+        }
     }
 }
 

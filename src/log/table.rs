@@ -51,8 +51,11 @@ impl Table {
     /// [`ReadError`] with file and, where there is one, line and column.
     pub fn open(path: &Path, schema: &Schema<'_>) -> Result<Self, ReadError> {
         let file = path.display().to_string();
-        let open = |e: std::io::Error| ReadError::Open { file: file.clone(), problem: why_unreadable(path, &e) };
-        Self::parse(&file, reader(path).map_err(open)?, schema)
+        let text = reader(path).map_err(|e| {
+            let (file, problem) = (file.clone(), why_unreadable(path, &e));
+            ReadError::Open { file, problem }
+        })?;
+        Self::parse(&file, text, schema)
     }
 
     /// Reads CSV text; errors quote `file` as the name of the file.
@@ -60,14 +63,22 @@ impl Table {
     /// # Errors
     /// [`ReadError`], as for [`Table::open`].
     pub fn parse(file: &str, text: impl Read, schema: &Schema<'_>) -> Result<Self, ReadError> {
-        let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
-        let broken = |line, e: &csv::Error| ReadError::Broken { file: file.to_owned(), line, reason: e.to_string() };
-        let header: Vec<String> = reader.headers().map_err(|e| broken(1, &e))?.iter().map(str::to_owned).collect();
-        let mut table = Self { file: file.to_owned(), columns: vec![vec![]; header.len()], header, lines: vec![] };
+        let mut options = csv::ReaderBuilder::new();
+        let mut reader = options.flexible(true).trim(csv::Trim::All).from_reader(text);
+        let broken = |line, e: &csv::Error| {
+            let (file, reason) = (file.to_owned(), e.to_string());
+            ReadError::Broken { file, line, reason }
+        };
+        let header = reader.headers().map_err(|e| broken(1, &e))?;
+        let header: Vec<String> = header.iter().map(str::to_owned).collect();
+        let (columns, lines) = (vec![vec![]; header.len()], vec![]);
+        let mut table = Self { file: file.to_owned(), header, columns, lines };
         if !table.header.is_empty() {
-            schema.required.iter().try_for_each(|name| table.position(name).map(|_| ()))?;
+            let mut names = schema.required.iter();
+            names.try_for_each(|name| table.position(name).map(drop))?;
         }
-        let known: Vec<bool> = table.header.iter().map(|name| (schema.known)(name)).collect();
+        let known = table.header.iter().map(|name| (schema.known)(name));
+        let known: Vec<bool> = known.collect();
         let mut record = csv::StringRecord::new();
         let mut line = 1;
         while reader.read_record(&mut record).map_err(|e| broken(line + 1, &e))? {
@@ -75,8 +86,7 @@ impl Table {
             table.push(line, &record, &known)?;
         }
         if table.rows() < schema.rows_min {
-            let rows = if table.rows() == 0 { "no".to_owned() } else { table.rows().to_string() };
-            return Err(ReadError::TooShort { file: file.to_owned(), rows, least: schema.rows_min });
+            return Err(ReadError::too_short(file, table.rows(), schema.rows_min));
         }
         Ok(table)
     }
@@ -84,15 +94,18 @@ impl Table {
     fn push(&mut self, line: u64, record: &csv::StringRecord, known: &[bool]) -> Result<(), ReadError> {
         let (found, expected) = (record.len(), self.header.len());
         if found != expected {
-            let column = self.header.get(found).or(self.header.last()).cloned().unwrap_or_default();
-            return Err(ReadError::Fields { file: self.file.clone(), line, column, found, expected });
+            let column = self.header.get(found).or(self.header.last());
+            let (file, column) = (self.file.clone(), column.cloned().unwrap_or_default());
+            return Err(ReadError::Fields { file, line, column, found, expected });
         }
         self.lines.push(line);
         for (k, field) in record.iter().enumerate().filter(|(k, _)| known[*k]) {
-            let value = if field.is_empty() { Ok(f64::NAN) } else { field.parse() };
-            match value {
+            match if field.is_empty() { Ok(f64::NAN) } else { field.parse() } {
                 Ok(value) if !f64::is_infinite(value) => self.columns[k].push(value),
-                _ => return Err(self.refuse(self.rows() - 1, &self.header[k], field, "a finite number")),
+                _ => {
+                    let (row, column) = (self.rows() - 1, &self.header[k]);
+                    return Err(self.refuse(row, column, field, "a finite number"));
+                }
             }
         }
         Ok(())
@@ -111,8 +124,10 @@ impl Table {
     }
 
     fn position(&self, name: &str) -> Result<usize, ReadError> {
-        let missing = || ReadError::Missing { file: self.file.clone(), column: name.to_owned(), header: self.header.join(", ") };
-        self.header.iter().position(|h| h == name).ok_or_else(missing)
+        self.header.iter().position(|h| h == name).ok_or_else(|| {
+            let (file, column) = (self.file.clone(), name.to_owned());
+            ReadError::Missing { file, column, header: self.header.join(", ") }
+        })
     }
 
     /// A column, if the header names it.
@@ -149,8 +164,9 @@ impl Table {
     /// # Errors
     /// [`ReadError::Missing`] if the header names only some of them.
     pub fn vectors(&self, names: [&str; 3]) -> Result<Option<Vec<Vector3<f64>>>, ReadError> {
-        let stacked = |[x, y, z]: [&[f64]; 3]| (0..self.rows()).map(|k| Vector3::new(x[k], y[k], z[k])).collect();
-        Ok(self.group(names)?.map(stacked))
+        let Some([x, y, z]) = self.group(names)? else { return Ok(None) };
+        let row = |k: usize| Vector3::new(x[k], y[k], z[k]);
+        Ok(Some((0..self.rows()).map(row).collect()))
     }
 
     /// Four columns `w`, `x`, `y`, `z` as unit quaternions; an element is `None` where a value is missing.
@@ -170,7 +186,8 @@ impl Table {
             }
             Ok(Some(UnitQuaternion::from_quaternion(q)))
         };
-        (0..self.rows()).map(one).collect::<Result<_, _>>().map(Some)
+        let all: Result<_, _> = (0..self.rows()).map(one).collect();
+        all.map(Some)
     }
 
     /// Refuses a column in which a value is missing.
@@ -204,8 +221,9 @@ impl Table {
         let mut before_s = f64::NEG_INFINITY;
         for row in rows {
             if t[row] <= before_s {
-                let (file, column) = (self.file.clone(), name.to_owned());
-                return Err(ReadError::Clock { file, line: self.lines[row], column, now_s: t[row], before_s });
+                let (file, line, now_s) = (self.file.clone(), self.lines[row], t[row]);
+                let column = name.to_owned();
+                return Err(ReadError::Clock { file, line, column, now_s, before_s });
             }
             before_s = t[row];
         }
@@ -216,7 +234,8 @@ impl Table {
     #[must_use]
     pub fn refuse(&self, row: usize, column: &str, value: &str, expected: &str) -> ReadError {
         let (file, line) = (self.file.clone(), self.lines[row]);
-        ReadError::Field { file, line, column: column.to_owned(), value: value.to_owned(), expected: expected.to_owned() }
+        let [column, value, expected] = [column, value, expected].map(str::to_owned);
+        ReadError::Field { file, line, column, value, expected }
     }
 }
 

@@ -1,7 +1,8 @@
 //! Horizontal bars with whiskers, one row for each name.
 
 use crate::report::chart::WIDTH;
-use crate::report::svg::{Anchor, Ink, Svg};
+use crate::report::svg::Anchor::{End, Middle};
+use crate::report::svg::{Ink, Svg};
 
 /// One bar.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,25 +26,31 @@ const TOP: f64 = 34.0;
 #[must_use]
 pub fn svg(title: &str, ink: Ink, bars: &[Bar]) -> String {
     let bottom = TOP + ROW * bars.len() as f64;
-    let x = |share: f64| LEFT + (WIDTH - LEFT - RIGHT) * if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
+    let x = |share: f64| match share.is_finite() {
+        true => LEFT + (WIDTH - LEFT - RIGHT) * share.clamp(0.0, 1.0),
+        false => LEFT,
+    };
     let mut out = Svg::new(WIDTH, bottom + 26.0, title);
     out.heading(8.0, title);
     for percent in [0, 25, 50, 75, 100] {
         let at = x(f64::from(percent) / 100.0);
         out.line((at, TOP), (at, bottom), Ink::PALE, "");
-        out.text((at, bottom + 16.0), Anchor::Middle, Ink::FAINT, &percent.to_string());
+        out.text((at, bottom + 16.0), Middle, Ink::FAINT, &percent.to_string());
     }
     for (k, b) in bars.iter().enumerate() {
         let y = TOP + ROW * k as f64;
         let (opacity, weight) = if b.strong { (0.9, 600) } else { (0.4, 400) };
-        out.styled_text(LEFT - 8.0, y + 15.0, Ink::TEXT, &format!("text-anchor=\"end\" font-weight=\"{weight}\""), &b.name);
+        let style = format!("text-anchor=\"end\" font-weight=\"{weight}\"");
+        out.styled_text(LEFT - 8.0, y + 15.0, Ink::TEXT, &style, &b.name);
         out.rect([LEFT, y + 5.0, x(b.share) - LEFT, 12.0], ink.0, opacity);
-        out.text((WIDTH - 4.0, y + 15.0), Anchor::End, Ink::LABEL, &format!("{:.0} %", 100.0 * b.share));
+        let text = format!("{:.0} %", 100.0 * b.share);
+        out.text((WIDTH - 4.0, y + 15.0), End, Ink::LABEL, &text);
         if let Some([low, high]) = b.interval.map(|i| i.map(x)) {
-            let middle = y + 11.0;
-            out.line((low, middle), (high, middle), Ink::TEXT, "stroke-width=\"1.2\"");
+            let (middle, style) = (y + 11.0, "stroke-width=\"1.2\"");
+            out.line((low, middle), (high, middle), Ink::TEXT, style);
             for end in [low, high] {
-                out.line((end, middle - 3.0), (end, middle + 3.0), Ink::TEXT, "stroke-width=\"1.2\"");
+                let (from, to) = ((end, middle - 3.0), (end, middle + 3.0));
+                out.line(from, to, Ink::TEXT, style);
             }
         }
     }

@@ -3,7 +3,8 @@
 //! A [`Chart`] is data; [`Chart::svg`] draws one, [`sheet`] draws several in a grid. Lines of the same colour differ by their
 //! dash pattern, so that no meaning depends on colour alone.
 
-use crate::report::svg::{Anchor, Ink, Svg, polyline};
+use crate::report::svg::Anchor::{End, Middle, Start};
+use crate::report::svg::{Ink, Svg, polyline};
 
 /// Dash pattern of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,17 +53,20 @@ impl Series {
     /// A named line.
     #[must_use]
     pub fn line(name: &str, ink: Ink, stroke: Stroke, points: Vec<(f64, f64)>) -> Self {
-        Self { name: Some(name.to_owned()), ink, mark: Mark::Line(points, stroke) }
+        let (name, mark) = (Some(name.to_owned()), Mark::Line(points, stroke));
+        Self { name, ink, mark }
     }
     /// A band without a name; it belongs to the line of the same colour.
     #[must_use]
     pub fn band(ink: Ink, points: Vec<(f64, f64, f64)>) -> Self {
-        Self { name: None, ink, mark: Mark::Band(points) }
+        let (name, mark) = (None, Mark::Band(points));
+        Self { name, ink, mark }
     }
     /// Dots without a name.
     #[must_use]
     pub fn dots(ink: Ink, points: Vec<(f64, f64)>) -> Self {
-        Self { name: None, ink, mark: Mark::Dots(points) }
+        let (name, mark) = (None, Mark::Dots(points));
+        Self { name, ink, mark }
     }
 }
 
@@ -85,29 +89,39 @@ impl Axis {
     pub fn new(label: &str, low: f64, high: f64, n: usize) -> Self {
         let high = if high > low { high } else { low + 1.0 };
         let step = round_step((high - low) / n.max(1) as f64);
-        let (first, last) = ((low / step - 1e-6).ceil() as i64, (high / step + 1e-6).floor() as i64);
-        let at: Vec<f64> = (first..=last.min(first + 100)).map(|k| k as f64 * step).collect();
-        Self::with_ticks(label, low, high, &at)
+        let first = (low / step - 1e-6).ceil() as i64;
+        let last = (high / step + 1e-6).floor() as i64;
+        let at = (first..=last.min(first + 100)).map(|k| k as f64 * step);
+        Self::with_ticks(label, low, high, &at.collect::<Vec<_>>())
     }
 
     /// An axis with ticks at the given values.
     #[must_use]
     pub fn with_ticks(label: &str, low: f64, high: f64, at: &[f64]) -> Self {
-        let step = at.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
-        let digits = if step.is_finite() && step > 0.0 { (-step.log10() - 1e-9).ceil().clamp(0.0, 6.0) as usize } else { 1 };
+        let steps = at.windows(2).map(|w| w[1] - w[0]);
+        let digits = match steps.fold(f64::INFINITY, f64::min) {
+            step if step.is_finite() && step > 0.0 => (-step.log10() - 1e-9).ceil().clamp(0.0, 6.0) as usize,
+            _ => 1,
+        };
         // adding 0 turns −0 into 0
         let text = |t: f64| format!("{:.digits$}", t + 0.0).replace('-', "−");
-        Self { label: label.to_owned(), low, high, ticks: at.iter().map(|&t| (t, text(t))).collect() }
+        let (label, ticks) = (label.to_owned(), at.iter().map(|&t| (t, text(t))).collect());
+        Self { label, low, high, ticks }
     }
 
     /// An axis that extends to round values beyond all of `values` and `always`.
     #[must_use]
     pub fn around(label: &str, values: impl IntoIterator<Item = f64>, always: &[f64], n: usize) -> Self {
-        let finite = values.into_iter().chain(always.iter().copied()).filter(|v| v.is_finite());
-        let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-        let (low, high) = if low < high { (low, high) } else { (low.min(0.0), low.max(0.0) + 1.0) };
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for v in values.into_iter().chain(always.iter().copied()).filter(|v| v.is_finite()) {
+            (low, high) = (low.min(v), high.max(v));
+        }
+        if low >= high {
+            (low, high) = (low.min(0.0), low.max(0.0) + 1.0);
+        }
         let step = round_step((high - low) / n.max(1) as f64);
-        Self::new(label, (low / step - 1e-6).floor() * step, (high / step + 1e-6).ceil() * step, n)
+        let (low, high) = ((low / step - 1e-6).floor() * step, (high / step + 1e-6).ceil() * step);
+        Self::new(label, low, high, n)
     }
 
     fn share(&self, value: f64) -> f64 {
@@ -118,8 +132,8 @@ impl Axis {
 /// The smallest of 1, 2 or 5 times a power of ten that is at least `raw`.
 fn round_step(raw: f64) -> f64 {
     let power = 10f64.powf(raw.max(1e-12).log10().floor());
-    let factor = [1.0, 2.0, 5.0, 10.0].into_iter().find(|f| f * power >= raw * (1.0 - 1e-9)).unwrap_or(10.0);
-    factor * power
+    let mut factors = [1.0, 2.0, 5.0].into_iter();
+    factors.find(|f| f * power >= raw * (1.0 - 1e-9)).unwrap_or(10.0) * power
 }
 
 /// A chart.
@@ -151,6 +165,13 @@ const CHARACTER: f64 = 6.4;
 const LEGEND_SAMPLE: f64 = 40.0;
 
 impl Chart {
+    /// A chart of these series.
+    #[must_use]
+    pub fn new(title: &str, x: Axis, y: Axis, series: Vec<Series>) -> Self {
+        let title = title.to_owned();
+        Self { title, x, y, series }
+    }
+
     /// The drawing as a stand-alone `<svg>` element.
     #[must_use]
     pub fn svg(&self) -> String {
@@ -181,9 +202,13 @@ impl Chart {
                 (x, rows) = (LEFT, rows + 1);
             }
             let y = TOP + 3.0 + (rows - 1) as f64 * LEGEND_ROW;
-            let dash = if let Mark::Line(_, stroke) = s.mark { stroke.dash() } else { "" };
-            out.line((x, y), (x + 22.0, y), s.ink, &format!("stroke-width=\"2.2\"{dash}"));
-            out.text((x + 27.0, y + 4.0), Anchor::Start, Ink::LABEL, name);
+            let dash = match &s.mark {
+                Mark::Line(_, stroke) => stroke.dash(),
+                _ => "",
+            };
+            let style = format!("stroke-width=\"2.2\"{dash}");
+            out.line((x, y), (x + 22.0, y), s.ink, &style);
+            out.text((x + 27.0, y + 4.0), Start, Ink::LABEL, name);
             x += width;
         }
         rows
@@ -194,16 +219,17 @@ impl Chart {
         for (value, text) in &self.y.ticks {
             let y = bottom - self.y.share(*value) * height;
             out.line((left, y), (right, y), Ink::PALE, "");
-            out.text((left - 7.0, y + 4.0), Anchor::End, Ink::FAINT, text);
+            out.text((left - 7.0, y + 4.0), End, Ink::FAINT, text);
         }
         for (value, text) in &self.x.ticks {
             let x = left + self.x.share(*value) * width;
             out.line((x, bottom), (x, bottom + 4.0), Ink::GREY, "");
-            out.text((x, bottom + 17.0), Anchor::Middle, Ink::FAINT, text);
+            out.text((x, bottom + 17.0), Middle, Ink::FAINT, text);
         }
         out.line((left, bottom), (right, bottom), Ink::GREY, "");
-        out.styled_text(left + width / 2.0, bottom + 36.0, Ink::LABEL, "text-anchor=\"middle\"", &self.x.label);
-        let upright = format!("transform=\"translate(15 {:.1}) rotate(-90)\" text-anchor=\"middle\"", top + height / 2.0);
+        let (x, y, style) = (left + width / 2.0, top + height / 2.0, "text-anchor=\"middle\"");
+        out.styled_text(x, bottom + 36.0, Ink::LABEL, style, &self.x.label);
+        let upright = format!("transform=\"translate(15 {y:.1}) rotate(-90)\" {style}");
         out.styled_text(0.0, 0.0, Ink::LABEL, &upright, &self.y.label);
     }
 
@@ -212,17 +238,20 @@ impl Chart {
         let ink = s.ink.0;
         match &s.mark {
             Mark::Line(points, stroke) => {
-                let style = format!("fill=\"none\" stroke=\"{ink}\" stroke-width=\"2\" stroke-linejoin=\"round\"{}", stroke.dash());
+                let dash = stroke.dash();
+                let style = format!("fill=\"none\" stroke=\"{ink}\" stroke-width=\"2\" stroke-linejoin=\"round\"{dash}");
                 out.path(&polyline(points.iter().map(|&(x, y)| at(x, y))), &style);
             }
             Mark::Band(points) => {
                 let up = points.iter().map(|&(x, _, high)| at(x, high));
                 let back = points.iter().rev().map(|&(x, low, _)| at(x, low));
-                out.path(&(polyline(up.chain(back)) + "Z"), &format!("fill=\"{ink}\" fill-opacity=\"0.16\""));
+                let style = format!("fill=\"{ink}\" fill-opacity=\"0.16\"");
+                out.path(&(polyline(up.chain(back)) + "Z"), &style);
             }
             Mark::Dots(points) => {
+                let style = format!("fill=\"{ink}\" fill-opacity=\"0.75\"");
                 for &(x, y) in points.iter().filter(|p| p.0.is_finite() && p.1.is_finite()) {
-                    out.circle(at(x, y), 2.4, &format!("fill=\"{ink}\" fill-opacity=\"0.75\""));
+                    out.circle(at(x, y), 2.4, &style);
                 }
             }
         }
@@ -233,7 +262,8 @@ impl Chart {
 #[must_use]
 pub fn sheet(title: &str, charts: &[Chart], columns: usize) -> String {
     let columns = columns.clamp(1, charts.len().max(1));
-    let (width, height) = (WIDTH * columns as f64, HEIGHT * charts.len().div_ceil(columns) as f64);
+    let width = WIDTH * columns as f64;
+    let height = HEIGHT * charts.len().div_ceil(columns) as f64;
     let mut out = Svg::new(width, height, title);
     out.rect([0.0, 0.0, width, height], "#fff", 1.0);
     for (n, chart) in charts.iter().enumerate() {

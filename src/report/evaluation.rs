@@ -58,12 +58,14 @@ const OVER_DIRECTIONS: &str = "Mean over twelve directions, ± 1 σ shaded; soli
 
 /// The charts that this evaluation has data for.
 fn figures(e: &Evaluation) -> Vec<Figure> {
-    let closed = e.arm(Arm::Closed);
+    use Arm::{Backlash, Closed, Extension, None};
+    let closed = e.arm(Closed);
+    let both = "(b) Extension and backlash compensation";
     let all = [
-        bends(e, "(a) Extension compensation", &[Arm::None, Arm::Extension]),
-        bends(e, "(b) Extension and backlash compensation", &[Arm::None, Arm::Backlash]),
+        bends(e, "(a) Extension compensation", &[None, Extension]),
+        bends(e, both, &[None, Backlash]),
         convergence(e),
-        closed.and_then(|_| bends(e, "(d) Closed loop", &[Arm::Backlash, Arm::Closed])),
+        closed.and_then(|_| bends(e, "(d) Closed loop", &[Backlash, Closed])),
         closed.map(errors),
         settling(e),
     ];
@@ -79,7 +81,8 @@ pub fn svg(e: &Evaluation) -> String {
 
 /// Mean and standard deviation over the directions, at one desired angle, on the way out or back.
 fn over_directions(held: &[Held], angle_deg: f64, outward: bool, f: impl Fn(&Held) -> f64) -> Option<(f64, f64)> {
-    let values: Vec<f64> = held.iter().filter(|h| h.bend_deg == angle_deg && h.outward == outward).map(f).collect();
+    let there = held.iter().filter(|h| h.bend_deg == angle_deg && h.outward == outward);
+    let values: Vec<f64> = there.map(f).collect();
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
@@ -88,15 +91,16 @@ fn over_directions(held: &[Held], angle_deg: f64, outward: bool, f: impl Fn(&Hel
 
 /// A band and a line for the way out, and for the way back.
 fn out_and_back(arm: &ArmResult, name: &str, ink: Ink, f: impl Fn(&Held) -> f64) -> Vec<Series> {
-    [(true, Stroke::Solid, format!("{name}, out")), (false, Stroke::Dashed, "back".to_owned())]
-        .into_iter()
-        .flat_map(|(outward, stroke, label)| {
-            let at = |a: f64| over_directions(&arm.held, a, outward, &f).map(|(m, s)| (a, m, s));
-            let points: Vec<_> = ANGLES_DEG.iter().filter_map(|&a| at(a)).collect();
-            let band = points.iter().map(|&(a, m, s)| (a, m - s, m + s)).collect();
-            [Series::band(ink, band), Series::line(&label, ink, stroke, points.iter().map(|p| (p.0, p.1)).collect())]
-        })
-        .collect()
+    let out = format!("{name}, out");
+    let mut series = Vec::new();
+    for (outward, stroke, label) in [(true, Stroke::Solid, &*out), (false, Stroke::Dashed, "back")] {
+        let at = |a: f64| over_directions(&arm.held, a, outward, &f).map(|(m, s)| (a, m, s));
+        let points: Vec<_> = ANGLES_DEG.iter().filter_map(|&a| at(a)).collect();
+        let band = points.iter().map(|&(a, m, s)| (a, m - s, m + s)).collect();
+        let line = points.iter().map(|p| (p.0, p.1)).collect();
+        series.extend([Series::band(ink, band), Series::line(label, ink, stroke, line)]);
+    }
+    series
 }
 
 /// Desired bend of the held states.
@@ -105,16 +109,15 @@ fn desired() -> Axis {
 }
 
 fn bends(e: &Evaluation, heading: &str, arms: &[Arm]) -> Option<Figure> {
-    let ran: Vec<_> = arms.iter().filter_map(|&a| e.arm(a).map(|r| (a, r))).collect();
-    if ran.is_empty() {
-        return None;
+    let ideal = vec![(0.0, 0.0), (90.0, 90.0)];
+    let ideal = Series::line("", Ink::GREY, Stroke::Dotted, ideal);
+    let mut series = vec![Series { name: None, ..ideal }];
+    for (&arm, result) in arms.iter().filter_map(|a| Some((a, e.arm(*a)?))) {
+        let measured = |h: &Held| h.bend_deg - h.bend_error_deg;
+        series.extend(out_and_back(result, title(arm), ink(arm), measured));
     }
-    let mut series = vec![Series { name: None, ..Series::line("", Ink::GREY, Stroke::Dotted, vec![(0.0, 0.0), (90.0, 90.0)]) }];
-    for (arm, result) in ran {
-        series.extend(out_and_back(result, title(arm), ink(arm), |h| h.bend_deg - h.bend_error_deg));
-    }
-    let chart = Chart { title: heading.to_owned(), x: desired(), y: Axis::new("measured bend / °", 0.0, 90.0, 6), series };
-    Some((chart, OVER_DIRECTIONS))
+    let y = Axis::new("measured bend / °", 0.0, 90.0, 6);
+    (series.len() > 1).then(|| (Chart::new(heading, desired(), y, series), OVER_DIRECTIONS))
 }
 
 fn convergence(e: &Evaluation) -> Option<Figure> {
@@ -122,36 +125,36 @@ fn convergence(e: &Evaluation) -> Option<Figure> {
         return None;
     }
     let strokes = [Stroke::Solid, Stroke::Dashed, Stroke::Dotted];
-    let track = |i: usize, g: usize| e.history.iter().enumerate().map(|(n, pass)| (n as f64, pass[i][g])).collect::<Vec<_>>();
+    let track = |i: usize, g: usize| -> Vec<(f64, f64)> {
+        let passes = e.history.iter().enumerate();
+        passes.map(|(n, pass)| (n as f64, pass[i][g])).collect()
+    };
     let mut series = Vec::new();
     for (g, symbol, ink) in [(0, "k_ε", Ink::BLUE), (1, "k_λ / mm", Ink::PURPLE)] {
         for (i, stroke) in strokes.into_iter().enumerate() {
-            series.push(Series::line(&format!("{symbol} {}", i + 1), ink, stroke, track(i, g)));
+            let name = format!("{symbol} {}", i + 1);
+            series.push(Series::line(&name, ink, stroke, track(i, g)));
             series.push(Series::dots(ink, track(i, g)));
         }
     }
     let values = e.history.iter().flatten().flatten().copied();
-    let chart = Chart {
-        title: "(c) Algorithm 1, pass by pass".to_owned(),
-        x: Axis::new("pass", 0.0, (e.history.len() - 1) as f64, e.history.len()),
-        y: Axis::around("gain", values, &[0.0], 6),
-        series,
-    };
+    let x = Axis::new("pass", 0.0, (e.history.len() - 1) as f64, e.history.len());
+    let y = Axis::around("gain", values, &[0.0], 6);
+    let chart = Chart::new("(c) Algorithm 1, pass by pass", x, y, series);
     Some((chart, "From zero; 120 measured states in each pass."))
 }
 
 /// The error of every held state in the closed loop.
 fn errors(arm: &ArmResult) -> Figure {
     let mut series = out_and_back(arm, "mean ± σ", Ink::GREEN, |h| h.bend_error_deg);
-    let dots = |h: &Held| (h.bend_deg + if h.outward { -1.2 } else { 1.2 }, h.bend_error_deg);
-    series.push(Series::dots(Ink::GREEN, arm.held.iter().map(dots).collect()));
-    let chart = Chart {
-        title: "(e) Closed loop, error of every held state".to_owned(),
-        x: desired(),
-        y: Axis::around("desired − measured bend / °", arm.held.iter().map(|h| h.bend_error_deg), &[-0.5, 0.5], 6),
-        series,
-    };
-    (chart, "Dots: mean of each held state; left of its angle on the way out, right of it on the way back.")
+    let beside = |h: &Held| h.bend_deg + if h.outward { -1.2 } else { 1.2 };
+    let dots = arm.held.iter().map(|h| (beside(h), h.bend_error_deg));
+    series.push(Series::dots(Ink::GREEN, dots.collect()));
+    let errors = arm.held.iter().map(|h| h.bend_error_deg);
+    let y = Axis::around("desired − measured bend / °", errors, &[-0.5, 0.5], 6);
+    let title = "(e) Closed loop, error of every held state";
+    let caption = "Dots: mean of each held state; left of its angle on the way out, right of it on the way back.";
+    (Chart::new(title, desired(), y, series), caption)
 }
 
 /// Fraction of the states that have settled within 1° after a given time.
@@ -169,12 +172,9 @@ fn settling(e: &Evaluation) -> Option<Figure> {
         steps.push((HOLD_S, 100.0 * times.len() as f64 / n));
         series.push(Series::line(title(arm), ink(arm), Stroke::Solid, steps));
     }
-    let chart = Chart {
-        title: "(f) States settled within 1°".to_owned(),
-        x: Axis::new("time since the command / s", 0.0, HOLD_S, 6),
-        y: Axis::new("fraction of the 120 states / %", 0.0, 100.0, 5),
-        series,
-    };
+    let x = Axis::new("time since the command / s", 0.0, HOLD_S, 6);
+    let y = Axis::new("fraction of the 120 states / %", 0.0, 100.0, 5);
+    let chart = Chart::new("(f) States settled within 1°", x, y, series);
     let caption = "A state has settled once its bend error stays below 1°; a curve that ends below 100 % has states that never do.";
     (!chart.series.is_empty()).then_some((chart, caption))
 }
@@ -191,8 +191,8 @@ pub fn html(e: &Evaluation) -> String {
     ));
     page.table(&ARM_COLUMNS, &arm_rows(e));
     page.heading("The paper's Figure 6, redrawn, and the closed loop");
-    let drawn: Vec<_> = figures(e).iter().map(|(chart, caption)| (chart.svg(), (*caption).to_owned())).collect();
-    page.charts(&drawn);
+    let drawn = figures(e).into_iter().map(|(chart, caption)| (chart.svg(), caption.to_owned()));
+    page.charts(&drawn.collect::<Vec<_>>());
     page.heading("Gains");
     page.text(&if e.iterations == 0 {
         "Taken from a calibration file.".to_owned()
@@ -205,7 +205,8 @@ pub fn html(e: &Evaluation) -> String {
             1e3 * e.delay_s
         )
     });
-    page.table(&["channel", "k_ε", "± σ", "k_λ / mm", "± σ / mm", "condition", "residual / mm"], &gain_rows(e));
+    let header = "channel,k_ε,± σ,k_λ / mm,± σ / mm,condition,residual / mm";
+    page.table(&header.split(',').collect::<Vec<_>>(), &gain_rows(e));
     page.quiet("For research. Not a medical device.");
     page.html()
 }
@@ -213,7 +214,10 @@ pub fn html(e: &Evaluation) -> String {
 /// A quantile of the settling time; that of a state that does not settle is only a lower bound.
 #[must_use]
 pub fn settle(s: f64) -> String {
-    if s < HOLD_S { format!("{s:.2} s") } else { format!("> {HOLD_S} s") }
+    match s < HOLD_S {
+        true => format!("{s:.2} s"),
+        false => format!("> {HOLD_S} s"),
+    }
 }
 
 /// One row for each arm that ran, with the columns [`ARM_COLUMNS`].
@@ -222,10 +226,11 @@ pub fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
     let deg = |x: f64| format!("{x:.2}°");
     let row = |arm: Arm| {
         let a = e.arm(arm)?;
+        let paper = PAPER_RMSE_DEG.iter().find(|p| p.0 == arm);
         Some(vec![
             title(arm).to_owned(),
             deg(a.bend_rmse_deg),
-            PAPER_RMSE_DEG.iter().find(|p| p.0 == arm).map_or("–".to_owned(), |p| deg(p.1)),
+            paper.map_or("–".to_owned(), |p| deg(p.1)),
             deg(a.orientation_rmse_deg),
             deg(a.orientation_floor_deg),
             deg(a.estimate_rmse_deg),
@@ -241,18 +246,18 @@ pub fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
 }
 
 fn gain_rows(e: &Evaluation) -> Vec<Vec<String>> {
-    let or_dash = |i: usize, f: fn(&ChannelFigures) -> String| e.identified.get(i).map_or("–".to_owned(), f);
-    (0..3)
-        .map(|i| {
-            vec![
-                (i + 1).to_string(),
-                format!("{:.3}", e.k_eps[i]),
-                or_dash(i, |c| format!("{:.3}", c.k_eps_sigma)),
-                format!("{:.3}", e.k_lambda_mm[i]),
-                or_dash(i, |c| format!("{:.3}", c.k_lambda_sigma_mm)),
-                or_dash(i, |c| format!("{:.1}", c.condition)),
-                or_dash(i, |c| format!("{:.2}", c.residual_mm)),
-            ]
-        })
-        .collect()
+    let row = |i: usize| {
+        let found = e.identified.get(i);
+        let or_dash = |f: fn(&ChannelFigures) -> String| found.map_or("–".to_owned(), f);
+        vec![
+            (i + 1).to_string(),
+            format!("{:.3}", e.k_eps[i]),
+            or_dash(|c| format!("{:.3}", c.k_eps_sigma)),
+            format!("{:.3}", e.k_lambda_mm[i]),
+            or_dash(|c| format!("{:.3}", c.k_lambda_sigma_mm)),
+            or_dash(|c| format!("{:.1}", c.condition)),
+            or_dash(|c| format!("{:.2}", c.residual_mm)),
+        ]
+    };
+    (0..3).map(row).collect()
 }

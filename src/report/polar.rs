@@ -3,7 +3,8 @@
 //! Colours run from pale to dark in one hue, so that greyscale print keeps their order.
 
 use crate::report::chart::{HEIGHT, WIDTH};
-use crate::report::svg::{Anchor, Ink, Svg};
+use crate::report::svg::Anchor::{End, Middle, Start};
+use crate::report::svg::{Ink, Svg};
 use std::f64::consts::TAU;
 
 /// Width of a ring, degrees of bend.
@@ -46,7 +47,8 @@ const SHADES: usize = 30;
 /// From cream at 0 over orange to dark red at 1.
 fn colour(share: f64) -> String {
     const STOPS: [[f64; 3]; 4] = [[253.0, 246.0, 227.0], [244.0, 186.0, 108.0], [205.0, 92.0, 46.0], [92.0, 22.0, 28.0]];
-    let x = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 } * 3.0;
+    let share = if share.is_finite() { share } else { 0.0 };
+    let x = 3.0 * share.clamp(0.0, 1.0);
     let k = (x as usize).min(2);
     let [r, g, b] = std::array::from_fn(|i| (STOPS[k][i] + (STOPS[k + 1][i] - STOPS[k][i]) * (x - k as f64)).round() as u8);
     format!("#{r:02x}{g:02x}{b:02x}")
@@ -56,14 +58,17 @@ impl Polar {
     /// The drawing as a stand-alone `<svg>` element.
     #[must_use]
     pub fn svg(&self) -> String {
-        let rings = self.cells.iter().map(|c| c.ring + 1).max().unwrap_or(1).max(RINGS_MIN);
+        let rings = self.cells.iter().map(|c| c.ring + 1);
+        let rings = rings.fold(RINGS_MIN, usize::max);
         let step = RADIUS / rings as f64;
         let mut out = Svg::new(WIDTH, HEIGHT, &self.title);
         out.heading(16.0, &self.title);
         for c in &self.cells {
             let turn = |k: usize| k as f64 * TAU / SECTORS as f64;
-            let d = sector(c.ring as f64 * step, (c.ring + 1) as f64 * step, turn(c.sector), turn(c.sector + 1));
-            out.path(&d, &format!("fill=\"{}\"", colour(c.value / self.high.max(1e-9))));
+            let (from, to) = (turn(c.sector), turn(c.sector + 1));
+            let d = sector(c.ring as f64 * step, (c.ring + 1) as f64 * step, from, to);
+            let fill = colour(c.value / self.high.max(1e-9));
+            out.path(&d, &format!("fill=\"{fill}\""));
         }
         frame(rings, step, &mut out);
         self.scale(&mut out);
@@ -76,12 +81,14 @@ impl Polar {
         for k in 0..SHADES {
             let share = 1.0 - k as f64 / (SHADES - 1) as f64;
             // the overlap hides seams between neighbours
-            out.rect([x, top + k as f64 * shade, 16.0, shade + 0.4], &colour(share), 1.0);
+            let frame = [x, top + k as f64 * shade, 16.0, shade + 0.4];
+            out.rect(frame, &colour(share), 1.0);
         }
         for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
-            out.text((x + 22.0, top + (1.0 - share) * height + 4.0), Anchor::Start, Ink::FAINT, &format!("{:.1}", share * self.high));
+            let (y, text) = (top + (1.0 - share) * height + 4.0, format!("{:.1}", share * self.high));
+            out.text((x + 22.0, y), Start, Ink::FAINT, &text);
         }
-        out.text((x, top - 14.0), Anchor::Start, Ink::LABEL, &self.label);
+        out.text((x, top - 14.0), Start, Ink::LABEL, &self.label);
     }
 }
 
@@ -89,15 +96,18 @@ impl Polar {
 fn frame(rings: usize, step: f64, out: &mut Svg) {
     for k in 1..=rings {
         let width = if k == rings { 1.0 } else { 0.4 };
-        out.circle(MIDDLE, k as f64 * step, &format!("fill=\"none\" stroke=\"{}\" stroke-width=\"{width}\"", Ink::GREY.0));
+        let grey = Ink::GREY.0;
+        let style = format!("fill=\"none\" stroke=\"{grey}\" stroke-width=\"{width}\"");
+        out.circle(MIDDLE, k as f64 * step, &style);
     }
     for k in (2..=rings).step_by(2) {
         // angles stand along δ = 75°, where a white outline separates them from the cells
         let (x, y) = at(k as f64 * step, 75f64.to_radians());
         let style = "text-anchor=\"middle\" font-size=\"10\" stroke=\"#fff\" stroke-width=\"3\" paint-order=\"stroke\"";
-        out.styled_text(x, y + 4.0, Ink::TEXT, style, &format!("{:.0}°", k as f64 * RING_DEG));
+        let text = format!("{:.0}°", k as f64 * RING_DEG);
+        out.styled_text(x, y + 4.0, Ink::TEXT, style, &text);
     }
-    for (deg, anchor) in [(0.0, Anchor::Start), (90.0, Anchor::Middle), (180.0, Anchor::End), (270.0, Anchor::Middle)] {
+    for (deg, anchor) in [(0.0, Start), (90.0, Middle), (180.0, End), (270.0, Middle)] {
         let (x, y) = at(RADIUS + 9.0, f64::to_radians(deg));
         out.text((x, y + 4.0), anchor, Ink::FAINT, &format!("{deg:.0}°"));
     }
@@ -105,12 +115,14 @@ fn frame(rings: usize, step: f64, out: &mut Svg) {
 
 /// Point at a radius and an angle, counter-clockwise from the right as in the bend plane.
 fn at(radius: f64, angle: f64) -> (f64, f64) {
-    (MIDDLE.0 + radius * angle.cos(), MIDDLE.1 - radius * angle.sin())
+    let (sin, cos) = angle.sin_cos();
+    (MIDDLE.0 + radius * cos, MIDDLE.1 - radius * sin)
 }
 
 /// Path data of a cell between two radii, px, and two angles, radians.
 fn sector(inner: f64, outer: f64, from: f64, to: f64) -> String {
-    let [(ax, ay), (bx, by), (cx, cy), (dx, dy)] = [at(inner, from), at(outer, from), at(outer, to), at(inner, to)];
+    let ((ax, ay), (bx, by)) = (at(inner, from), at(outer, from));
+    let ((cx, cy), (dx, dy)) = (at(outer, to), at(inner, to));
     format!(
         "M{ax:.1} {ay:.1}L{bx:.1} {by:.1}A{outer:.1} {outer:.1} 0 0 0 {cx:.1} {cy:.1}L{dx:.1} {dy:.1}A{inner:.1} {inner:.1} 0 0 1 {ax:.1} {ay:.1}Z"
     )

@@ -2,7 +2,8 @@
 //! best open loop and where it fails.
 
 use crate::experiment::sweep::{GOOD_DEG, SweepRow};
-use crate::report::svg::{Anchor, Ink, Svg};
+use crate::report::svg::Anchor::{End, Middle, Start};
+use crate::report::svg::{Ink, Svg};
 
 const LEFT: f64 = 200.0;
 const TOP: f64 = 52.0;
@@ -13,19 +14,17 @@ const CELL: (f64, f64) = (112.0, 40.0);
 pub fn svg(rows: &[SweepRow]) -> String {
     let groups: Vec<&[SweepRow]> = rows.chunk_by(|a, b| a.condition == b.condition).collect();
     let columns = groups.iter().map(|g| g.len()).max().unwrap_or(0).max(3);
-    let (width, height) = (LEFT + CELL.0 * columns as f64 + 10.0, TOP + CELL.1 * groups.len() as f64 + 10.0);
+    let width = LEFT + CELL.0 * columns as f64 + 10.0;
+    let height = TOP + CELL.1 * groups.len() as f64 + 10.0;
     let mut out = Svg::new(width, height, "The closed loop over conditions");
     out.rect([0.0, 0.0, width, height], "#fff", 1.0);
-    out.heading(12.0, "Closed loop over conditions: bend RMSE, in brackets that of the best open loop");
-    out.text(
-        (12.0, 40.0),
-        Anchor::Start,
-        Ink::FAINT,
-        "green: closed is no worse than max(0.3°, open) and a held state moves by at most 0.5°",
-    );
+    let title = "Closed loop over conditions: bend RMSE, in brackets that of the best open loop";
+    out.heading(12.0, title);
+    let green = "green: closed is no worse than max(0.3°, open) and a held state moves by at most 0.5°";
+    out.text((12.0, 40.0), Start, Ink::FAINT, green);
     for (n, group) in groups.iter().enumerate() {
         let y = TOP + CELL.1 * n as f64;
-        out.text((LEFT - 10.0, y + 24.0), Anchor::End, Ink::TEXT, group[0].condition);
+        out.text((LEFT - 10.0, y + 24.0), End, Ink::TEXT, group[0].condition);
         for (k, row) in group.iter().enumerate() {
             cell(&mut out, LEFT + CELL.0 * k as f64, y, row);
         }
@@ -34,7 +33,10 @@ pub fn svg(rows: &[SweepRow]) -> String {
 }
 
 fn cell(out: &mut Svg, x: f64, y: f64, row: &SweepRow) {
-    let (ink, opacity) = if row.ok { (Ink::GREEN, 0.16) } else { (Ink::RED, 0.35) };
+    let (ink, opacity) = match row.ok {
+        true => (Ink::GREEN, 0.16),
+        false => (Ink::RED, 0.35),
+    };
     out.rect([x, y, CELL.0 - 4.0, CELL.1 - 4.0], ink.0, opacity);
     let middle = x + CELL.0 / 2.0 - 2.0;
     let failure = match row.ok {
@@ -42,9 +44,11 @@ fn cell(out: &mut Svg, x: f64, y: f64, row: &SweepRow) {
         false if row.closed_deg > row.open_deg.max(GOOD_DEG) => ": worse".to_owned(),
         false => format!(": moves {:.1}°", row.hunting_deg),
     };
-    out.text((middle, y + 15.0), Anchor::Middle, Ink::FAINT, &format!("{}{failure}", row.value));
+    let value = format!("{}{failure}", row.value);
+    out.text((middle, y + 15.0), Middle, Ink::FAINT, &value);
     let style = "font-size=\"11\" font-weight=\"600\" text-anchor=\"middle\"";
-    out.styled_text(middle, y + 30.0, Ink::TEXT, style, &format!("{:.2}° ({:.1}°)", row.closed_deg, row.open_deg));
+    let text = format!("{:.2}° ({:.1}°)", row.closed_deg, row.open_deg);
+    out.styled_text(middle, y + 30.0, Ink::TEXT, style, &text);
 }
 
 #[cfg(test)]

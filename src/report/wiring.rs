@@ -1,6 +1,8 @@
 //! The wiring of a board as a drawing: the header of the computer, and the devices with a line for each wire.
 
-use crate::report::svg::{Anchor, Ink, Svg};
+use crate::report::svg::Anchor::{End, Middle, Start};
+use crate::report::svg::{Ink, Svg};
+use std::collections::BTreeSet;
 
 /// A device with its terminals, from top to bottom.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -37,10 +39,13 @@ const DEVICE: f64 = 430.0;
 #[must_use]
 pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
     let wires = || devices.iter().flat_map(|d| d.terminals.iter().map(|t| t.1));
-    let mut lines: Vec<u32> = wires().filter_map(|w| if let Wire::Line(n) = w { Some(n) } else { None }).collect();
-    lines.sort_unstable();
-    lines.dedup();
-    let rows = devices.iter().map(|d| d.terminals.len() + 2).sum::<usize>().max(if raspberry { 20 } else { lines.len() });
+    let lines = wires().filter_map(|w| match w {
+        Wire::Line(n) => Some(n),
+        Wire::Position(_) => None,
+    });
+    let lines: Vec<u32> = lines.collect::<BTreeSet<_>>().into_iter().collect();
+    let rows: usize = devices.iter().map(|d| d.terminals.len() + 2).sum();
+    let rows = rows.max(if raspberry { 20 } else { lines.len() });
     let height = TOP + ROW * rows as f64;
     let mut svg = Svg::new(640.0, height, title);
     svg.rect([0.0, 0.0, 640.0, height], "#ffffff", 1.0);
@@ -54,13 +59,16 @@ pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
         index.map(|i| (LEFT + ROW * (i % 2) as f64, TOP + ROW * (i / 2) as f64))
     };
     if raspberry {
-        svg.text((LEFT + ROW / 2.0, TOP - 22.0), Anchor::Middle, Ink::LABEL, "header, pin 1 at the top left");
+        let text = "header, pin 1 at the top left";
+        svg.text((LEFT + ROW / 2.0, TOP - 22.0), Middle, Ink::LABEL, text);
         for (i, name) in HEADER.iter().enumerate() {
-            let (x, y) = (LEFT + ROW * (i % 2) as f64, TOP + ROW * (i / 2) as f64);
-            pin(&mut svg, (x, y), i % 2 == 0, &label(name, i + 1), wires().any(|w| place(w) == Some((x, y))));
+            let at = (LEFT + ROW * (i % 2) as f64, TOP + ROW * (i / 2) as f64);
+            let used = wires().any(|w| place(w) == Some(at));
+            pin(&mut svg, at, i % 2 == 0, &label(name, i + 1), used);
         }
     } else {
-        svg.text((LEFT, TOP - 22.0), Anchor::Middle, Ink::LABEL, "lines of the GPIO chip");
+        let text = "lines of the GPIO chip";
+        svg.text((LEFT, TOP - 22.0), Middle, Ink::LABEL, text);
         for line in &lines {
             if let Some(at) = place(Wire::Line(*line)) {
                 pin(&mut svg, at, true, &format!("line {line}"), true);
@@ -69,22 +77,20 @@ pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
     }
     let mut y = TOP;
     for (device, ink) in devices.iter().zip(INKS.iter().cycle()) {
-        svg.rect([DEVICE, y - 14.0, 180.0, ROW * (device.terminals.len() + 1) as f64 + 6.0], ink.0, 0.08);
-        svg.text((DEVICE + 8.0, y + 4.0), Anchor::Start, Ink::TEXT, &device.name);
+        let height = ROW * (device.terminals.len() + 1) as f64 + 6.0;
+        svg.rect([DEVICE, y - 14.0, 180.0, height], ink.0, 0.08);
+        svg.text((DEVICE + 8.0, y + 4.0), Start, Ink::TEXT, &device.name);
         for (name, wire) in &device.terminals {
             y += ROW;
-            svg.text((DEVICE + 16.0, y + 4.0), Anchor::Start, Ink::LABEL, name);
+            svg.text((DEVICE + 16.0, y + 4.0), Start, Ink::LABEL, name);
             if let Some((px, py)) = place(*wire) {
                 // between two rows of pins and names, those of the left column lower
                 let clear = py + if px > LEFT { 0.4 * ROW } else { 0.6 * ROW };
-                let bend = format!(
-                    "M{px:.0} {py:.0}L{:.0} {clear:.0}H{:.0}C{:.0} {clear:.0} {:.0} {y:.0} {DEVICE:.0} {y:.0}",
-                    px + 11.0,
-                    LEFT + 110.0,
-                    LEFT + 190.0,
-                    DEVICE - 90.0
-                );
-                svg.path(&bend, &format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"", ink.0));
+                let [beside, end, away, near] = [px + 11.0, LEFT + 110.0, LEFT + 190.0, DEVICE - 90.0];
+                let bend =
+                    format!("M{px:.0} {py:.0}L{beside:.0} {clear:.0}H{end:.0}C{away:.0} {clear:.0} {near:.0} {y:.0} {DEVICE:.0} {y:.0}");
+                let style = format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"", ink.0);
+                svg.path(&bend, &style);
             }
         }
         y += 2.0 * ROW;
@@ -93,15 +99,16 @@ pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
 }
 
 fn label(name: &str, position: usize) -> String {
-    if name.parse::<u32>().is_ok() { format!("GPIO {name} ({position})") } else { format!("{name} ({position})") }
+    let kind = if name.parse::<u32>().is_ok() { "GPIO " } else { "" };
+    format!("{kind}{name} ({position})")
 }
 
 /// A pin with its name on the left or the right; an unused one is pale.
 fn pin(svg: &mut Svg, at: (f64, f64), left: bool, name: &str, used: bool) {
     let ink = if used { Ink::TEXT } else { Ink::GREY };
     svg.circle(at, 5.0, &format!("fill=\"{}\"", ink.0));
-    let (x, anchor) = if left { (at.0 - 10.0, Anchor::End) } else { (at.0 + 10.0, Anchor::Start) };
-    svg.text((x, at.1 + 4.0), anchor, ink, name);
+    let (by, anchor) = if left { (-10.0, End) } else { (10.0, Start) };
+    svg.text((at.0 + by, at.1 + 4.0), anchor, ink, name);
 }
 
 #[cfg(test)]

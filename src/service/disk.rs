@@ -1,7 +1,8 @@
 //! Space on the disk.
 
-use std::fs::File;
+use std::ffi::CString;
 use std::io;
+use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 
 /// Bytes of so many MiB.
@@ -16,12 +17,11 @@ pub fn mib(n: f64) -> u64 {
 /// The operating system's.
 #[allow(unsafe_code)]
 pub fn free_bytes(path: &Path) -> io::Result<u64> {
-    use std::os::fd::AsRawFd;
-    let file = File::open(path)?;
+    let path = CString::new(path.as_os_str().as_bytes())?;
     let mut stat = std::mem::MaybeUninit::<libc::statvfs>::uninit();
-    // SAFETY: the descriptor is open, and `stat` is written in full when the call succeeds
+    // SAFETY: the path ends in a zero, and `stat` is written in full when the call succeeds
     let stat = unsafe {
-        if libc::fstatvfs(file.as_raw_fd(), stat.as_mut_ptr()) != 0 {
+        if libc::statvfs(path.as_ptr(), stat.as_mut_ptr()) != 0 {
             return Err(io::Error::last_os_error());
         }
         stat.assume_init()

@@ -116,6 +116,13 @@ pub enum CalibrateAction {
 }
 
 impl Request {
+    /// A move at the rest length; angles in degrees, speed in °/s.
+    #[must_use]
+    pub fn bend(bend_deg: f64, dir_deg: f64, speed_deg_s: Option<f64>) -> Self {
+        let length_mm = None;
+        Self::Bend { bend_deg, dir_deg, length_mm, speed_deg_s }
+    }
+
     /// True for requests that the status socket accepts.
     #[must_use]
     pub fn only_reads(&self) -> bool {

@@ -1,15 +1,14 @@
 //! `stop` under attack: it is answered, the tip brakes, and nothing moves until the next `arm`.
 
-use super::attack::{Attack, Attackers};
-use super::daemon::{Daemon, WATCHDOG_S, ask, insist};
-use crate::drill::bench::BenchConfig;
+use super::Plan;
+use super::attack::Attack::{self, Connect, Flood, Hang, Keep};
+use super::attack::Attackers;
+use super::daemon::{Daemon, WATCHDOG_S, ask, connect, insist, mode_of};
 use crate::drill::row::Row;
 use crate::drill::run::Allowance;
-use crate::service::client::Client;
 use crate::service::protocol::Request;
 use serde_json::Value;
 use std::io;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// Longest time until `stop` is answered on the command socket, and to the command line, s.
@@ -21,23 +20,26 @@ const ARM_MAX_S: f64 = 20.0;
 
 /// Every attack, and whether it lets the tip move again after a stop.
 const ATTACKS: [(&str, Attack, bool); 16] = [
-    ("stop_among_silent_clients", Attack::Keep(""), true),
-    ("client_half_open", Attack::Keep(r#"{"v":1,"cmd":"be"#), true),
-    ("client_slow_reader", Attack::Keep(SUBSCRIBE), true),
-    ("stop_among_connects", Attack::Connect(0), true),
-    ("stop_among_hoarders", Attack::Connect(200), true),
-    ("stop_in_a_flood_of_bend", Attack::Flood("{\"v\":1,\"cmd\":\"bend\",\"bend_deg\":30,\"dir_deg\":200}\n", 6), true),
-    ("stop_in_a_flood_of_hold", Attack::Flood("{\"v\":1,\"cmd\":\"hold\"}\n", 62), false),
+    ("stop_among_silent_clients", Keep(""), true),
+    ("client_half_open", Keep("{\"v\":1,\"cmd\":\"be"), true),
+    ("client_slow_reader", Keep(SUBSCRIBE), true),
+    ("stop_among_connects", Connect(0), true),
+    ("stop_among_hoarders", Connect(200), true),
+    ("stop_in_a_flood_of_bend", Flood(BEND, 6), true),
+    ("stop_in_a_flood_of_hold", Flood(HOLD, 62), false),
     ("stop_in_a_flood_of_stop", Attack::Stop, false),
-    ("client_flood", Attack::Flood("{\"v\":1,\"cmd\":\"status\"}\n", 8), true),
-    ("client_garbage", Attack::Flood("{]\n", 8), true),
-    ("client_10_mb_line", Attack::Flood("xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx", 8), true),
-    ("stop_among_readers", Attack::Flood(SUBSCRIBE, 16), true),
-    ("stop_with_a_hung_disk", Attack::Hang("state"), true),
-    ("stop_with_a_hung_status_thread", Attack::Hang("status"), true),
-    ("stop_with_a_hung_stop_thread", Attack::Hang("stop"), true),
-    ("stop_with_a_hung_hub", Attack::Hang("hub"), false),
+    ("client_flood", Flood(STATUS, 8), true),
+    ("client_garbage", Flood("{]\n", 8), true),
+    ("client_10_mb_line", Flood("xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx", 8), true),
+    ("stop_among_readers", Flood(SUBSCRIBE, 16), true),
+    ("stop_with_a_hung_disk", Hang("state"), true),
+    ("stop_with_a_hung_status_thread", Hang("status"), true),
+    ("stop_with_a_hung_stop_thread", Hang("stop"), true),
+    ("stop_with_a_hung_hub", Hang("hub"), false),
 ];
+const BEND: &str = "{\"v\":1,\"cmd\":\"bend\",\"bend_deg\":30,\"dir_deg\":200}\n";
+const HOLD: &str = "{\"v\":1,\"cmd\":\"hold\"}\n";
+const STATUS: &str = "{\"v\":1,\"cmd\":\"status\"}\n";
 const SUBSCRIBE: &str = "{\"v\":1,\"cmd\":\"subscribe\",\"rate_hz\":1000}\n";
 /// Nobody who connects to the command socket is answered: the loop stops the tip by itself.
 const HUNG_COMMANDS: &str = "hung_command_thread";
@@ -46,7 +48,9 @@ const HUNG_COMMANDS: &str = "hung_command_thread";
 ///
 /// # Errors
 /// A service that does not start.
-pub fn rows(config: &BenchConfig, program: &Path, folder: &Path, tries: u32, selected: &dyn Fn(&str) -> bool) -> io::Result<Vec<Row>> {
+pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
+    let Plan { config, program, scratch, tries, selected, .. } = *plan;
+    let folder = scratch.join("attacks");
     let steps_allowed = Allowance::new(config).map_err(io::Error::other)?.stopping();
     let [socket_s, line_s] = ANSWER_MAX_S;
     let requires = format!(
@@ -54,7 +58,8 @@ pub fn rows(config: &BenchConfig, program: &Path, folder: &Path, tries: u32, sel
          at most {steps_allowed} microsteps follow; the watchdog is fed"
     );
     let run = |name: &str, requires: &str, test: &dyn Fn(&Daemon, &mut Row) -> io::Result<()>| {
-        let mut row = Row { steps_allowed, ..Row::new(name, requires) };
+        let mut row = Row::new(name, requires);
+        row.steps_allowed = steps_allowed;
         let tested = Daemon::start(program, &folder.join(name)).and_then(|daemon| {
             daemon.take_off()?;
             daemon.until(5.0, "motion", |s| s["mode"] == "tracking")?;
@@ -65,11 +70,14 @@ pub fn rows(config: &BenchConfig, program: &Path, folder: &Path, tries: u32, sel
         }
         row
     };
-    let attacks = ATTACKS.into_iter().filter(|(name, ..)| selected(name));
-    let mut rows: Vec<Row> =
-        attacks.map(|(name, attack, moves)| run(name, &requires, &|daemon, row| one(daemon, attack, tries, moves, row))).collect();
+    let mut rows = Vec::new();
+    for (name, attack, moves) in ATTACKS.into_iter().filter(|(name, ..)| selected(name)) {
+        let test = |daemon: &Daemon, row: &mut Row| one(daemon, attack, tries, moves, row);
+        rows.push(run(name, &requires, &test));
+    }
     if selected(HUNG_COMMANDS) {
-        rows.push(run(HUNG_COMMANDS, "the tip stops by itself within 2 s", &hung_commands));
+        let requires = "the tip stops by itself within 2 s";
+        rows.push(run(HUNG_COMMANDS, requires, &hung_commands));
     }
     Ok(rows)
 }
@@ -86,7 +94,10 @@ fn one(daemon: &Daemon, attack: Attack, tries: u32, moves: bool, row: &mut Row) 
         }
         let way = n as usize % 2;
         let started = Instant::now();
-        let reply = if way == 0 { order(daemon, &Request::Stop {}).map(drop) } else { daemon.command("stop") };
+        let reply = match way {
+            0 => order(daemon, &Request::Stop {}).map(drop),
+            _ => daemon.command("stop"),
+        };
         slowest_s[way] = slowest_s[way].max(started.elapsed().as_secs_f64());
         answered += u32::from(reply.is_ok());
         row.require(reply.is_ok(), |_| format!("stop {n}: {reply:?}"));
@@ -94,11 +105,12 @@ fn one(daemon: &Daemon, attack: Attack, tries: u32, moves: bool, row: &mut Row) 
             row.steps_after = row.steps_after.max(travelled(daemon)?);
         }
     }
-    let fed = std::iter::from_fn(|| daemon.notification()).filter(|text| text.contains("WATCHDOG=1")).count();
+    let heard = std::iter::from_fn(|| daemon.notification());
+    let fed = heard.filter(|text| text.contains("WATCHDOG=1")).count();
     let expected = (began.elapsed().as_secs_f64() / WATCHDOG_S) as usize;
     drop(attackers);
     let status = daemon.until(10.0, "the latch", |s| s["stopped"] == true)?;
-    row.state = status["mode"].as_str().unwrap_or_default().to_owned();
+    row.state = mode_of(&status);
     row.detected_s = Some(slowest_s[0]);
     let [socket_ms, line_ms] = slowest_s.map(|s| s * 1e3);
     row.message = format!(
@@ -106,24 +118,24 @@ fn one(daemon: &Daemon, attack: Attack, tries: u32, moves: bool, row: &mut Row) 
          {fed} heartbeats; {} late cycles of {}",
         status["late_cycles"], status["cycles"]
     );
-    row.require((0..2).all(|way| slowest_s[way] <= ANSWER_MAX_S[way]), |row| format!("too late: {}", row.message));
-    row.require(row.steps_after <= row.steps_allowed, |row| format!("{} microsteps after the answer", row.steps_after));
+    let (in_time, steps) = ((0..2).all(|way| slowest_s[way] <= ANSWER_MAX_S[way]), row.steps_after);
+    row.require(in_time, |row| format!("too late: {}", row.message));
+    row.require(steps <= row.steps_allowed, |_| format!("{steps} microsteps after the answer"));
     // a thread that hangs for long ends the heartbeat, as it must
-    row.require(fed >= expected || matches!(attack, Attack::Hang(_)), |_| {
-        format!("{fed} heartbeats in {expected} time-outs of the watchdog")
-    });
+    let beats = fed >= expected || matches!(attack, Hang(_));
+    row.require(beats, |_| format!("{fed} heartbeats in {expected} time-outs of the watchdog"));
     Ok(())
 }
 
 /// A request on a connection of its own.
 fn order(daemon: &Daemon, request: &Request) -> io::Result<Value> {
-    daemon.client().and_then(|mut client: Client| ask(&mut client, request))
+    ask(&mut daemon.client()?, request)
 }
 
 /// Arms and bends, however often the attackers get in the way.
 fn move_again(daemon: &Daemon, n: u32) -> io::Result<()> {
     let dir_deg = if n.is_multiple_of(2) { 30.0 } else { 210.0 };
-    let target = Request::Bend { bend_deg: 60.0, dir_deg, length_mm: None, speed_deg_s: None };
+    let target = Request::bend(60.0, dir_deg, None);
     insist(ARM_MAX_S, || {
         // a loop that was late for the attackers' sake has tripped; without a fault this is refused
         let _ = order(daemon, &Request::ResetFault {});
@@ -137,7 +149,8 @@ fn move_again(daemon: &Daemon, n: u32) -> io::Result<()> {
 fn travelled(daemon: &Daemon) -> io::Result<i64> {
     let counted = || -> io::Result<[i64; 3]> {
         let status = insist(ARM_MAX_S, || order(daemon, &Request::Status {}))?;
-        Ok(std::array::from_fn(|i| status["counted"][i].as_i64().unwrap_or(i64::MAX / 4)))
+        let count = |i| status["counted"][i].as_i64();
+        Ok([0, 1, 2].map(|i: usize| count(i).unwrap_or(i64::MAX / 4)))
     };
     let before = counted()?;
     let mut most = 0;
@@ -151,14 +164,16 @@ fn travelled(daemon: &Daemon) -> io::Result<i64> {
 
 fn hung_commands(daemon: &Daemon, row: &mut Row) -> io::Result<()> {
     let started = Instant::now();
-    let _attackers: Attackers = Attack::Hang("control").start(daemon)?;
-    let mut reader = Client::connect(&daemon.sockets()[1]).map_err(|f| io::Error::other(f.message))?;
+    let _attackers: Attackers = Hang("control").start(daemon)?;
+    let mut reader = connect(&daemon.sockets()[1])?;
     while row.detected_s.is_none() && started.elapsed() < Duration::from_secs(5) {
         let status = ask(&mut reader, &Request::Status {})?;
-        row.state = status["mode"].as_str().unwrap_or_default().to_owned();
+        row.state = mode_of(&status);
         row.detected_s = (status["stopped"] == true).then(|| started.elapsed().as_secs_f64());
-        row.message = format!("the command thread was silent for {} s", status["thread_age_s"]["control"]);
+        let age_s = &status["thread_age_s"]["control"];
+        row.message = format!("the command thread was silent for {age_s} s");
     }
-    row.require(row.detected_s.is_some_and(|s| s <= 2.0), |row| format!("stopped after {:?} s", row.detected_s));
+    let after_s = row.detected_s;
+    row.require(after_s.is_some_and(|s| s <= 2.0), |_| format!("stopped after {after_s:?} s"));
     Ok(())
 }

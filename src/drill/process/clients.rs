@@ -1,6 +1,6 @@
 //! Clients that contradict each other, fall silent or die, of a service that runs in real time.
 
-use super::daemon::{Daemon, ask, insist};
+use super::daemon::{Daemon, ask, insist, mode_of};
 use crate::drill::row::Row;
 use crate::service::protocol::{RecordAction, Request};
 use std::io;
@@ -19,22 +19,21 @@ pub fn rows(program: &Path, folder: &Path) -> io::Result<Vec<Row>> {
     daemon.take_off()?;
     let mut rows = vec![two_clients(&daemon)?, dead_man(&daemon)?, abandoned(&daemon)?];
     let (success, took_s) = daemon.end()?;
-    let mut row = Row {
-        detected_s: Some(took_s),
-        state: "relaxed".to_owned(),
-        message: format!("relaxed and ended within {took_s:.1} s"),
-        ..Row::new(NAMES[3], "the tip returns to rest, then the service ends with success")
-    };
-    row.require(success, |_| "the service did not end with success".to_owned());
+    let requires = "the tip returns to rest, then the service ends with success";
+    let mut row = Row::new(NAMES[3], requires).ending("relaxed");
+    row.detected_s = Some(took_s);
+    row.message = format!("relaxed and ended within {took_s:.1} s");
+    row.require(success, |_| "the service did not end with success");
     rows.push(row);
     Ok(rows)
 }
 
 /// A row that is detected now, with the mode of the service.
-fn row(daemon: &Daemon, name: &str, requires: &str, started: Instant, message: String) -> io::Result<Row> {
+fn row(daemon: &Daemon, name: &str, requires: &str, started: Instant) -> io::Result<Row> {
     let detected_s = Some(started.elapsed().as_secs_f64());
     let status = ask(&mut daemon.client()?, &Request::Status {})?;
-    Ok(Row { detected_s, state: status["mode"].as_str().unwrap_or_default().to_owned(), message, ..Row::new(name, requires) })
+    let row = Row::new(name, requires).ending(&mode_of(&status));
+    Ok(Row { detected_s, ..row })
 }
 
 fn two_clients(daemon: &Daemon) -> io::Result<Row> {
@@ -44,7 +43,7 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
         std::thread::spawn(move || -> io::Result<u32> {
             let mut client = client?;
             for _ in 0..50 {
-                ask(&mut client, &Request::Bend { bend_deg, dir_deg: 30.0, length_mm: None, speed_deg_s: None })?;
+                ask(&mut client, &Request::bend(bend_deg, 30.0, None))?;
             }
             Ok(50)
         })
@@ -55,10 +54,12 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
     let status = daemon.until(6.0, "the settled tip", |s| s["settled"] == true)?;
     let bend_deg = |key: &str| status[key]["bend_deg"].as_f64().unwrap_or(0.0);
     let (target, estimate) = (bend_deg("target"), bend_deg("estimate"));
-    let message = format!("{accepted} commands of two clients were accepted; the last one is in effect: {target:.0}°");
-    let mut row = row(daemon, NAMES[0], "all commands are accepted, and the tip settles within 1.5° of one target", started, message)?;
+    let requires = "all commands are accepted, and the tip settles within 1.5° of one target";
+    let mut row = row(daemon, NAMES[0], requires, started)?;
+    row.message = format!("{accepted} commands of two clients were accepted; the last one is in effect: {target:.0}°");
     row.error_deg_after = (target - estimate).abs();
-    row.require([30.0, 50.0].iter().any(|b| (target - b).abs() < 0.1), |_| format!("the target is {target}°"));
+    let meant = [30.0, 50.0].iter().any(|b| (target - b).abs() < 0.1);
+    row.require(meant, |_| format!("the target is {target}°"));
     row.require(row.error_deg_after < 1.5, |row| format!("error {:.1}°", row.error_deg_after));
     Ok(row)
 }
@@ -66,7 +67,8 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
 /// A stream of set-points that falls silent.
 fn dead_man(daemon: &Daemon) -> io::Result<Row> {
     let mut client = daemon.client()?;
-    let mut stream = |bend_deg| ask(&mut client, &Request::Stream { bend_deg, dir_deg: 30.0, length_mm: None });
+    let (dir_deg, length_mm) = (30.0, None);
+    let mut stream = |bend_deg| ask(&mut client, &Request::Stream { bend_deg, dir_deg, length_mm });
     for k in 0..20 {
         stream(30.0 + f64::from(k))?;
         std::thread::sleep(Duration::from_millis(20));
@@ -74,33 +76,34 @@ fn dead_man(daemon: &Daemon) -> io::Result<Row> {
     stream(75.0)?;
     let started = Instant::now();
     let status = daemon.until(3.0, "the stop", |s| s["mode"] == "holding")?;
-    let mut row = row(
-        daemon,
-        "stream_silent",
-        "the tip stops within 1 s, before the last set-point",
-        started,
-        "the stream of set-points paused for too long: stopped".to_owned(),
-    )?;
-    row.require(row.detected_s.is_some_and(|s| s < 1.0), |row| format!("stopped after {:?} s", row.detected_s));
-    row.require(status["estimate"]["bend_deg"].as_f64().is_some_and(|b| b < 74.0), |_| "moved to the last set-point".to_owned());
+    let requires = "the tip stops within 1 s, before the last set-point";
+    let mut row = row(daemon, NAMES[1], requires, started)?;
+    row.message = "the stream of set-points paused for too long: stopped".to_owned();
+    let (after_s, bend_deg) = (row.detected_s, status["estimate"]["bend_deg"].as_f64());
+    row.require(after_s.is_some_and(|s| s < 1.0), |_| format!("stopped after {after_s:?} s"));
+    row.require(bend_deg.is_some_and(|b| b < 74.0), |_| "moved to the last set-point");
     Ok(row)
 }
 
 /// A client that attends its motion and dies: the tip holds, and its recording ends.
 fn abandoned(daemon: &Daemon) -> io::Result<Row> {
     let mut client = daemon.client()?;
-    ask(&mut client, &Request::Record { action: RecordAction::Start, name: Some("x".to_owned()), owned: true })?;
-    let away = Request::Bend { bend_deg: 10.0, dir_deg: 210.0, length_mm: None, speed_deg_s: Some(20.0) };
+    let (action, name) = (RecordAction::Start, Some("x".to_owned()));
+    let owned = true;
+    ask(&mut client, &Request::Record { action, name, owned })?;
+    let away = Request::bend(10.0, 210.0, Some(20.0));
     insist(BRAKED_MAX_S, || ask(&mut client, &away))?;
     std::thread::sleep(Duration::from_millis(1000));
     let started = Instant::now();
     drop(client);
     let status = daemon.until(5.0, "the hold", |s| s["mode"] == "holding")?;
     let requires = "the tip holds within 0.5 s, before the target, and the client's recording ends";
-    let mut row = row(daemon, NAMES[2], requires, started, String::new())?;
+    let mut row = row(daemon, NAMES[2], requires, started)?;
     let ended = daemon.until(5.0, "the end of the recording", |s| s["recording"].is_null())?;
     row.message = ended["recording_ended"].as_str().unwrap_or_default().to_owned();
-    row.require(row.detected_s.is_some_and(|s| s <= 0.5), |row| format!("held after {:?} s", row.detected_s));
-    row.require(status["estimate"]["bend_deg"].as_f64().is_some_and(|b| b > 20.0), |_| format!("moved on: {}", status["estimate"]));
+    let (after_s, estimate) = (row.detected_s, &status["estimate"]);
+    row.require(after_s.is_some_and(|s| s <= 0.5), |_| format!("held after {after_s:?} s"));
+    let short = estimate["bend_deg"].as_f64().is_some_and(|b| b > 20.0);
+    row.require(short, |_| format!("moved on: {estimate}"));
     Ok(row)
 }

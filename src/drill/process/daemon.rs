@@ -87,7 +87,7 @@ impl Daemon {
     /// # Errors
     /// A service that does not answer.
     pub fn client(&self) -> io::Result<Client> {
-        Client::connect(&self.sockets[0]).map_err(|f| io::Error::other(f.message))
+        connect(&self.sockets[0])
     }
 
     /// Number of its process.
@@ -186,6 +186,20 @@ impl Drop for Daemon {
 /// The failure, with the name of the command.
 pub fn ask(client: &mut Client, request: &Request) -> io::Result<Value> {
     client.request(request).map_err(|f| io::Error::other(format!("{}: {}", request.name(), f.message)))
+}
+
+/// A client of the service at a socket.
+///
+/// # Errors
+/// A service that does not answer.
+pub fn connect(socket: &Path) -> io::Result<Client> {
+    Client::connect(socket).map_err(|f| io::Error::other(f.message))
+}
+
+/// The mode in a status.
+#[must_use]
+pub fn mode_of(status: &Value) -> String {
+    status["mode"].as_str().unwrap_or_default().to_owned()
 }
 
 /// Repeats `work` until it succeeds, at most for a time, s: a tip that brakes refuses a motion, and attackers may take the place

@@ -7,6 +7,7 @@ use crate::service::memory::Memory;
 use crate::service::store::Store;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
+use std::error::Error;
 use std::io::{self, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -29,21 +30,25 @@ pub enum Harm {
 /// # Errors
 /// Any error except the injected one.
 pub fn exercise(config: &BenchConfig, folder: &Path, harm: Option<Harm>) -> io::Result<()> {
-    let (mut store, _) = Store::open(folder).map_err(io::Error::other)?;
-    let mut bench = config.bench(0, 1).map_err(io::Error::other)?;
-    bench.until(10.0, |t| t.mode == Mode::Disarmed).map_err(io::Error::other)?;
+    work(config, folder, harm).map_err(io::Error::other)
+}
+
+fn work(config: &BenchConfig, folder: &Path, harm: Option<Harm>) -> Result<(), Box<dyn Error + Send + Sync>> {
+    let (mut store, _) = Store::open(folder)?;
+    let mut bench = config.bench(0, 1)?;
+    bench.until(10.0, |t| t.mode == Mode::Disarmed)?;
     for round in 0..u32::MAX {
         if !write(&mut store, true, bench.runner.supervisor.keep())? {
             // without the write ahead the drivers are not armed
             break;
         }
-        bench.turn(Some(Order::Arm)).map_err(io::Error::other)?;
-        bench.run(0.05).map_err(io::Error::other)?;
+        bench.arm()?;
         for leg in 0..3u32 {
-            let (angle, dir) = (20.0 + f64::from((round * 37 + leg * 53) % 45), f64::from((round * 71 + leg * 113) % 360));
-            bench.turn(Some(bend(angle, dir))).map_err(io::Error::other)?;
+            let angle = 20.0 + f64::from((round * 37 + leg * 53) % 45);
+            let dir = f64::from((round * 71 + leg * 113) % 360);
+            bench.turn(Some(bend(angle, dir)))?;
             for _ in 0..6 {
-                bench.run(0.1).map_err(io::Error::other)?;
+                bench.run(0.1)?;
                 write(&mut store, true, bench.runner.supervisor.keep())?;
             }
         }
@@ -52,8 +57,8 @@ pub fn exercise(config: &BenchConfig, folder: &Path, harm: Option<Harm>) -> io::
             (Some(_), 4) => break,
             _ => {}
         }
-        bench.turn(Some(Order::Relax)).map_err(io::Error::other)?;
-        bench.until(15.0, |t| t.mode == Mode::Disarmed).map_err(io::Error::other)?;
+        bench.turn(Some(Order::Relax))?;
+        bench.until(15.0, |t| t.mode == Mode::Disarmed)?;
         write(&mut store, false, bench.runner.supervisor.keep())?;
     }
     Ok(())
@@ -61,7 +66,8 @@ pub fn exercise(config: &BenchConfig, folder: &Path, harm: Option<Harm>) -> io::
 
 /// Writes the memory and prints the result.
 fn write(store: &mut Store, armed: bool, restart: RestartState) -> io::Result<bool> {
-    let written = store.write(&Memory { armed, restart: Some(restart), ..Memory::default() });
+    let restart = Some(restart);
+    let written = store.write(&Memory { armed, restart, ..Memory::default() });
     let mut out = io::stdout().lock();
     match &written {
         Ok(sequence) => writeln!(out, "{sequence} .")?,
@@ -79,10 +85,11 @@ fn do_harm(folder: &Path, harm: Harm) -> io::Result<()> {
             while file.write_all(&[7u8; 4096]).is_ok() {}
             "the disk is full"
         }
-        Harm::ReadOnly => match Command::new("mount").args(["-o", "remount,ro"]).arg(folder).status()?.success() {
-            true => "the disk is read-only",
-            false => "the remount failed",
-        },
+        Harm::ReadOnly => {
+            let mut mount = Command::new("mount");
+            let done = mount.args(["-o", "remount,ro"]).arg(folder).status()?;
+            if done.success() { "the disk is read-only" } else { "the remount failed" }
+        }
         Harm::Limit => {
             let none = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
             // SAFETY: the limit is a live struct that is only read; ignoring SIGXFSZ makes writes fail instead of killing
@@ -90,7 +97,10 @@ fn do_harm(folder: &Path, harm: Harm) -> io::Result<()> {
                 libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
                 libc::setrlimit(libc::RLIMIT_FSIZE, &none)
             };
-            if result == 0 { "no file can be written" } else { "the limit was refused" }
+            match result {
+                0 => "no file can be written",
+                _ => "the limit was refused",
+            }
         }
     };
     println!("harm: {done}");
@@ -100,56 +110,65 @@ fn do_harm(folder: &Path, harm: Harm) -> io::Result<()> {
 /// A file system that becomes full: the reserved slots can still be overwritten.
 pub fn full(program: &Path, folder: &Path) -> io::Result<Row> {
     let mut row = harmed("disk_full", program, folder, Harm::Fill)?;
-    row.require(row.message.contains("0 writes failed"), |_| "writes in place failed on a full disk".to_owned());
+    let kept = row.message.contains("0 writes failed");
+    row.require(kept, |_| "writes in place failed on a full disk");
     Ok(row)
 }
 
 /// A file system that becomes read-only: the drivers are not armed any more, and nothing is lost.
 pub fn read_only(program: &Path, folder: &Path) -> io::Result<Row> {
     let mut row = harmed("read_only_fs", program, folder, Harm::ReadOnly)?;
-    row.require(!row.message.contains(" 0 writes failed"), |_| "no write failed".to_owned());
+    row.require(!row.message.contains(" 0 writes failed"), |_| "no write failed");
     Ok(row)
 }
 
 /// Runs an exercise on a small file system of its own or, where that is not permitted, with a limit on file size.
 fn harmed(name: &str, program: &Path, folder: &Path, harm: Harm) -> io::Result<Row> {
     std::fs::create_dir_all(folder)?;
-    let argument = if harm == Harm::Fill { "fill" } else { "read-only" };
+    let argument = match harm {
+        Harm::Fill => "fill",
+        _ => "read-only",
+    };
     let script = "mount -t tmpfs -o size=160k none \"$1\" && \"$2\" drill --exercise \"$1\" --harm \"$3\" && \"$2\" drill --recall \"$1\"";
     let started = Instant::now();
     let own_file_system = |flags: &&str| {
         let mut command = Command::new("unshare");
-        command.args([flags, "sh", "-c", script, "sh"]).arg(folder).arg(program).arg(argument).stderr(Stdio::inherit());
-        command.output().ok().filter(|out| out.status.success())
+        command.args([flags, "sh", "-c", script, "sh"]).arg(folder).arg(program);
+        let out = command.arg(argument).stderr(Stdio::inherit()).output();
+        out.ok().filter(|out| out.status.success())
     };
-    let (text, how) = match ["-m", "-Urm"].iter().find_map(own_file_system) {
-        Some(out) => (String::from_utf8_lossy(&out.stdout).into_owned(), "on a file system of its own"),
+    let (out, how) = match ["-m", "-Urm"].iter().find_map(own_file_system) {
+        Some(out) => (out.stdout, "on a file system of its own"),
         None => {
-            let drill = |option: &str, more: &[&str]| Command::new(program).args(["drill", option]).arg(folder).args(more).output();
-            let (out, recall) = (drill("--exercise", &["--harm", "limit"])?, drill("--recall", &[])?);
-            let text = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&recall.stdout);
-            (text, "with a limit on file size, because mounting is not permitted")
+            let drill = |option: &str, more: &[&str]| {
+                let mut command = Command::new(program);
+                command.args(["drill", option]).arg(folder).args(more).output()
+            };
+            let out = drill("--exercise", &["--harm", "limit"])?;
+            let recall = drill("--recall", &[])?;
+            let how = "with a limit on file size, because mounting is not permitted";
+            ([out.stdout, recall.stdout].concat(), how)
         }
     };
-    Ok(assess(name, &text, how, started.elapsed().as_secs_f64()))
+    let took_s = started.elapsed().as_secs_f64();
+    Ok(assess(name, &String::from_utf8_lossy(&out), how, took_s))
 }
 
 /// Assesses the output of an exercise.
 fn assess(name: &str, text: &str, how: &str, took_s: f64) -> Row {
-    let mut row = Row {
-        detected_s: Some(took_s),
-        state: "disarmed".to_owned(),
-        ..Row::new(name, "the last acknowledged write is recalled; drivers are armed only if the state could be written")
-    };
-    let after: Vec<&str> = text.lines().skip_while(|l| !l.starts_with("harm:")).collect();
-    row.require(!after.is_empty(), |_| format!("the fault was not injected: {text}"));
-    let failed: Vec<&str> = after.iter().copied().filter(|l| l.starts_with("failed:")).collect();
-    let acknowledged = text.lines().rfind(|l| l.ends_with('.') && !l.starts_with("recalled") && !l.starts_with("failed"));
+    let requires = "the last acknowledged write is recalled; drivers are armed only if the state could be written";
+    let mut row = Row::new(name, requires).ending("disarmed");
+    row.detected_s = Some(took_s);
+    let after = || text.lines().skip_while(|l| !l.starts_with("harm:"));
+    row.require(after().count() > 0, |_| format!("the fault was not injected: {text}"));
+    let failed: Vec<&str> = after().filter(|l| l.starts_with("failed:")).collect();
+    let written = |l: &&str| l.ends_with('.') && !l.starts_with("recalled") && !l.starts_with("failed");
+    let acknowledged = text.lines().rfind(written);
     let recalled = text.lines().rfind(|l| l.starts_with("recalled"));
-    let same = recalled.zip(acknowledged).is_some_and(|(r, a)| r.starts_with(&format!("recalled {a}")));
-    row.require(same, |_| format!("acknowledged {acknowledged:?}, recalled {recalled:?}"));
-    let kept = after.len().saturating_sub(2 + failed.len());
+    let same = |(r, a): (&str, &str)| r.starts_with(&format!("recalled {a}"));
+    row.require(recalled.zip(acknowledged).is_some_and(same), |_| format!("acknowledged {acknowledged:?}, recalled {recalled:?}"));
+    let (kept, failures) = (after().count().saturating_sub(2 + failed.len()), failed.len());
     let reason = failed.first().copied().unwrap_or("");
-    row.message = format!("{kept} writes succeeded and {} writes failed afterwards, {how}; nothing lost. {reason}", failed.len());
+    row.message = format!("{kept} writes succeeded and {failures} writes failed afterwards, {how}; nothing lost. {reason}");
     row
 }

@@ -1,5 +1,6 @@
 //! `kill -9` at random instants while a child works with the memory, and damage to the memory afterwards.
 
+use super::Plan;
 use super::restart::distance;
 use crate::drill::bench::{Bench, BenchConfig, FaultyMachine};
 use crate::drill::row::Row;
@@ -59,10 +60,14 @@ impl Damage {
 }
 
 /// One row for each damage, which is done to a copy of the memory after each of the kills.
-pub fn rows(config: &BenchConfig, program: &Path, folder: &Path, kills: u32, selected: &dyn Fn(&str) -> bool) -> io::Result<Vec<Row>> {
-    let chosen = Damage::ALL.into_iter().filter(|(_, name)| selected(name));
-    let mut rows: Vec<(Damage, Row, [u32; 3])> =
-        chosen.map(|(damage, name)| (damage, Row { state: "lost".to_owned(), ..Row::new(name, damage.requires()) }, [0; 3])).collect();
+pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
+    let Plan { config, program, scratch, kills, selected, .. } = *plan;
+    let folder = &scratch.join("kill");
+    let mut rows: Vec<(Damage, Row, [u32; 3])> = Vec::new();
+    for (damage, name) in Damage::ALL.into_iter().filter(|(_, name)| selected(name)) {
+        let row = Row::new(name, damage.requires()).ending("lost");
+        rows.push((damage, row, [0; 3]));
+    }
     // xorshift (Marsaglia 2003)
     let mut random = 0x2545_f491_4f6c_dd1du64;
     for n in 0..if rows.is_empty() { 0 } else { kills } {
@@ -70,21 +75,22 @@ pub fn rows(config: &BenchConfig, program: &Path, folder: &Path, kills: u32, sel
         random ^= random >> 7;
         random ^= random << 17;
         let acknowledged = kill_after(program, folder, Duration::from_micros(random % 40_000))?;
-        let slots = [std::fs::read(folder.join(SLOTS[0]))?, std::fs::read(folder.join(SLOTS[1]))?];
+        let paths = SLOTS.map(|name| folder.join(name));
+        let slots = [std::fs::read(&paths[0])?, std::fs::read(&paths[1])?];
         for (damage, row, count) in &mut rows {
-            for (name, slot) in SLOTS.iter().zip(damage.apply(slots.clone(), n as usize % 2)) {
-                std::fs::write(folder.join(name), slot)?;
+            for (path, slot) in paths.iter().zip(damage.apply(slots.clone(), n as usize % 2)) {
+                std::fs::write(path, slot)?;
             }
             let started = Instant::now();
             let (store, recall) = Store::open(folder).map_err(io::Error::other)?;
             drop(store);
-            row.detected_s = Some(row.detected_s.unwrap_or(0.0).max(started.elapsed().as_secs_f64()));
+            let slowest_s = row.detected_s.unwrap_or(0.0);
+            row.detected_s = Some(slowest_s.max(started.elapsed().as_secs_f64()));
             if *damage == Damage::None {
                 // the kill may have torn a write, or cut its acknowledgement
                 let newest = (acknowledged..=acknowledged + 1).contains(&recall.sequence);
-                row.require(recall.found == Found::Damaged || newest, |_| {
-                    format!("kill {n}: recalled {} after {acknowledged}", recall.sequence)
-                });
+                let recalled = recall.sequence;
+                row.require(recall.found == Found::Damaged || newest, |_| format!("kill {n}: recalled {recalled} after {acknowledged}"));
             } else {
                 row.require(Belief::in_recall(&recall, true) == Belief::Lost, |_| format!("kill {n}: a damaged memory is believed"));
             }
@@ -95,14 +101,12 @@ pub fn rows(config: &BenchConfig, program: &Path, folder: &Path, kills: u32, sel
             }] += 1;
         }
     }
-    Ok(rows
-        .into_iter()
-        .map(|(_, mut row, [believed, lost, undecided])| {
-            row.require(undecided == 0, |_| format!("{undecided} starts came to no decision"));
-            row.message = format!("believed after {believed} kills, lost after {lost}");
-            row
-        })
-        .collect())
+    let concluded = |(_, mut row, [believed, lost, undecided]): (Damage, Row, [u32; 3])| {
+        row.require(undecided == 0, |_| format!("{undecided} starts came to no decision"));
+        row.message = format!("believed after {believed} kills, lost after {lost}");
+        row
+    };
+    Ok(rows.into_iter().map(concluded).collect())
 }
 
 /// Starts a supervisor from the memory on a machine whose pistons are at rest. It must not move, and what it believes must
@@ -111,13 +115,15 @@ fn start_at_rest(config: &BenchConfig, recall: &Recall, row: &mut Row, n: u32) -
     let machine = FaultyMachine::new(config.sim(0, 3)?, &config.board.drive_limits());
     let memory = recall.memory.clone().unwrap_or_default();
     let belief = Belief::in_recall(recall, true);
-    let start = Start { config: config.supervisor(machine.info()), restart: memory.restart, belief, unverified: false };
+    let (supervisor, restart) = (config.supervisor(machine.info()), memory.restart);
+    let start = Start { config: supervisor, restart, belief, unverified: false };
     let mut bench: Bench = config.bench_on(machine, None, 0.0);
     bench.runner = Runner::new(bench.runner.machine, start.supervisor());
     let output = bench.run(3.0)?;
     let recounted = bench.runner.supervisor.keep();
     // the remembered counts are declared, not driven
-    let steps = distance(&output.counted.0, &memory.restart.map_or([0; 3], |r| r.steps.0));
+    let remembered = memory.restart.map_or([0; 3], |r| r.steps.0);
+    let steps = distance(&output.counted.0, &remembered);
     row.steps_after += steps;
     row.require(steps == 0, |_| format!("kill {n}: moved by {steps} microsteps at the restart"));
     if output.mode == Mode::Disarmed {
@@ -139,7 +145,7 @@ fn kill_after(program: &Path, folder: &Path, after: Duration) -> io::Result<u64>
         .stdout(Stdio::piped())
         .stderr(Stdio::inherit())
         .spawn()?;
-    let pipe = child.stdout.take().ok_or_else(|| io::Error::other("no pipe"))?;
+    let pipe = child.stdout.take().ok_or(io::Error::other("no pipe"))?;
     let mut lines = BufReader::new(pipe).lines();
     // the time counts from the first write, so that short times do not end before it
     let first = lines.next().transpose()?;
@@ -147,6 +153,7 @@ fn kill_after(program: &Path, folder: &Path, after: Duration) -> io::Result<u64>
     child.kill()?;
     child.wait()?;
     // a line without its end was cut by the kill and is not an acknowledgement
-    let last = lines.map_while(Result::ok).filter_map(|line| line.strip_suffix(" .")?.parse().ok()).last();
-    last.or_else(|| first?.strip_suffix(" .")?.parse().ok()).ok_or_else(|| io::Error::other("the exercise wrote nothing"))
+    let all = first.into_iter().chain(lines.map_while(Result::ok));
+    let last = all.filter_map(|line| line.strip_suffix(" .")?.parse().ok()).last();
+    last.ok_or(io::Error::other("the exercise wrote nothing"))
 }

@@ -20,26 +20,29 @@ use crate::drill::row::Row;
 use std::io;
 use std::path::Path;
 
-/// How often the rows repeat what they do.
-#[derive(Debug, Clone, Copy)]
-pub struct Repeats {
+/// What the rows about the process need.
+#[derive(Clone, Copy)]
+pub struct Plan<'a> {
+    /// The simulated machine.
+    pub config: &'a BenchConfig,
+    /// This program.
+    pub program: &'a Path,
+    /// An empty folder.
+    pub scratch: &'a Path,
     /// Kills of the process.
     pub kills: u32,
     /// Stops under each attack.
     pub tries: u32,
+    /// Whether a row is wanted.
+    pub selected: &'a dyn Fn(&str) -> bool,
 }
 
-/// The selected rows about the process. `program` is this program, `scratch` an empty folder.
+/// The selected rows about the process.
 ///
 /// # Errors
 /// The operating system's, if the service of the client rows cannot be started.
-pub fn rows(
-    config: &BenchConfig,
-    program: &Path,
-    scratch: &Path,
-    repeats: Repeats,
-    selected: &dyn Fn(&str) -> bool,
-) -> io::Result<Vec<Row>> {
+pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
+    let Plan { config, program, scratch, selected, .. } = *plan;
     let folder = |name: &str| scratch.join(name);
     type Single<'a> = (&'static str, &'a dyn Fn(&Path) -> io::Result<Row>);
     let single: [Single<'_>; 6] = [
@@ -47,14 +50,14 @@ pub fn rows(
         ("disk_full", &|folder| disk::full(program, folder)),
         ("read_only_fs", &|folder| disk::read_only(program, folder)),
         ("restart_while_bent", &|_| restart::while_bent(config)),
-        ("stale_calibration", &|folder| restart::stale_calibration(program, folder)),
+        ("stale_calibration", &|folder| restart::stale(program, folder)),
         ("wrong_board_file", &|folder| restart::wrong_board(program, folder)),
     ];
     let mut rows = Vec::new();
     for (name, run) in single.into_iter().filter(|(name, _)| selected(name)) {
         rows.push(run(&folder(name)).unwrap_or_else(|e| not_run(name, &e)));
     }
-    rows.extend(kills::rows(config, program, &folder("kill"), repeats.kills, selected)?);
+    rows.extend(kills::rows(plan)?);
     let of_clients = clients::NAMES.into_iter().filter(|name| selected(name));
     if of_clients.clone().count() > 0 {
         match clients::rows(program, &folder("clients")) {
@@ -62,7 +65,7 @@ pub fn rows(
             Err(e) => rows.extend(of_clients.map(|name| not_run(name, &e))),
         }
     }
-    rows.extend(attacks::rows(config, program, &folder("attacks"), repeats.tries, selected)?);
+    rows.extend(attacks::rows(plan)?);
     Ok(rows)
 }
 

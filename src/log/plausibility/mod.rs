@@ -37,19 +37,19 @@ pub struct Implausible {
 /// # Errors
 /// [`Implausible`] for the first finding.
 pub fn check(log: &BendLog, geometry: &Geometry, lines: &[Line; 3]) -> Result<(), Implausible> {
-    let refuse = |(place, finding, mend): values::Finding| Implausible { file: log.file.clone(), place, finding, mend };
+    let in_motion = || {
+        let motion = Motion::of(log, geometry, lines);
+        let unit = motion.piston_unit(log).or_else(|| motion.rate_unit());
+        unit.or_else(|| motion.wiring())
+    };
     let first = values::clock_unit(log)
-        .or_else(|| log.imu.as_ref().and_then(|imu| values::sensor_units(imu, "")))
-        .or_else(|| log.base.as_ref().and_then(|imu| values::sensor_units(imu, "base_")))
-        .or_else(|| values::single_values(log));
-    if let Some(finding) = first {
-        return Err(refuse(finding));
-    }
-    let motion = Motion::of(log, geometry, lines);
-    match motion.piston_unit(log).or_else(|| motion.rate_unit()).or_else(|| motion.wiring()) {
-        Some(finding) => Err(refuse(finding)),
-        None => Ok(()),
-    }
+        .or_else(|| values::sensor_units(log.imu.as_ref()?, ""))
+        .or_else(|| values::sensor_units(log.base.as_ref()?, "base_"))
+        .or_else(|| values::single_values(log))
+        .or_else(in_motion);
+    let Some((place, finding, mend)) = first else { return Ok(()) };
+    let file = log.file.clone();
+    Err(Implausible { file, place, finding, mend })
 }
 
 #[cfg(test)]

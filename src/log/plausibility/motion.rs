@@ -1,6 +1,6 @@
 //! Wiring of the pistons and units that only show in motion: rotations of the tip, measured and predicted.
 
-use super::values::{Finding, finding};
+use super::values::{Finding, finding, finite};
 use crate::log::bend_log::BendLog;
 use crate::model::arc::Geometry;
 use crate::model::transmission::Line;
@@ -60,10 +60,8 @@ impl Motion {
         let bend = |k: usize| self.geometry.shape(&bellow_mm[k]).bend.0;
         let predicted: f64 = (from..to).map(|k| (bend(k + 1) - bend(k)).norm()).sum();
         let Some(imu) = &log.imu else { return };
-        let turned = |k: usize| {
-            let rate: Vector3<f64> = imu.gyr[k] - bias;
-            if rate.x.is_finite() { rate.norm() * (log.t_s[k + 1] - log.t_s[k]) } else { 0.0 }
-        };
+        let rate = |k: usize| Some((imu.gyr[k] - bias).norm()).filter(|_| imu.gyr[k].x.is_finite());
+        let turned = |k: usize| rate(k).unwrap_or(0.0) * (log.t_s[k + 1] - log.t_s[k]);
         if predicted > MOTION_RAD {
             self.path_rad.0 += predicted;
             self.path_rad.1 += (from..to).map(turned).sum::<f64>();
@@ -93,9 +91,9 @@ impl Motion {
 
 /// Mean rate over the rows before the first piston moves, rad/s: the gyroscope's constant bias.
 fn rest_rate(log: &BendLog) -> Vector3<f64> {
-    let Some(imu) = &log.imu else { return Vector3::zeros() };
-    let still = log.piston_mm.iter().take_while(|p| **p == log.piston_mm[0]).count();
-    let rates: Vec<&Vector3<f64>> = imu.gyr[..still].iter().filter(|r| r.iter().all(|x| x.is_finite())).collect();
+    let gyr = log.imu.as_ref().map_or(&[][..], |imu| &imu.gyr);
+    let still = log.piston_mm.iter().zip(gyr).take_while(|(p, _)| **p == log.piston_mm[0]);
+    let rates: Vec<_> = still.map(|(_, rate)| rate).filter(|r| finite(r)).collect();
     rates.iter().fold(Vector3::zeros(), |sum, r| sum + **r) / rates.len().max(1) as f64
 }
 
@@ -109,7 +107,7 @@ fn measured_turn(log: &BendLog, from: usize, to: usize, bias: &Vector3<f64>) -> 
     let mut samples = 0;
     for k in from..to {
         // a row without a sample goes on at the rate of the one before
-        if imu.gyr[k].iter().all(|x| x.is_finite()) {
+        if finite(&imu.gyr[k]) {
             held = imu.gyr[k] - bias;
             samples += 1;
         }
@@ -121,14 +119,15 @@ fn measured_turn(log: &BendLog, from: usize, to: usize, bias: &Vector3<f64>) -> 
 /// Largest angle of the tracker's tip axis, or of gravity in the sensor, from where it was at first, rad.
 fn tilt_rad(log: &BendLog) -> f64 {
     let largest = |directions: &mut dyn Iterator<Item = Vector3<f64>>| {
-        let mut finite = directions.filter(|v| v.iter().all(|x| x.is_finite()) && v.norm() > 0.0);
-        let first = finite.next();
-        let mut angles: Vec<f64> = first.map_or_else(Vec::new, |f| finite.map(|v| f.angle(&v)).collect());
+        let mut finite = directions.filter(|v| finite(v) && v.norm() > 0.0);
+        let Some(first) = finite.next() else { return 0.0 };
+        let mut angles: Vec<f64> = finite.map(|v| first.angle(&v)).collect();
+        angles.sort_by(f64::total_cmp);
         // the largest but for one row in a hundred, which noise may have thrown off
-        let rank = angles.len() * 99 / 100;
-        if angles.is_empty() { 0.0 } else { *angles.select_nth_unstable_by(rank, f64::total_cmp).1 }
+        angles.get(angles.len() * 99 / 100).copied().unwrap_or(0.0)
     };
-    let tracker = log.reference.iter().flatten().flatten().map(|q| q * Vector3::z());
+    let orientations = log.reference.iter().flatten().flatten();
+    let tracker = orientations.map(|q| q * Vector3::z());
     let gravity = log.imu.iter().flat_map(|imu| imu.acc.iter().copied());
     largest(&mut { tracker }).max(largest(&mut { gravity }))
 }
@@ -137,11 +136,12 @@ impl Motion {
     /// Pistons in metres: numbers below a tenth while the tip tilts.
     pub(super) fn piston_unit(&self, log: &BendLog) -> Option<Finding> {
         let most = log.piston_mm.iter().map(|p| p.amax()).fold(0.0, f64::max);
-        (most > 0.0 && most < 0.1 && self.tilt_rad > 0.14).then(|| {
-            let tilt_deg = self.tilt_rad.to_degrees();
-            let finding = format!("piston*_mm looks like m: the tip tilts by {tilt_deg:.0}° and the largest piston position is {most:.4}");
-            ("columns piston*_mm".to_owned(), finding, "write mm".to_owned())
-        })
+        if !(most > 0.0 && most < 0.1 && self.tilt_rad > 0.14) {
+            return None;
+        }
+        let tilt_deg = self.tilt_rad.to_degrees();
+        let text = format!("piston*_mm looks like m: the tip tilts by {tilt_deg:.0}° and the largest piston position is {most:.4}");
+        finding("columns piston*_mm", text, "write mm")
     }
 
     /// Rates in degrees per second: the gyroscope's path is 57 times the one that the pistons drive.
@@ -151,25 +151,22 @@ impl Motion {
             return None;
         }
         let ratio = measured / predicted;
-        finding(
-            "columns gyr_*",
-            format!("gyr_* looks like °/s: the gyroscope turns {ratio:.0} times as far as the pistons drive the tip"),
-            "write rad/s",
-        )
+        let text = format!("gyr_* looks like °/s: the gyroscope turns {ratio:.0} times as far as the pistons drive the tip");
+        finding("columns gyr_*", text, "write rad/s")
     }
 
     /// Pistons wired otherwise than the model says: another wiring explains the tip's rotations, and this one does not. A single
     /// reversed piston leaves a correlation of 0.45, an exchange 0 and all reversed −1.
     pub(super) fn wiring(&self) -> Option<Finding> {
-        let nominal = Wiring { from: AS_WIRED, sign: PLUS, says: "", mend: "" };
-        let as_wired = self.agreement(&nominal)?;
-        let score = |w: &'static Wiring| self.agreement(w).map(|a| (a, w));
-        let (best, other) = WIRINGS.iter().filter_map(score).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let as_wired = self.agreement(&exchanged(AS_WIRED, ""))?;
+        let scores = WIRINGS.iter().filter_map(|w| Some((self.agreement(w)?, w)));
+        let (best, other) = scores.max_by(|a, b| a.0.total_cmp(&b.0))?;
         if best < 0.7 || best - as_wired < 0.25 {
             return None;
         }
-        let text = format!("{}: the tip's rotations correlate with the pistons by {as_wired:.2}, and by {best:.2} if so", other.says);
-        finding("columns piston*_mm", text, other.mend)
+        let Wiring { says, mend, .. } = other;
+        let text = format!("{says}: the tip's rotations correlate with the pistons by {as_wired:.2}, and by {best:.2} if so");
+        finding("columns piston*_mm", text, mend)
     }
 }
 
@@ -191,14 +188,25 @@ const AS_WIRED: [usize; 3] = [0, 1, 2];
 const PLUS: [f64; 3] = [1.0; 3];
 const EXCHANGE: &str = "exchange the columns, or the lines, so that piston i drives bellow i";
 const REVERSE: &str = "change the sign: positive elongates the bellow";
+const SHIFTED: &str = "piston1_mm, piston2_mm and piston3_mm look shifted by one";
 const WIRINGS: [Wiring; 9] = [
-    Wiring { from: [1, 0, 2], sign: PLUS, says: "piston1_mm and piston2_mm look exchanged", mend: EXCHANGE },
-    Wiring { from: [2, 1, 0], sign: PLUS, says: "piston1_mm and piston3_mm look exchanged", mend: EXCHANGE },
-    Wiring { from: [0, 2, 1], sign: PLUS, says: "piston2_mm and piston3_mm look exchanged", mend: EXCHANGE },
-    Wiring { from: [1, 2, 0], sign: PLUS, says: "piston1_mm, piston2_mm and piston3_mm look shifted by one", mend: EXCHANGE },
-    Wiring { from: [2, 0, 1], sign: PLUS, says: "piston1_mm, piston2_mm and piston3_mm look shifted by one", mend: EXCHANGE },
-    Wiring { from: AS_WIRED, sign: [-1.0, 1.0, 1.0], says: "piston1_mm looks like it has the other sign", mend: REVERSE },
-    Wiring { from: AS_WIRED, sign: [1.0, -1.0, 1.0], says: "piston2_mm looks like it has the other sign", mend: REVERSE },
-    Wiring { from: AS_WIRED, sign: [1.0, 1.0, -1.0], says: "piston3_mm looks like it has the other sign", mend: REVERSE },
-    Wiring { from: AS_WIRED, sign: [-1.0; 3], says: "all pistons look like they have the other sign", mend: REVERSE },
+    exchanged([1, 0, 2], "piston1_mm and piston2_mm look exchanged"),
+    exchanged([2, 1, 0], "piston1_mm and piston3_mm look exchanged"),
+    exchanged([0, 2, 1], "piston2_mm and piston3_mm look exchanged"),
+    exchanged([1, 2, 0], SHIFTED),
+    exchanged([2, 0, 1], SHIFTED),
+    reversed([-1.0, 1.0, 1.0], "piston1_mm looks like it has the other sign"),
+    reversed([1.0, -1.0, 1.0], "piston2_mm looks like it has the other sign"),
+    reversed([1.0, 1.0, -1.0], "piston3_mm looks like it has the other sign"),
+    reversed([-1.0; 3], "all pistons look like they have the other sign"),
 ];
+
+const fn exchanged(from: [usize; 3], says: &'static str) -> Wiring {
+    let (sign, mend) = (PLUS, EXCHANGE);
+    Wiring { from, sign, says, mend }
+}
+
+const fn reversed(sign: [f64; 3], says: &'static str) -> Wiring {
+    let (from, mend) = (AS_WIRED, REVERSE);
+    Wiring { from, sign, says, mend }
+}

@@ -10,6 +10,14 @@ pub(super) fn finding(place: &str, finding: String, mend: &str) -> Option<Findin
     Some((place.to_owned(), finding, mend.to_owned()))
 }
 
+/// How to mend a single value.
+const CORRECT: &str = "remove the row or correct the value";
+
+/// Whether a vector has no missing component.
+pub(super) fn finite(v: &Vector3<f64>) -> bool {
+    v.iter().all(|x| x.is_finite())
+}
+
 fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut all: Vec<f64> = values.filter(|v| v.is_finite()).collect();
     let middle = all.len() / 2;
@@ -23,17 +31,15 @@ fn periods(log: &BendLog) -> impl Iterator<Item = f64> {
 /// A clock in milliseconds or microseconds: rows far apart, and pistons that creep where they should run.
 pub(super) fn clock_unit(log: &BendLog) -> Option<Finding> {
     let period_s = median(periods(log))?;
-    let speed_mm_s = log.piston_mm.windows(2).zip(periods(log)).map(|(p, dt)| (p[1] - p[0]).amax() / dt).fold(0.0, f64::max);
+    let steps = log.piston_mm.windows(2).zip(periods(log));
+    let speed_mm_s = steps.map(|(p, dt)| (p[1] - p[0]).amax() / dt).fold(0.0, f64::max);
     // at 2 kHz and 1 mm/s a clock in milliseconds gives 0.5 and 0.001
     if period_s < 0.4 || speed_mm_s == 0.0 || speed_mm_s > 0.3 {
         return None;
     }
-    let unit = if speed_mm_s > 3e-4 { "milliseconds" } else { "microseconds" };
-    finding(
-        "column time_s",
-        format!("looks like {unit}: rows are {period_s} apart and no piston moves faster than {speed_mm_s:.2e} mm per unit"),
-        "write seconds",
-    )
+    let part = if speed_mm_s > 3e-4 { "milli" } else { "micro" };
+    let text = format!("looks like {part}seconds: rows are {period_s} apart and no piston moves faster than {speed_mm_s:.2e} mm per unit");
+    finding("column time_s", text, "write seconds")
 }
 
 /// Accelerometer and magnetometer by the magnitude that they have most of the time.
@@ -48,7 +54,8 @@ pub(super) fn sensor_units(imu: &ImuColumns, prefix: &str) -> Option<Finding> {
         };
         if let Some(unit) = unit {
             let place = format!("columns {prefix}acc_*");
-            return finding(&place, format!("{prefix}acc_* looks like {unit}: at rest |a| = {a:.3}"), "write m/s²: 9.81 at rest");
+            let text = format!("{prefix}acc_* looks like {unit}: at rest |a| = {a:.3}");
+            return finding(&place, text, "write m/s²: 9.81 at rest");
         }
     }
     let m = median(imu.mag.iter().map(|v| v.norm()))?;
@@ -60,52 +67,46 @@ pub(super) fn sensor_units(imu: &ImuColumns, prefix: &str) -> Option<Finding> {
         250.0..2000.0 => "milligauss",
         _ => "nanotesla",
     };
-    finding(
-        &format!("columns {prefix}mag_*"),
-        format!("{prefix}mag_* looks like {unit}: |m| = {m:.3e}"),
-        "write microtesla: 25 to 65 µT outdoors",
-    )
+    let place = format!("columns {prefix}mag_*");
+    let text = format!("{prefix}mag_* looks like {unit}: |m| = {m:.3e}");
+    finding(&place, text, "write microtesla: 25 to 65 µT outdoors")
 }
 
 /// Largest magnitude of a value that the machine or its sensors can produce.
 pub(super) fn single_values(log: &BendLog) -> Option<Finding> {
     let beyond = |column: &str, row: usize, value: f64, most: f64, unit: &str| {
-        finding(
-            &format!("line {}, column {column}", row + 2),
-            format!("{value} {unit} is beyond what the machine can do (at most ±{most} {unit})"),
-            "remove the row or correct the value",
-        )
+        let place = format!("line {}, column {column}", row + 2);
+        let text = format!("{value} {unit} is beyond what the machine can do (at most ±{most} {unit})");
+        finding(&place, text, CORRECT)
     };
-    let scan = |columns: [&str; 3], values: &[Vector3<f64>], most: f64, unit: &str| {
-        values
-            .iter()
-            .enumerate()
-            .find_map(|(row, v)| (0..3).find(|&i| v[i].abs() > most).and_then(|i| beyond(columns[i], row, v[i], most, unit)))
+    // `*` stands for the three names
+    let scan = |columns: &str, names: [&str; 3], values: &[Vector3<f64>], most: f64, unit: &str| {
+        let mut rows = values.iter().enumerate();
+        let (row, v) = rows.find(|(_, v)| v.iter().any(|x| x.abs() > most))?;
+        let i = (0..3).find(|&i| v[i].abs() > most)?;
+        beyond(&columns.replace('*', names[i]), row, v[i], most, unit)
     };
-    let imu = |imu: &ImuColumns, prefix: &str| {
-        let names = |quantity: &str| ["x", "y", "z"].map(|axis| format!("{prefix}{quantity}").replace('*', axis));
-        let scan = |quantity: &str, values: &[Vector3<f64>], most: f64, unit: &str| {
-            let names = names(quantity);
-            scan([&names[0], &names[1], &names[2]], values, most, unit)
+    let imu = |imu: &Option<ImuColumns>, prefix: &str| {
+        let imu = imu.as_ref()?;
+        let scan = |columns: &str, values: &[Vector3<f64>], most: f64, unit: &str| {
+            scan(&format!("{prefix}{columns}"), ["x", "y", "z"], values, most, unit)
         };
         // ±32 g, ±4000 °/s, ±4.9 mT: the widest ranges of the parts in use
         scan("acc_*_m_s2", &imu.acc, 320.0, "m/s²")
             .or_else(|| scan("mag_*_ut", &imu.mag, 4900.0, "µT"))
             .or_else(|| scan("gyr_*_rad_s", &imu.gyr, 4000.0, "rad/s"))
     };
-    scan(["piston1_mm", "piston2_mm", "piston3_mm"], &log.piston_mm, 60.0, "mm")
+    let (lines, pose) = (["1", "2", "3"], ["bend_deg", "dir_deg", "len_mm"]);
+    let mut temperatures = log.temp_c.iter().flatten().enumerate();
+    scan("piston*_mm", lines, &log.piston_mm, 60.0, "mm")
         .or_else(|| jump(log))
-        .or_else(|| scan(["cmd_bend_deg", "cmd_dir_deg", "cmd_len_mm"], &log.command, 3600.0, "deg or mm"))
-        .or_else(|| log.imu.as_ref().and_then(|i| imu(i, "")))
-        .or_else(|| log.base.as_ref().and_then(|i| imu(i, "base_")))
-        .or_else(|| scan(["pressure1_kpa", "pressure2_kpa", "pressure3_kpa"], log.pressure_kpa.as_ref()?, 300.0, "kPa"))
+        .or_else(|| scan("cmd_*", pose, &log.command, 3600.0, "deg or mm"))
+        .or_else(|| imu(&log.imu, ""))
+        .or_else(|| imu(&log.base, "base_"))
+        .or_else(|| scan("pressure*_kpa", lines, log.pressure_kpa.as_ref()?, 300.0, "kPa"))
         .or_else(|| {
-            log.temp_c
-                .as_ref()?
-                .iter()
-                .enumerate()
-                .find(|(_, t)| t.abs() > 150.0)
-                .and_then(|(row, t)| beyond("temp_c", row, *t, 150.0, "°C"))
+            let (row, t) = temperatures.find(|(_, t)| t.abs() > 150.0)?;
+            beyond("temp_c", row, *t, 150.0, "°C")
         })
 }
 
@@ -114,12 +115,11 @@ fn jump(log: &BendLog) -> Option<Finding> {
     let far = |(k, w): (usize, &[Vector3<f64>])| {
         let most_mm = 5.0 + 200.0 * (log.t_s[k + 1] - log.t_s[k]);
         let step: Vector3<f64> = w[1] - w[0];
-        (0..3).find(|&i| step[i].abs() > most_mm).map(|i| (k, i, step[i], most_mm))
+        let i = (0..3).find(|&i| step[i].abs() > most_mm)?;
+        Some((k, i, step[i], most_mm))
     };
     let (k, i, step_mm, most_mm) = log.piston_mm.windows(2).enumerate().find_map(far)?;
-    finding(
-        &format!("line {}, column piston{}_mm", k + 3, i + 1),
-        format!("the piston jumps by {step_mm:.1} mm from the row before, beyond what the machine can do (at most {most_mm:.1} mm)"),
-        "remove the row or correct the value",
-    )
+    let place = format!("line {}, column piston{}_mm", k + 3, i + 1);
+    let text = format!("the piston jumps by {step_mm:.1} mm from the row before, beyond what the machine can do (at most {most_mm:.1} mm)");
+    finding(&place, text, CORRECT)
 }

@@ -6,11 +6,13 @@ use crate::diagnosis::holdout::HeldOut;
 use crate::diagnosis::location::{commanded_bend, polar_deg};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::quantity::Quantity;
+use crate::experiment::arm::root_mean;
 use crate::model::bend::Bend;
 use crate::model::chain::lines;
 use crate::primitives::frames::Rotation;
 use crate::report::polar::{Cell, RING_DEG, SECTORS};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use std::collections::BTreeMap;
 
 /// Residuals of one bin.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,19 +66,21 @@ impl Evidence {
                 })
             })
             .collect();
-        let mut traces: Vec<(f64, Trace)> =
-            Quantity::ANGLES.into_iter().filter(|&q| log.has[q]).flat_map(|q| traces(log, q, before, after)).collect();
+        let logged = Quantity::ANGLES.into_iter().filter(|&q| log.has[q]);
+        let mut traces: Vec<(f64, Trace)> = logged.flat_map(|q| traces(log, q, before, after)).collect();
         traces.sort_by(|a, b| b.0.total_cmp(&a.0));
-        Self { spots, traces: traces.into_iter().map(|t| t.1).collect() }
+        let traces = traces.into_iter().map(|t| t.1).collect();
+        Self { spots, traces }
     }
 
     /// Cells of the polar map: RMS of the values that `pick` returns.
     #[must_use]
     pub fn cells(&self, pick: impl Fn(&Spot) -> f64) -> Vec<Cell> {
-        let mut sums: std::collections::BTreeMap<(usize, usize), (f64, f64)> = std::collections::BTreeMap::new();
+        let mut sums: BTreeMap<(usize, usize), (f64, f64)> = BTreeMap::new();
         for s in &self.spots {
             let sector = (s.dir_deg / 360.0 * SECTORS as f64) as usize % SECTORS;
-            let sum = sums.entry(((s.bend_deg / RING_DEG) as usize, sector)).or_default();
+            let ring = (s.bend_deg / RING_DEG) as usize;
+            let sum = sums.entry((ring, sector)).or_default();
             *sum = (sum.0 + pick(s).powi(2), sum.1 + 1.0);
         }
         sums.into_iter()
@@ -100,43 +104,45 @@ impl Evidence {
 }
 
 fn scored(held: &HeldOut, q: Quantity, k: usize) -> Option<Vector3<f64>> {
-    held.residual[q].get(k).copied().filter(|r| *r != Vector3::zeros())
+    let residual = held.residual[q].get(k).copied();
+    residual.filter(|r| *r != Vector3::zeros())
 }
 
 /// RMS over the quantities that are angles, degrees; `None` where nothing was scored.
 fn angle_deg(log: &Observed, held: &HeldOut, k: usize) -> Option<f64> {
-    let present = Quantity::ANGLES.into_iter().filter(|&q| log.bins[k].weight[q] > 0.0);
-    let all: Vec<f64> = present.filter_map(|q| scored(held, q, k)).map(|r| r.norm_squared()).collect();
-    (!all.is_empty()).then(|| (all.iter().sum::<f64>() / all.len() as f64).sqrt().to_degrees())
+    let weight = &log.bins[k].weight;
+    let present = Quantity::ANGLES.into_iter().filter(|&q| weight[q] > 0.0);
+    let scored = present.filter_map(|q| scored(held, q, k));
+    let all: Vec<f64> = scored.map(|r| r.norm_squared()).collect();
+    (!all.is_empty()).then(|| root_mean(all).to_degrees())
 }
 
 /// The signals of a quantity, each with the energy that its gap loses, degrees².
 fn traces(log: &Observed, q: Quantity, before: &HeldOut, after: &HeldOut) -> Vec<(f64, Trace)> {
     let field = log.segments[0].field_base_ut.norm().max(1.0);
-    let bins: Vec<usize> = (0..log.bins.len()).filter(|&k| log.bins[k].weight[q] > 0.0).collect();
-    let nothing = Vector3::repeat(f64::NAN);
-    let axes: &[usize] = if q == Quantity::Reference { &[0, 1] } else { &[0, 1, 2] };
-    let rows: Vec<[Vector3<f64>; 3]> = bins
-        .iter()
-        .map(|&k| {
-            let (b, a) = (scored(before, q, k).unwrap_or(nothing), scored(after, q, k).unwrap_or(nothing));
-            let bin = &log.bins[k];
-            match q {
-                Quantity::Reference => [Vector3::zeros(), b, a].map(|r| bend_of(&bin.reference, &r)),
-                Quantity::Acc => [bin.acc / G_M_S2, bin.acc / G_M_S2 - b, bin.acc / G_M_S2 - a].map(angles),
-                _ => [bin.mag / field, bin.mag / field - b, bin.mag / field - a].map(angles),
-            }
-        })
-        .collect();
-    axes.iter()
-        .map(|&axis| {
-            let points: Vec<[f64; 4]> =
-                bins.iter().zip(&rows).map(|(&k, r)| [log.bins[k].t_s - log.start_s(), r[0][axis], r[1][axis], r[2][axis]]).collect();
-            let closes =
-                points.iter().filter(|p| p[2].is_finite() && p[3].is_finite()).map(|p| (p[1] - p[2]).powi(2) - (p[1] - p[3]).powi(2)).sum();
-            (closes, Trace { label: label(q, axis), points })
-        })
-        .collect()
+    let bins = (0..log.bins.len()).filter(|&k| log.bins[k].weight[q] > 0.0);
+    let or_nan = |r: Option<Vector3<f64>>| r.unwrap_or(Vector3::repeat(f64::NAN));
+    let row = |k: usize| {
+        let bin = &log.bins[k];
+        let [b, a] = [before, after].map(|held| or_nan(scored(held, q, k)));
+        let off = |v: Vector3<f64>| [v, v - b, v - a].map(angles);
+        let shown = match q {
+            Quantity::Reference => [Vector3::zeros(), b, a].map(|r| bend_of(&bin.reference, &r)),
+            Quantity::Acc => off(bin.acc / G_M_S2),
+            _ => off(bin.mag / field),
+        };
+        (bin.t_s - log.start_s(), shown)
+    };
+    let rows: Vec<(f64, [Vector3<f64>; 3])> = bins.map(row).collect();
+    let one = |axis: usize| {
+        let point = |(t_s, [m, b, a]): &(f64, [Vector3<f64>; 3])| [*t_s, m[axis], b[axis], a[axis]];
+        let points: Vec<[f64; 4]> = rows.iter().map(point).collect();
+        let predicted = points.iter().filter(|p| p[2].is_finite() && p[3].is_finite());
+        let closes = predicted.map(|p| (p[1] - p[2]).powi(2) - (p[1] - p[3]).powi(2)).sum();
+        let label = label(q, axis);
+        (closes, Trace { label, points })
+    };
+    (0..if q == Quantity::Reference { 2 } else { 3 }).map(one).collect()
 }
 
 fn label(q: Quantity, axis: usize) -> String {
@@ -150,7 +156,8 @@ fn label(q: Quantity, axis: usize) -> String {
 
 /// Components of a direction as angles above the plane normal to them, degrees.
 fn angles(v: Vector3<f64>) -> Vector3<f64> {
-    v.map(|x| if x.is_finite() { x.clamp(-1.0, 1.0).asin().to_degrees() } else { f64::NAN })
+    let angle = |x: f64| x.clamp(-1.0, 1.0).asin().to_degrees();
+    v.map(|x| if x.is_finite() { angle(x) } else { f64::NAN })
 }
 
 /// Bend vector of a measured orientation turned back by a residual, degrees.
@@ -158,7 +165,9 @@ fn bend_of(reference: &Matrix3<f64>, residual: &Vector3<f64>) -> Vector3<f64> {
     if !residual.x.is_finite() {
         return Vector3::repeat(f64::NAN);
     }
-    let measured = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*reference));
-    let b = Bend::from_rotation(&Rotation::assert_frames(measured * UnitQuaternion::from_scaled_axis(-residual))).0;
+    let measured = Rotation3::from_matrix_unchecked(*reference);
+    let measured = UnitQuaternion::from_rotation_matrix(&measured);
+    let predicted = measured * UnitQuaternion::from_scaled_axis(-residual);
+    let b = Bend::from_rotation(&Rotation::assert_frames(predicted)).0;
     Vector3::new(b.x.to_degrees(), b.y.to_degrees(), 0.0)
 }

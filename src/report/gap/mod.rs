@@ -41,14 +41,17 @@ pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence) -> String {
     page.charts(&traces(evidence));
     page.heading("Which");
     page.charts(&ranking(d));
-    page.table(&["effect", "stage", "probability", "gap before", "after", "closed", "95 %"], &rows(d));
+    let header = "effect,stage,probability,gap before,after,closed,95 %";
+    page.table(&header.split(',').collect::<Vec<_>>(), &rows(d));
     let values = parameters(d);
     if !values.is_empty() {
         page.heading("How much");
-        page.table(&["parameter", "of", "channel", "value", "95 %", "unit"], &values);
+        let header = ["parameter", "of", "channel", "value", "95 %", "unit"];
+        page.table(&header, &values);
     }
     page.heading("By sensor");
-    page.table(&["sensor", "recalibrated", "with effects", "unit"], &sensors(d));
+    let header = ["sensor", "recalibrated", "with effects", "unit"];
+    page.table(&header, &sensors(d));
     page.html()
 }
 
@@ -66,25 +69,28 @@ fn figures(d: &Diagnosis) -> Vec<[String; 2]> {
 /// Two maps with one scale, and the residual over time.
 fn places(e: &Evidence) -> Vec<(String, String)> {
     let (before, after) = (e.cells(|s| s.before_deg), e.cells(|s| s.after_deg));
-    let high = before.iter().chain(&after).map(|c| c.value).fold(0.1, f64::max);
-    let map = |title: &str, cells| Polar { title: title.to_owned(), label: "residual / °".to_owned(), high, cells }.svg();
+    let all = before.iter().chain(&after).map(|c| c.value);
+    let high = all.fold(0.1, f64::max);
+    let map = |title: &str, cells| {
+        let (title, label) = (title.to_owned(), "residual / °".to_owned());
+        Polar { title, label, high, cells }.svg()
+    };
     let over = |pick: fn(&evidence::Spot) -> f64| e.over_time(STRETCHES, pick);
     let (was, is) = (over(|s| s.before_deg), over(|s| s.after_deg));
     let end = was.last().map_or(1.0, |p| p.0);
-    let time = Chart {
-        title: "Residual over time".to_owned(),
-        x: Axis::new("time / s", 0.0, end, 6),
-        y: Axis::new("residual / °", 0.0, 1.05 * was.iter().chain(&is).map(|p| p.1).fold(0.2, f64::max), 5),
-        series: vec![
-            Series::line("recalibrated", Ink::RED, Stroke::Solid, was),
-            Series::line("with effects", Ink::BLUE, Stroke::Dashed, is),
-        ],
-    };
+    let largest = was.iter().chain(&is).map(|p| p.1).fold(0.2, f64::max);
+    let x = Axis::new("time / s", 0.0, end, 6);
+    let y = Axis::new("residual / °", 0.0, 1.05 * largest, 5);
+    let was = Series::line("recalibrated", Ink::RED, Stroke::Solid, was);
+    let is = Series::line("with effects", Ink::BLUE, Stroke::Dashed, is);
+    let time = Chart::new("Residual over time", x, y, vec![was, is]);
     let angle = "Bend outwards, direction around; both maps share one scale.";
+    let unvisited = format!("{angle} Cells without a colour were not visited.");
+    let stretches = format!("RMS in {STRETCHES} stretches of the log.");
     vec![
-        (map("Recalibrated model", before), format!("{angle} Cells without a colour were not visited.")),
+        (map("Recalibrated model", before), unvisited),
         (map("With the verdict's effects", after), angle.to_owned()),
-        (time.svg(), format!("RMS in {STRETCHES} stretches of the log.")),
+        (time.svg(), stretches),
     ]
 }
 
@@ -99,101 +105,98 @@ fn merged(d: &Diagnosis) -> String {
 
 /// The signals with the largest closed gap, each in the window in which the gap is largest.
 fn traces(e: &Evidence) -> Vec<(String, String)> {
-    e.traces
-        .iter()
-        .take(4)
-        .filter_map(|t| trace(t).map(|c| (c.svg(), format!("The {TRACE_S:.0} s with the largest error of the recalibrated model."))))
-        .collect()
+    let caption = format!("The {TRACE_S:.0} s with the largest error of the recalibrated model.");
+    let charts = e.traces.iter().take(4).filter_map(trace);
+    charts.map(|c| (c.svg(), caption.clone())).collect()
 }
 
 fn trace(t: &Trace) -> Option<Chart> {
-    let error = |p: &[f64; 4]| if p[2].is_finite() { (p[1] - p[2]).powi(2) } else { 0.0 };
+    let error = |p: &[f64; 4]| (p[1] - p[2]).powi(2);
     let last = t.points.last()?[0];
-    let windows = (0..).map(|k| f64::from(k) * TRACE_S / 5.0).take_while(|from| *from == 0.0 || from + TRACE_S <= last);
-    let sum = |from: f64| t.points.iter().filter(|p| (from..from + TRACE_S).contains(&p[0])).map(error).sum::<f64>();
-    let from = windows.max_by(|a, b| sum(*a).total_cmp(&sum(*b)))?;
-    let shown: Vec<&[f64; 4]> = t.points.iter().filter(|p| (from..from + TRACE_S).contains(&p[0])).collect();
-    let column = |i: usize| shown.iter().map(|p| (p[0], p[i])).collect::<Vec<_>>();
-    Some(Chart {
-        title: t.label.clone(),
-        x: Axis::new("time / s", from, from + TRACE_S, 5),
-        y: Axis::around("angle / °", shown.iter().flat_map(|p| p[1..].to_vec()), &[], 5),
-        series: vec![
-            Series::line("measured", Ink::GREY, Stroke::Solid, column(1)),
-            Series::line("recalibrated", Ink::RED, Stroke::Dotted, column(2)),
-            Series::line("with effects", Ink::BLUE, Stroke::Dashed, column(3)),
-        ],
-    })
+    let starts = (0..).map(|k| f64::from(k) * TRACE_S / 5.0);
+    let starts = starts.take_while(|from| *from == 0.0 || from + TRACE_S <= last);
+    let within = |from: f64| {
+        let window = from..from + TRACE_S;
+        t.points.iter().filter(move |p| window.contains(&p[0]))
+    };
+    let sum = |from: f64| -> f64 { within(from).filter(|p| p[2].is_finite()).map(error).sum() };
+    let from = starts.max_by(|a, b| sum(*a).total_cmp(&sum(*b)))?;
+    let column = |i: usize| within(from).map(|p| (p[0], p[i])).collect();
+    let x = Axis::new("time / s", from, from + TRACE_S, 5);
+    let y = Axis::around("angle / °", within(from).flat_map(|p| p[1..].to_vec()), &[], 5);
+    let series = vec![
+        Series::line("measured", Ink::GREY, Stroke::Solid, column(1)),
+        Series::line("recalibrated", Ink::RED, Stroke::Dotted, column(2)),
+        Series::line("with effects", Ink::BLUE, Stroke::Dashed, column(3)),
+    ];
+    Some(Chart::new(&t.label, x, y, series))
 }
 
 fn ranking(d: &Diagnosis) -> Vec<(String, String)> {
-    let named = |name: &str| d.verdict.names.contains(&name) || d.verdict.equivalent.iter().any(|g| g.contains(&name));
+    let named: Vec<_> = d.verdict.equivalent.iter().chain([&d.verdict.names]).flatten().collect();
     let bars = |share: fn(&EffectEntry) -> (f64, Option<[f64; 2]>)| -> Vec<Bar> {
         let one = |e: &EffectEntry| {
-            let (share, interval) = share(e);
-            Bar { name: words::plain(e.name), share, interval, strong: named(e.name) }
+            let ((share, interval), strong) = (share(e), named.contains(&&e.name));
+            let name = words::plain(e.name);
+            Bar { name, share, interval, strong }
         };
         d.effects.iter().take(RANKED).map(one).collect()
     };
-    let stages: Vec<Bar> = d
-        .location
-        .stages
-        .iter()
-        .enumerate()
-        .map(|(k, s)| Bar {
-            name: s.name.to_owned(),
-            share: s.share,
-            interval: None,
-            strong: k == 0 && d.verdict.kind != VerdictKind::None,
-        })
-        .collect();
-    let chance = bars::svg("Probability / %", Ink::GREEN, &bars(|e| (e.probability, None)));
-    let closed = bars::svg("Part of the gap closed / %", Ink::BLUE, &bars(|e| (e.closed, Some(e.closed_ci95))));
-    vec![
-        (bars::svg("Share of the gap by stage / %", Ink::PURPLE, &stages), merged(d)),
-        (chance, "Probability that the effect is present; the verdict in full colour.".to_owned()),
-        (closed, "Closed by the effect alone or, within a set, when added last; whiskers 95 %.".to_owned()),
-    ]
+    let mut stages = Vec::new();
+    for (k, s) in d.location.stages.iter().enumerate() {
+        let strong = k == 0 && d.verdict.kind != VerdictKind::None;
+        let (name, interval) = (s.name.to_owned(), None);
+        stages.push(Bar { name, share: s.share, interval, strong });
+    }
+    let chance = bars(|e| (e.probability, None));
+    let closed = bars(|e| (e.closed, Some(e.closed_ci95)));
+    let stages = bars::svg("Share of the gap by stage / %", Ink::PURPLE, &stages);
+    let chance = bars::svg("Probability / %", Ink::GREEN, &chance);
+    let closed = bars::svg("Part of the gap closed / %", Ink::BLUE, &closed);
+    let present = "Probability that the effect is present; the verdict in full colour.";
+    let alone = "Closed by the effect alone or, within a set, when added last; whiskers 95 %.";
+    vec![(stages, merged(d)), (chance, present.to_owned()), (closed, alone.to_owned())]
 }
 
 fn rows(d: &Diagnosis) -> Vec<[String; 7]> {
-    d.effects
-        .iter()
-        .take(RANKED)
-        .map(|e| {
-            [
-                words::plain(e.name),
-                e.stage.to_owned(),
-                format!("{:.2}", e.probability),
-                format!("{:.2}°", e.gap_before_deg),
-                format!("{:.2}°", e.gap_after_deg),
-                format!("{:.0} %", 100.0 * e.closed),
-                format!("{:.0} to {:.0} %", 100.0 * e.closed_ci95[0], 100.0 * e.closed_ci95[1]),
-            ]
-        })
-        .collect()
+    let row = |e: &EffectEntry| {
+        let [low, high] = e.closed_ci95.map(|share| 100.0 * share);
+        [
+            words::plain(e.name),
+            e.stage.to_owned(),
+            format!("{:.2}", e.probability),
+            format!("{:.2}°", e.gap_before_deg),
+            format!("{:.2}°", e.gap_after_deg),
+            format!("{:.0} %", 100.0 * e.closed),
+            format!("{low:.0} to {high:.0} %"),
+        ]
+    };
+    d.effects.iter().take(RANKED).map(row).collect()
 }
 
 fn parameters(d: &Diagnosis) -> Vec<[String; 6]> {
     let chosen = d.effects.iter().filter(|e| d.verdict.names.contains(&e.name));
-    let one = |e: &EffectEntry, p: &ParamValue| {
-        let channel = if p.channel == 0 { "–".to_owned() } else { p.channel.to_string() };
-        let range = format!("{} to {}", words::short(p.ci95[0]), words::short(p.ci95[1]));
+    let one = |(e, p): (&EffectEntry, &ParamValue)| {
+        let or_dash = |text: String| if text.is_empty() { "–".to_owned() } else { text };
+        let channel = Some(p.channel).filter(|n| *n != 0);
+        let [low, high] = p.ci95.map(words::short);
         [
             words::plain(p.name),
             words::plain(e.name),
-            channel,
+            or_dash(channel.map_or(String::new(), |n| n.to_string())),
             words::short(p.value),
-            range,
-            if p.unit.is_empty() { "–" } else { p.unit }.to_owned(),
+            format!("{low} to {high}"),
+            or_dash(p.unit.to_owned()),
         ]
     };
-    chosen.flat_map(|e| e.params.iter().map(move |p| one(e, p))).collect()
+    chosen.flat_map(|e| e.params.iter().map(move |p| (e, p))).map(one).collect()
 }
 
 fn sensors(d: &Diagnosis) -> Vec<[String; 4]> {
-    let kinds = d.location.kinds.iter();
-    kinds
-        .map(|k| [k.name.to_owned(), format!("{:.2}", k.rmse_deg), format!("{:.2}", k.explained_deg), words::unit_of(k.name).to_owned()])
-        .collect()
+    let mut rows = Vec::new();
+    for k in &d.location.kinds {
+        let [before, after] = [k.rmse_deg, k.explained_deg].map(|x| format!("{x:.2}"));
+        rows.push([k.name.to_owned(), before, after, words::unit_of(k.name).to_owned()]);
+    }
+    rows
 }

@@ -32,32 +32,27 @@ fn group<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a Vec<&'static str>> {
 /// The verdict in one sentence.
 #[must_use]
 pub fn headline(d: &Diagnosis) -> String {
-    let g = &d.gap;
+    let (was, is, noise) = (d.gap.recalibrated_deg, d.gap.explained_deg, d.gap.noise_floor_deg);
+    let (causes, many) = (capital(&causes(d)), d.verdict.names.len() > 1);
     match d.verdict.kind {
         VerdictKind::None => format!(
-            "The nominal model suffices: its error after recalibration is {:.2}°, and no effect of the catalogue reduces it by a relevant amount.",
-            g.recalibrated_deg
+            "The nominal model suffices: its error after recalibration is {was:.2}°, and no effect of the catalogue reduces it by a relevant amount."
         ),
         VerdictKind::Unknown if d.verdict.names.is_empty() => format!(
-            "The cause is not in the catalogue: {:.2}° remain after recalibration, more than noise ({:.2}°), and no known effect explains them.",
-            g.recalibrated_deg, g.noise_floor_deg
+            "The cause is not in the catalogue: {was:.2}° remain after recalibration, more than noise ({noise:.2}°), and no known effect explains them."
         ),
-        VerdictKind::Unknown => format!(
-            "{} {} a part of the gap, from {:.2}° to {:.2}°; the remainder is more than noise ({:.2}°), and no known effect explains it.",
-            capital(&causes(d)),
-            if d.verdict.names.len() > 1 { "explain" } else { "explains" },
-            g.recalibrated_deg,
-            g.explained_deg,
-            g.noise_floor_deg
-        ),
-        VerdictKind::Effects => format!(
-            "{} {} the gap: it shrinks from {:.2}° to {:.2}° on parts of the log that the fit has not seen; noise alone is {:.2}°.",
-            capital(&causes(d)),
-            if d.verdict.names.len() > 1 { "together explain" } else { "explains" },
-            g.recalibrated_deg,
-            g.explained_deg,
-            g.noise_floor_deg
-        ),
+        VerdictKind::Unknown => {
+            let explain = if many { "explain" } else { "explains" };
+            format!(
+                "{causes} {explain} a part of the gap, from {was:.2}° to {is:.2}°; the remainder is more than noise ({noise:.2}°), and no known effect explains it."
+            )
+        }
+        VerdictKind::Effects => {
+            let explain = if many { "together explain" } else { "explains" };
+            format!(
+                "{causes} {explain} the gap: it shrinks from {was:.2}° to {is:.2}° on parts of the log that the fit has not seen; noise alone is {noise:.2}°."
+            )
+        }
     }
 }
 
@@ -71,23 +66,19 @@ fn causes(d: &Diagnosis) -> String {
 
 fn capital(text: &str) -> String {
     let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |c| c.to_uppercase().chain(letters).collect())
+    let first = letters.next().into_iter().flat_map(char::to_uppercase);
+    first.chain(letters).collect()
 }
 
 /// Where the gap lies, in one sentence.
 #[must_use]
 pub fn place(d: &Diagnosis) -> String {
     let Some(first) = d.location.stages.first() else { return String::new() };
-    let sensor = d.location.kinds.iter().max_by(|a, b| a.rmse_deg.total_cmp(&b.rmse_deg));
+    let kinds = d.location.kinds.iter();
+    let sensor = kinds.max_by(|a, b| a.rmse_deg.total_cmp(&b.rmse_deg));
     let largest = sensor.map_or_else(String::new, |k| {
-        format!(
-            " It is largest in the {}: {:.2}{} before, {:.2}{} after.",
-            k.name,
-            k.rmse_deg,
-            unit_of(k.name),
-            k.explained_deg,
-            unit_of(k.name)
-        )
+        let (name, unit, before, after) = (k.name, unit_of(k.name), k.rmse_deg, k.explained_deg);
+        format!(" It is largest in the {name}: {before:.2}{unit} before, {after:.2}{unit} after.")
     });
     if d.verdict.kind == VerdictKind::None {
         return format!("There is no gap to locate.{largest}");
@@ -106,14 +97,11 @@ pub fn unit_of(kind: &str) -> &'static str {
 /// Limits of the verdict: equivalent effects and the probability of another cause.
 #[must_use]
 pub fn limits(d: &Diagnosis) -> Vec<String> {
-    let groups = d.verdict.equivalent.iter().map(|g| format!("This log cannot separate {}.", listed(g, "and")));
-    let mut out: Vec<String> = groups.collect();
+    let groups = d.verdict.equivalent.iter().map(|g| listed(g, "and"));
+    let mut out: Vec<String> = groups.map(|g| format!("This log cannot separate {g}.")).collect();
     if d.verdict.kind != VerdictKind::None && d.unknown.probability > 0.05 {
-        out.push(format!(
-            "The probability of a cause outside the catalogue is {:.0} % ({:.2}° remain above the noise).",
-            100.0 * d.unknown.probability,
-            d.unknown.rmse_deg
-        ));
+        let (percent, rest) = (100.0 * d.unknown.probability, d.unknown.rmse_deg);
+        out.push(format!("The probability of a cause outside the catalogue is {percent:.0} % ({rest:.2}° remain above the noise)."));
     }
     out
 }
@@ -124,9 +112,11 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
     let design = "`retroflex gap diagnose LOG --save model.toml`, then `retroflex gap excite --like model.toml --out schedule.csv` designs a schedule for it";
     let mut out = Vec::new();
     for g in &d.verdict.equivalent {
-        let mut how: Vec<&str> = g.iter().filter_map(|n| by_name(n)).map(|e| e.info().separated_by).collect();
+        let members = g.iter().filter_map(|n| by_name(n));
+        let mut how: Vec<&str> = members.map(|e| e.info().separated_by).collect();
         how.dedup();
-        out.push(format!("To separate {}: {}; {design}.", listed(g, "and"), how.join("; or ")));
+        let (names, how) = (listed(g, "and"), how.join("; or "));
+        out.push(format!("To separate {names}: {how}; {design}."));
     }
     match d.verdict.kind {
         VerdictKind::None => out.push("The model needs no addition. Keep the recalibrated gains.".to_owned()),
@@ -141,13 +131,11 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
         ),
     }
     for name in &d.verdict.names {
-        if let Some(e) = by_name(name).filter(|_| group(d, name).is_none() && entry(d, name).is_some_and(|e| e.probability < 0.9)) {
-            out.push(format!(
-                "{} may be confused with {}. To separate them: {}.",
-                capital(&plain(name)),
-                listed(e.info().confused_with, "or"),
-                e.info().separated_by
-            ));
+        let doubtful = entry(d, name).is_some_and(|e| e.probability < 0.9);
+        if let Some(e) = by_name(name).filter(|_| group(d, name).is_none() && doubtful) {
+            let (name, others) = (capital(&plain(name)), listed(e.info().confused_with, "or"));
+            let how = e.info().separated_by;
+            out.push(format!("{name} may be confused with {others}. To separate them: {how}."));
         }
     }
     out
@@ -156,18 +144,27 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
 /// `rate 0.0031 1/s (0.0029 to 0.0033), channel 2`.
 #[must_use]
 pub fn value(p: &ParamValue) -> String {
-    let channel = if p.channel == 0 { String::new() } else { format!(", channel {}", p.channel) };
-    let unit = if p.unit.is_empty() { String::new() } else { format!(" {}", p.unit) };
-    format!("{} {}{unit} ({} to {}){channel}", plain(p.name), short(p.value), short(p.ci95[0]), short(p.ci95[1]))
+    let channel = match p.channel {
+        0 => String::new(),
+        n => format!(", channel {n}"),
+    };
+    let (name, value, [low, high]) = (plain(p.name), short(p.value), p.ci95.map(short));
+    let unit = format!(" {}", p.unit);
+    format!("{name} {value}{} ({low} to {high}){channel}", unit.trim_end())
 }
 
 /// Three significant digits.
 #[must_use]
 pub fn short(x: f64) -> String {
-    let size = if x == 0.0 || !x.is_finite() { 0.0 } else { x.abs().log10().floor() };
-    let text = format!("{x:.*}", (2.0 - size).clamp(0.0, 6.0) as usize);
-    let trimmed = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text };
-    if trimmed == "-0" { "0".to_owned() } else { trimmed }
+    let size = match x.abs().log10().floor() {
+        size if size.is_finite() => size,
+        _ => 0.0,
+    };
+    let mut text = format!("{x:.*}", (2.0 - size).clamp(0.0, 6.0) as usize);
+    if text.contains('.') {
+        text = text.trim_end_matches('0').trim_end_matches('.').to_owned();
+    }
+    if text == "-0" { "0".to_owned() } else { text }
 }
 
 #[cfg(test)]
