@@ -20,7 +20,7 @@ use crate::simulation::sim::Sim;
 use crate::simulation::world::World;
 use crate::supervisor::machine::MachineError;
 use clap::builder::PossibleValue;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -111,13 +111,15 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let calibration: Option<Calibration> = args.calib.as_deref().map(source::read).transpose()?;
     let plant = Plant::new(args, &board)?;
-    let feedforward =
-        inputs::feedforward(args.feedforward.as_deref(), args.calib.as_deref(), calibration.as_ref().unwrap_or(&Calibration::default()));
-    let feedforward = feedforward.map(|path| inputs::described(&path, &board)).transpose()?;
     let identify = calibration.is_none();
-    let config = assemble(&board, &calibration.unwrap_or_default(), &gains);
+    let calibration = calibration.unwrap_or_default();
+    let given = args.feedforward.as_deref();
+    let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
+    let feedforward = feedforward.map(|path| inputs::described(&path, &board)).transpose()?;
+    let config = assemble(&board, &calibration, &gains);
     let track = track(args, &config)?;
-    let arms = args.arms.clone().unwrap_or_else(|| if track.is_some() { Vec::new() } else { Arm::ALL.to_vec() });
+    let usual = || if track.is_some() { Vec::new() } else { Arm::ALL.to_vec() };
+    let arms = args.arms.clone().unwrap_or_else(usual);
     let rig = gap::input::rig(args.board.as_deref())?;
     let plan = Plan { identify, config, arms, track, seed: args.seed, rig, feedforward };
     let bar = output::bar(0, "{msg:<18} {pos} states held,");
@@ -146,12 +148,14 @@ fn check(args: &Args) -> Result<()> {
     let arms = args.arms.as_deref().unwrap_or_default();
     for (n, arm) in arms.iter().enumerate() {
         if arms[..n].contains(arm) {
-            return Err(miette!("--arms names `{}` twice; name each arm once", arm.name()));
+            bail!("--arms names `{}` twice; name each arm once", arm.name());
         }
     }
-    let results = [("--json", args.json.as_deref()), ("--html", args.html.as_deref()), ("--svg", args.svg.as_deref())];
-    let inputs = [&args.board, &args.calib, &args.gains, &args.feedforward, &args.track];
-    let inputs: Vec<&Path> = inputs.into_iter().filter_map(|p| p.as_deref()).collect();
+    let Args { json, html, svg, board, calib, gains, feedforward, track, .. } = args;
+    let results = [("--json", json), ("--html", html), ("--svg", svg)];
+    let results = results.map(|(option, path)| (option, path.as_deref()));
+    let inputs = [board, calib, gains, feedforward, track].into_iter();
+    let inputs: Vec<&Path> = inputs.filter_map(|p| p.as_deref()).collect();
     output::check(&results, &inputs)
 }
 
@@ -165,10 +169,12 @@ fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
 
 /// What is to be said of a path that the pistons cannot follow as it is.
 fn too_fast(t: &TrackResult) -> Option<String> {
-    (t.demand > 1.0).then(|| {
-        let done = if t.live { "a live path is not slowed down, so the tip falls behind" } else { "it was driven that much slower" };
-        format!("the path asks {:.2} times the speed that the pistons can follow; {done}", t.demand)
-    })
+    let demand = t.demand;
+    let done = match t.live {
+        true => "a live path is not slowed down, so the tip falls behind",
+        false => "it was driven that much slower",
+    };
+    (demand > 1.0).then(|| format!("the path asks {demand:.2} times the speed that the pistons can follow; {done}"))
 }
 
 /// The plant that the arms run on.
@@ -237,9 +243,10 @@ fn summary(e: &Evaluation) -> String {
         (n, true) => format!("Algorithm 1, {n} passes"),
         (n, false) => format!("Algorithm 1, NOT converged after {n} passes"),
     };
+    let header = &pictures::ARM_COLUMNS;
     let arms = match e.arms.len() {
         0 => String::new(),
-        _ => format!("{}\n", output::table(&pictures::ARM_COLUMNS, 1..pictures::ARM_COLUMNS.len(), pictures::arm_rows(e))),
+        _ => format!("{}\n", output::table(header, 1..header.len(), pictures::arm_rows(e))),
     };
     let path = e.track.as_ref().map_or(String::new(), |t| {
         format!(
@@ -247,5 +254,6 @@ fn summary(e: &Evaluation) -> String {
             t.duration_s, t.rmse_deg, t.p95_deg, t.max_deg, t.delay_s, t.rmse_delayed_deg
         )
     });
-    format!("plant {}, seed {}\n{arms}{path}k_ε = {}   k_λ = {} mm   ({origin})\n", e.plant, e.seed, gains(&e.k_eps), gains(&e.k_lambda_mm))
+    let (plant, seed, k_eps, k_lambda) = (&e.plant, e.seed, gains(&e.k_eps), gains(&e.k_lambda_mm));
+    format!("plant {plant}, seed {seed}\n{arms}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n")
 }

@@ -9,7 +9,7 @@ use crate::model::described::DescribedMachine;
 use crate::model::effects::catalogue;
 use crate::primitives::parameters::Check;
 use crate::simulation::link;
-use miette::{Result, miette};
+use miette::{Result, bail, miette};
 use serde::de::DeserializeOwned;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -20,14 +20,15 @@ use std::sync::Arc;
 /// # Errors
 /// A report that names file, line and key.
 pub fn board(path: Option<&Path>) -> Result<Board> {
-    let name = path.filter(|p| !p.exists() && p.extension().is_none()).map(|p| p.display().to_string());
-    match name {
-        None => read_or(path, shipped::SIM),
-        Some(name) => match shipped::board(&name) {
-            Some(text) => Ok(source::parse(&name, text)?),
-            None => Err(miette!("{name}: there is no such file, and no such board: the boards are {}", shipped::names())),
-        },
-    }
+    let Some(name) = path.filter(|p| !p.exists() && p.extension().is_none()) else {
+        return read_or(path, shipped::SIM);
+    };
+    let name = name.display().to_string();
+    let Some(text) = shipped::board(&name) else {
+        let names = shipped::names();
+        bail!("{name}: there is no such file, and no such board: the boards are {names}");
+    };
+    Ok(source::parse(&name, text)?)
 }
 
 /// The board file of the service where none is named: the user's, else the system's.
@@ -35,8 +36,9 @@ pub fn board(path: Option<&Path>) -> Result<Board> {
 pub fn own_board() -> Option<PathBuf> {
     let folder = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
     let user = folder("XDG_CONFIG_HOME").or_else(|| Some(folder("HOME")?.join(".config")));
-    let files = [user, Some("/etc".into())].into_iter().flatten().map(|f| f.join("retroflex/board.toml"));
-    files.into_iter().find(|file| file.exists())
+    let folders = user.into_iter().chain(["/etc".into()]);
+    let mut files = folders.map(|f| f.join("retroflex/board.toml"));
+    files.find(|file| file.exists())
 }
 
 /// A gains file; by default `boards/gains.toml`.
@@ -70,7 +72,10 @@ pub fn read_or<T: DeserializeOwned + Check>(path: Option<&Path>, (name, built_in
 pub fn within(allowed: RangeInclusive<f64>, unit: &'static str) -> impl Fn(&str) -> std::result::Result<f64, String> + Clone {
     move |text| match text.parse() {
         Ok(number) if allowed.contains(&number) => Ok(number),
-        _ => Err(format!("expected a number from {} to {} {unit}", allowed.start(), allowed.end())),
+        _ => {
+            let (least, most) = (allowed.start(), allowed.end());
+            Err(format!("expected a number from {least} to {most} {unit}"))
+        }
     }
 }
 
@@ -85,12 +90,9 @@ pub fn described(path: &Path, board: &Board) -> Result<Arc<DescribedMachine>> {
 /// The path of the model for the feedforward: the one on the command line, or the one that the calibration file names.
 #[must_use]
 pub fn feedforward(given: Option<&Path>, calib: Option<&Path>, calibration: &Calibration) -> Option<PathBuf> {
-    let named = || {
-        let name = Path::new(&calibration.feedforward);
-        (!calibration.feedforward.is_empty())
-            .then(|| calib.and_then(Path::parent).map_or_else(|| name.to_owned(), |folder| folder.join(name)))
-    };
-    given.map(Path::to_owned).or_else(named)
+    let named = Some(&calibration.feedforward).filter(|name| !name.is_empty());
+    let folder = calib.and_then(Path::parent).unwrap_or(Path::new(""));
+    given.map(Path::to_owned).or_else(|| Some(folder.join(named?)))
 }
 
 /// [`described`] for a model that has been read from `origin`.
@@ -99,13 +101,15 @@ pub fn feedforward(given: Option<&Path>, calib: Option<&Path>, calibration: &Cal
 /// A report that names the key.
 pub fn described_by(origin: &str, model: SavedModel, board: &Board) -> Result<Arc<DescribedMachine>> {
     if let Some(problem) = model.unknown_names(&catalogue()) {
-        return Err(miette!("{origin}: {problem}"));
+        bail!("{origin}: {problem}");
     }
     let whole = model.described(board.geometry.law());
     let machine = whole.clone().foreseeable();
-    let left_out: Vec<&str> = whole.names().filter(|n| !machine.names().any(|m| m == *n)).collect();
+    let mut left_out: Vec<&str> = whole.names().collect();
+    left_out.retain(|n| !machine.names().any(|m| m == *n));
     if !left_out.is_empty() {
-        eprintln!("{origin}: left out, because it happens once: {}", left_out.join(", "));
+        let names = left_out.join(", ");
+        eprintln!("{origin}: left out, because it happens once: {names}");
     }
     Ok(Arc::new(machine))
 }
@@ -115,8 +119,10 @@ pub fn described_by(origin: &str, model: SavedModel, board: &Board) -> Result<Ar
 /// # Errors
 /// A report that says what is missing.
 pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
-    let line = plant.strip_prefix("exec:").ok_or_else(|| miette!("--plant `{plant}`: expected `exec:PROGRAM ARG…`"))?;
-    let mut words = link::words(line).map_err(|why| miette!("--plant `{plant}`: {why}"))?.into_iter();
-    let program = words.next().ok_or_else(|| miette!("--plant `{plant}`: no program is named after `exec:`"))?;
+    let refused = |why: &str| miette!("--plant `{plant}`: {why}");
+    let line = plant.strip_prefix("exec:");
+    let line = line.ok_or_else(|| refused("expected `exec:PROGRAM ARG…`"))?;
+    let mut words = link::words(line).map_err(|why| refused(&why))?.into_iter();
+    let program = words.next().ok_or_else(|| refused("no program is named after `exec:`"))?;
     Ok((program, words.collect()))
 }

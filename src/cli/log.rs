@@ -5,10 +5,11 @@ use crate::cli::{CommandOutcome, inputs, output};
 use crate::estimation::fusion::health::ImuReading;
 use crate::service::flight::file::{FlightFile, TOPICS};
 use crate::service::flight::read::{Entry, messages};
-use crate::service::flight::start::{Event, Header, hash};
+use crate::service::flight::start::Event;
 use crate::service::record;
 use mcap::{McapError, Message};
-use miette::{Result, miette};
+use miette::{Result, bail, miette};
+use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -74,26 +75,32 @@ struct Info {
 }
 
 impl Info {
+    fn fact(&mut self, name: &str, value: impl Serialize) {
+        self.facts.insert(name.to_owned(), json!(value));
+    }
+
     fn note(&mut self, text: &str) {
         self.events.push(format!("{:.3} s: {text}", self.duration_s));
     }
 
     fn take(&mut self, message: &Message<'_>) -> std::result::Result<(), String> {
-        self.duration_s = message.log_time.saturating_sub(*self.begin_ns.get_or_insert(message.log_time)) as f64 * 1e-9;
+        self.duration_s = since(&mut self.begin_ns, message);
         match Entry::of(message)? {
             Entry::Event(event) => match *event {
                 Event::Start(header) => {
-                    let hashes = header.named_texts().map(|(name, text)| (format!("{name} hash"), json!(hash([text]))));
-                    self.facts.extend(hashes);
-                    let Header { program, machine, tip, config_hash, .. } = &header;
-                    let own = [("program", program), ("machine", &machine.name), ("tip", tip), ("config_hash", config_hash)];
-                    self.facts.extend(own.map(|(name, value)| (name.to_owned(), json!(value))));
+                    let hashes = header.hashes().into_iter();
+                    self.facts.extend(hashes.map(|(name, hash)| (name, json!(hash))));
+                    self.fact("program", &header.program);
+                    self.fact("machine", &header.machine.name);
+                    self.fact("tip", &header.tip);
+                    self.fact("config_hash", &header.config_hash);
                 }
                 Event::Reload { .. } => self.note("new gains"),
             },
             Entry::Cycles(first, cycles) => {
                 if let Some(next) = self.next.filter(|next| *next != first) {
-                    self.note(&format!("gap: {} cycles are missing before cycle {first}", first.saturating_sub(next)));
+                    let missing = first.saturating_sub(next);
+                    self.note(&format!("gap: {missing} cycles are missing before cycle {first}"));
                 }
                 self.next = Some(first + cycles.len() as u64);
                 self.cycles += cycles.len() as u64;
@@ -111,30 +118,41 @@ impl Info {
     }
 }
 
+/// Time of a message since the first one, s.
+fn since(begin_ns: &mut Option<u64>, message: &Message<'_>) -> f64 {
+    let now_ns = message.log_time;
+    now_ns.saturating_sub(*begin_ns.get_or_insert(now_ns)) as f64 * 1e-9
+}
+
 fn info(path: &Path, json: Option<&Path>) -> Result<CommandOutcome> {
     output::check(&[("--json", json)], &[path])?;
     let mut info = Info::default();
     let ending = messages(path, &mut |message| info.take(&message)).map_err(|e| miette!("{e}"))?;
-    let Info { mut facts, begin_ns, duration_s, cycles, events, .. } = info;
-    let begins = OffsetDateTime::from_unix_timestamp((begin_ns.unwrap_or(0) / 1_000_000_000) as i64);
-    facts.insert("begins".to_owned(), json!(begins.map_or_else(|_| String::new(), |t| t.to_string())));
-    facts.insert("duration_s".to_owned(), json!(duration_s));
-    facts.insert("cycles".to_owned(), json!(cycles));
-    facts.insert("ending".to_owned(), json!(ending.as_deref().unwrap_or("complete")));
+    let begin_s = info.begin_ns.unwrap_or(0) / 1_000_000_000;
+    let begins = OffsetDateTime::from_unix_timestamp(begin_s as i64);
+    info.fact("begins", begins.map_or_else(|_| String::new(), |t| t.to_string()));
+    info.fact("duration_s", info.duration_s);
+    info.fact("cycles", info.cycles);
+    info.fact("ending", ending.as_deref().unwrap_or("complete"));
     let mut text = format!("{}\n", path.display());
-    for (name, value) in &facts {
-        text += &format!("  {name}: {}\n", value.as_str().map_or_else(|| value.to_string(), str::to_owned));
+    for (name, value) in &info.facts {
+        let shown = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        text += &format!("  {name}: {shown}\n");
     }
-    text += &events.iter().map(|event| format!("  at {event}\n")).collect::<String>();
-    facts.insert("events".to_owned(), json!(events));
-    output::json(json, &facts)?;
+    for event in &info.events {
+        text += &format!("  at {event}\n");
+    }
+    let events = std::mem::take(&mut info.events);
+    info.fact("events", events);
+    output::json(json, &info.facts)?;
     output::show(&text, json);
     Ok(CommandOutcome::Good)
 }
 
 fn export(path: &Path, csv: &Path) -> Result<CommandOutcome> {
     output::check(&[("--csv", Some(csv))], &[path])?;
-    let (mut log, mut step_mm, mut start_s, mut last_s) = (record::HEADER.as_bytes().to_vec(), 0.0, None, 0.0);
+    let mut log = record::HEADER.as_bytes().to_vec();
+    let (mut step_mm, mut start_s, mut last_s) = (0.0, None, 0.0);
     let ending = messages(path, &mut |message| {
         match Entry::of(&message)? {
             Entry::Event(event) => {
@@ -158,20 +176,22 @@ fn export(path: &Path, csv: &Path) -> Result<CommandOutcome> {
     });
     let ending = ending.map_err(|e| miette!("{e}"))?;
     output::write(csv, &String::from_utf8_lossy(&log))?;
-    eprintln!("{last_s:.3} s{}", ending.map_or_else(String::new, |ending| format!("; {ending}")));
+    let ending = ending.map_or_else(String::new, |ending| format!("; {ending}"));
+    eprintln!("{last_s:.3} s{ending}");
     Ok(CommandOutcome::Good)
 }
 
 fn cut(path: &Path, from_s: f64, to_s: f64, out: &Path) -> Result<CommandOutcome> {
     if from_s >= to_s {
-        return Err(miette!("--from {from_s} --to {to_s}: the part is empty; --to must be later"));
+        bail!("--from {from_s} --to {to_s}: the part is empty; --to must be later");
     }
     output::check(&[("--out", Some(out))], &[path])?;
-    let failed = |e: McapError| format!("{}: {e}", out.display());
+    let (name, shown) = (path.display(), out.display());
+    let failed = |e: McapError| format!("{shown}: {e}");
     let mut file = FlightFile::create(out, 0).map_err(|e| miette!("{}", failed(e)))?;
     let (mut begin_ns, mut flushed_s, mut cycles) = (None, 0.0, 0u64);
     let copied = messages(path, &mut |message| {
-        let t_s = message.log_time.saturating_sub(*begin_ns.get_or_insert(message.log_time)) as f64 * 1e-9;
+        let t_s = since(&mut begin_ns, &message);
         let topic = message.channel.topic.as_str();
         if topic == TOPICS[1]
             && let Entry::Event(event) = Entry::of(&message)?
@@ -191,13 +211,14 @@ fn cut(path: &Path, from_s: f64, to_s: f64, out: &Path) -> Result<CommandOutcome
         Ok(())
     });
     let done = copied.and_then(|ending| match cycles {
-        0 => Err(format!("{}: there is nothing from {from_s} s to {to_s} s", path.display())),
+        0 => Err(format!("{name}: there is nothing from {from_s} s to {to_s} s")),
         _ => file.finish().map_err(failed).map(|()| ending),
     });
     if done.is_err() {
         // it holds nothing of use
         let _ = std::fs::remove_file(out);
     }
-    eprintln!("{}", done.map_err(|e| miette!("{e}"))?.unwrap_or_else(|| "complete".to_owned()));
+    let ending = done.map_err(|e| miette!("{e}"))?;
+    eprintln!("{}", ending.as_deref().unwrap_or("complete"));
     Ok(CommandOutcome::Good)
 }

@@ -4,7 +4,7 @@
 
 use comfy_table::{CellAlignment, Row, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
 use std::io::{Read, Write};
 use std::ops::Range;
@@ -37,7 +37,10 @@ impl Drop for Scratch {
 /// `text` (an `indicatif` template) and the elapsed time.
 #[must_use]
 pub fn bar(length: u64, text: &str) -> ProgressBar {
-    let (bar, shape) = if length > 0 { (ProgressBar::new(length), "{bar:40}") } else { (ProgressBar::new_spinner(), "{spinner}") };
+    let (bar, shape) = match length {
+        0 => (ProgressBar::new_spinner(), "{spinner}"),
+        _ => (ProgressBar::new(length), "{bar:40}"),
+    };
     if let Ok(style) = ProgressStyle::with_template(&format!("{shape} {text} {{elapsed}}")) {
         bar.set_style(style);
     }
@@ -52,7 +55,8 @@ pub fn table<R: Into<Row>>(header: &[&str], numbers: Range<usize>, rows: impl In
     for row in rows {
         table.add_row(row);
     }
-    for column in table.column_iter_mut().skip(numbers.start).take(numbers.len()) {
+    let columns = table.column_iter_mut().skip(numbers.start);
+    for column in columns.take(numbers.len()) {
         column.set_cell_alignment(CellAlignment::Right);
     }
     table
@@ -82,24 +86,27 @@ pub fn show(text: &str, json: Option<&Path>) {
 /// # Errors
 /// A report that names the option, the file and the obstacle.
 pub fn check(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> Result<()> {
-    let results: Vec<(&str, &Path)> = results.iter().filter_map(|&(option, path)| Some((option, path?))).collect();
+    let results = results.iter().filter_map(|&(option, path)| Some((option, path?)));
+    let results: Vec<(&str, &Path)> = results.collect();
     for (n, &(option, path)) in results.iter().enumerate() {
+        let file = path.display();
         if let Some((other, _)) = results[..n].iter().find(|r| r.1 == path) {
-            return Err(miette!("{}: both {other} and {option} name this file; give each result its own file", path.display()));
+            bail!("{file}: both {other} and {option} name this file; give each result its own file");
         }
         if is_stdout(path) {
             continue;
         }
         let folder = folder_of(path);
         if path.is_dir() {
-            return Err(miette!("{option} {}: this is a folder; give the name of a file", path.display()));
+            bail!("{option} {file}: this is a folder; give the name of a file");
         }
         if !folder.is_dir() {
-            return Err(miette!("{option} {}: the folder {} does not exist; create it first", path.display(), folder.display()));
+            let folder = folder.display();
+            bail!("{option} {file}: the folder {folder} does not exist; create it first");
         }
         if let Some(input) = inputs.iter().find(|input| same_file(path, input)) {
             let input = input.display();
-            return Err(miette!("{option} {} would overwrite the input file {input}; give the result another name", path.display()));
+            bail!("{option} {file} would overwrite the input file {input}; give the result another name");
         }
         check_kind(option, path, inputs)?;
     }
@@ -117,24 +124,24 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
     if !path.is_file() {
         return Ok(());
     }
-    let old = head(path).map_err(|e| miette!("{option} {}: {e}", path.display()))?;
-    match old.iter().find(|b| !b.is_ascii_whitespace()) {
-        Some(first) if !begins.contains(first) => {
-            let inputs: Vec<String> = inputs.iter().map(|p| p.display().to_string()).collect();
-            let beside = if inputs.is_empty() { String::new() } else { format!(" beside {}", inputs.join(", ")) };
-            Err(miette!(
-                "{option} {} would overwrite an existing file of another kind, perhaps an input{beside}; give the result another name",
-                path.display()
-            ))
-        }
-        _ => Ok(()),
+    let file = path.display();
+    let old = head(path).map_err(|e| miette!("{option} {file}: {e}"))?;
+    let first = old.iter().find(|b| !b.is_ascii_whitespace());
+    if first.is_none_or(|first| begins.contains(first)) {
+        return Ok(());
     }
+    let inputs: Vec<String> = inputs.iter().map(|p| p.display().to_string()).collect();
+    let beside = if inputs.is_empty() { "" } else { " beside " };
+    let inputs = inputs.join(", ");
+    bail!(
+        "{option} {file} would overwrite an existing file of another kind, perhaps an input{beside}{inputs}; give the result another name"
+    )
 }
 
 fn head(path: &Path) -> std::io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    std::fs::File::open(path)?.take(64).read_to_end(&mut bytes)?;
-    Ok(bytes)
+    let mut file = std::fs::File::open(path)?.take(64);
+    file.read_to_end(&mut bytes).map(|_| bytes)
 }
 
 fn same_file(a: &Path, b: &Path) -> bool {
@@ -148,7 +155,8 @@ fn same_file(a: &Path, b: &Path) -> bool {
 /// As [`write()`].
 pub fn json(path: Option<&Path>, value: &impl Serialize) -> Result<()> {
     let Some(path) = path else { return Ok(()) };
-    write(path, &(serde_json::to_string_pretty(value).into_diagnostic()? + "\n"))
+    let text = serde_json::to_string_pretty(value).into_diagnostic()?;
+    write(path, &(text + "\n"))
 }
 
 /// Writes a file atomically: to a temporary file in the same folder, which then replaces the old one.
@@ -164,7 +172,7 @@ pub fn write(path: &Path, text: &str) -> Result<()> {
     if path.exists() && !path.is_file() {
         return std::fs::write(path, text).map_err(|e| miette!("{}: {e}", path.display()));
     }
-    let name = path.file_name().map_or_else(Default::default, |n| n.to_string_lossy().into_owned());
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
     let beside = folder_of(path).join(format!(".{name}.{}.part", std::process::id()));
     replace(path, &beside, text).map_err(|e| {
         // the temporary file may not exist

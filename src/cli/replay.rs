@@ -16,7 +16,8 @@ use crate::service::flight::start::{Event, Header};
 use crate::service::record::flight_path;
 use crate::service::start::{Start, with_gains};
 use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail, miette};
+use nalgebra::Vector2;
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -42,20 +43,19 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let path = flight_of(&args.log)?;
     let mut replay = Replay {
-        gains: args.gains.as_deref().map(|path| inputs::gains(Some(path))).transpose()?,
-        calibration: args.calib.as_deref().map(|path| inputs::calibration(Some(path))).transpose()?,
+        gains: args.gains.as_deref().map(source::read).transpose()?,
+        calibration: args.calib.as_deref().map(source::read).transpose()?,
         ..Replay::default()
     };
     let mut ending = None;
     for part in parts(&path) {
-        ending = messages(&part, &mut |message| replay.take(Entry::of(&message)?)).map_err(|e| miette!("{e}"))?;
+        let read = messages(&part, &mut |message| replay.take(Entry::of(&message)?));
+        ending = read.map_err(|e| miette!("{e}"))?;
     }
     let Replay { cycles, different, skipped, .. } = replay;
     if cycles == 0 {
-        return Err(miette!(
-            "{}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing",
-            path.display()
-        ));
+        let file = path.display();
+        bail!("{file}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing");
     }
     let ending = ending.map_or_else(String::new, |ending| format!("; {ending}"));
     println!("{cycles} cycles replayed, {different} differ{ending}");
@@ -70,7 +70,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let Some((number, t_s, fields)) = replay.first else { return Ok(CommandOutcome::Good) };
     let program = replay.header.as_ref().map_or("", |header| &header.program);
-    let fields = if fields.is_empty() { "a field without a digest".to_owned() } else { fields.join(", ") };
+    let fields = match fields.len() {
+        0 => "a field without a digest".to_owned(),
+        _ => fields.join(", "),
+    };
     eprintln!(
         "the first difference is in cycle {number} at {t_s:.3} s, in {fields}: the software has changed since version {program} wrote the log"
     );
@@ -83,7 +86,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 /// A report about a file that does not exist.
 pub fn flight_of(log: &Path) -> Result<PathBuf> {
     if log.is_dir() || !log.exists() {
-        return Err(miette!("{}: {}", log.display(), why_unreadable(log, &std::io::ErrorKind::NotFound.into())));
+        let why = why_unreadable(log, &std::io::ErrorKind::NotFound.into());
+        bail!("{}: {why}", log.display());
     }
     let flight = flight_path(log);
     let is_bend_log = log.extension().is_some_and(|e| e == "csv" || e == "gz");
@@ -97,9 +101,13 @@ pub fn flight_of(log: &Path) -> Result<PathBuf> {
 
 /// The parts of a run up to this one that are there.
 fn parts(path: &Path) -> Vec<PathBuf> {
-    let (Some((run, part)), Some(folder)) = (run_and_part(path), path.parent()) else { return vec![path.to_owned()] };
-    let before = (1..part).map(|n| part_path(folder, run, n)).filter(|p| p.exists());
-    before.chain([path.to_owned()]).collect()
+    let mut all = Vec::new();
+    if let (Some((run, part)), Some(folder)) = (run_and_part(path), path.parent()) {
+        all.extend((1..part).map(|n| part_path(folder, run, n)));
+        all.retain(|p| p.exists());
+    }
+    all.push(path.to_owned());
+    all
 }
 
 /// A configuration text of the log.
@@ -140,7 +148,9 @@ impl Replay {
                 Event::Start(header) => self.start(header)?,
                 Event::Reload { gains, lines } => self.reload(&gains, lines)?,
             },
-            Entry::Cycles(first, cycles) => (first..).zip(&cycles).for_each(|(number, cycle)| self.turn(number, cycle)),
+            Entry::Cycles(first, cycles) => {
+                (first..).zip(&cycles).for_each(|(number, cycle)| self.turn(number, cycle));
+            }
             Entry::Shown(_) => {}
         }
         Ok(())
@@ -151,9 +161,13 @@ impl Replay {
             return Err(format!("log version {}; this program reads version 2", header.log));
         }
         let [board, gains, calibration, model @ ..] = header.texts.as_slice() else { return Err("has no configuration".to_owned()) };
-        let (board, gains, calibration): (Board, Gains, Calibration) = (text(board)?, text(gains)?, text(calibration)?);
+        let (board, gains): (Board, Gains) = (text(board)?, text(gains)?);
+        let calibration: Calibration = text(calibration)?;
         let name = "model of the log";
-        let described = model.first().map(|text| inputs::described_by(name, source::parse(name, text).into_diagnostic()?, &board));
+        let described = model.first().map(|text| {
+            let model = source::parse(name, text).into_diagnostic()?;
+            inputs::described_by(name, model, &board)
+        });
         let described = described.transpose().map_err(|e| e.to_string())?;
         let configured = |calibration, gains| {
             let mut config = assemble(&board, calibration, gains, &header.machine);
@@ -167,9 +181,11 @@ impl Replay {
             let used = self.calibration.as_ref().unwrap_or(&calibration);
             let mut config = configured(used, self.gains.as_ref().unwrap_or(&gains));
             if self.calibration.is_none() {
-                (config.tick.lines, config.tick.dynamics) = (start.config.tick.lines, start.config.tick.dynamics);
+                let tick = &start.config.tick;
+                (config.tick.lines, config.tick.dynamics) = (tick.lines, tick.dynamics);
             }
-            self.altered = Some(Start { config, ..start.clone() }.supervisor());
+            let altered = Start { config, ..start.clone() };
+            self.altered = Some(altered.supervisor());
         }
         self.next = header.cycle;
         self.header = Some(header);
@@ -190,7 +206,8 @@ impl Replay {
     fn turn(&mut self, number: u64, cycle: &Cycle) {
         let t_s = cycle.sensed.t.0;
         if number != self.next {
-            self.gaps.push((number, t_s, number.saturating_sub(self.next)));
+            let lost = number.saturating_sub(self.next);
+            self.gaps.push((number, t_s, lost));
             self.supervisor = None;
         }
         self.next = number + 1;
@@ -208,7 +225,8 @@ impl Replay {
             }
         }
         if let Some(altered) = &mut self.altered {
-            compare(&mut self.changes, t_s, &output, &altered.turn(&cycle.sensed, cycle.order));
+            let other = altered.turn(&cycle.sensed, cycle.order);
+            compare(&mut self.changes, t_s, &output, &other);
         }
     }
 }
@@ -221,10 +239,13 @@ const QUANTITIES: [&str; 5] = ["set-point, °", "estimated bend, °", "predicted
 fn compare(changes: &mut [Change], t_s: f64, run: &CycleOutput, other: &CycleOutput) {
     let (a, b) = (&run.frame, &other.frame);
     let setpoint = a.setpoint.bend.0 - b.setpoint.bend.0;
-    let estimate = a.estimate.zip(b.estimate).map_or(0.0, |(a, b)| (a.bend.0 - b.bend.0).norm());
-    let angles = [setpoint.norm(), estimate, (a.predicted - b.predicted).norm(), (a.feedback - b.feedback).norm()];
+    let estimates = a.estimate.zip(b.estimate);
+    let estimate = estimates.map_or(Vector2::zeros(), |(a, b)| a.bend.0 - b.bend.0);
+    let angles = [setpoint, estimate, a.predicted - b.predicted, a.feedback - b.feedback];
+    let angles = angles.map(|v| v.norm().to_degrees());
     let pistons = (a.piston_target_mm - b.piston_target_mm).amax();
-    for ((squares, largest, at_s), x) in changes.iter_mut().zip(angles.map(f64::to_degrees).into_iter().chain([pistons])) {
+    let all = angles.into_iter().chain([pistons]);
+    for ((squares, largest, at_s), x) in changes.iter_mut().zip(all) {
         *squares += x * x;
         if x > *largest {
             (*largest, *at_s) = (x, t_s);
@@ -236,7 +257,9 @@ fn show(changes: &[Change], cycles: u64) {
     println!("\nWith the other settings, on the same input. This is speculation: the recorded machine did not follow them.");
     let row = |(name, (squares, largest, at_s)): (&&str, &Change)| {
         let rms = (squares / cycles as f64).sqrt();
-        vec![(*name).to_owned(), format!("{rms:.4}"), format!("{largest:.4}"), format!("{at_s:.3}")]
+        let [rms, largest] = [rms, *largest].map(|x| format!("{x:.4}"));
+        vec![(*name).to_owned(), rms, largest, format!("{at_s:.3}")]
     };
-    println!("{}", output::table(&["difference", "RMS", "largest", "at, s"], 1..4, QUANTITIES.iter().zip(changes).map(row)));
+    let header = ["difference", "RMS", "largest", "at, s"];
+    println!("{}", output::table(&header, 1..4, QUANTITIES.iter().zip(changes).map(row)));
 }

@@ -152,12 +152,17 @@ impl Path {
         let scans = (self.duration_s() / SCAN_S).ceil() as usize;
         let pistons = |v: Vector2<f64>| {
             let q = geometry.lengths(&shape(&v.push(geometry.rest_length_mm)));
-            (0..3).map(|i| lines[i].play_output_mm(q[i]).abs()).fold(0.0, f64::max)
+            let moves = (0..3).map(|i| lines[i].play_output_mm(q[i]).abs());
+            moves.fold(0.0, f64::max)
         };
-        let (speed_max, acceleration_max) = (USABLE * limits.speed_max_mm_s, USABLE * limits.acceleration_max_mm_s2);
-        (0..=scans)
-            .map(|k| self.at(k as f64 * SCAN_S))
-            .fold(0.0, |most, at| most.max(pistons(at.rate) / speed_max).max((pistons(at.acceleration) / acceleration_max).sqrt()))
+        let speed_max = USABLE * limits.speed_max_mm_s;
+        let acceleration_max = USABLE * limits.acceleration_max_mm_s2;
+        let mut most = 0.0f64;
+        for at in (0..=scans).map(|k| self.at(k as f64 * SCAN_S)) {
+            let stretch = (pistons(at.acceleration) / acceleration_max).sqrt();
+            most = most.max(pistons(at.rate) / speed_max).max(stretch);
+        }
+        most
     }
 
     /// The same path with its time stretched by `factor`.

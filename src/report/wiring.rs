@@ -83,19 +83,23 @@ pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
         for (name, wire) in &device.terminals {
             y += ROW;
             svg.text((DEVICE + 16.0, y + 4.0), Start, Ink::LABEL, name);
-            if let Some((px, py)) = place(*wire) {
-                // between two rows of pins and names, those of the left column lower
-                let clear = py + if px > LEFT { 0.4 * ROW } else { 0.6 * ROW };
-                let [beside, end, away, near] = [px + 11.0, LEFT + 110.0, LEFT + 190.0, DEVICE - 90.0];
-                let bend =
-                    format!("M{px:.0} {py:.0}L{beside:.0} {clear:.0}H{end:.0}C{away:.0} {clear:.0} {near:.0} {y:.0} {DEVICE:.0} {y:.0}");
-                let style = format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"", ink.0);
-                svg.path(&bend, &style);
+            if let Some(at) = place(*wire) {
+                wire_to(&mut svg, at, y, *ink);
             }
         }
         y += 2.0 * ROW;
     }
     svg.finish()
+}
+
+/// A wire from a pin to the terminal of a device at the height `y`.
+fn wire_to(svg: &mut Svg, (px, py): (f64, f64), y: f64, ink: Ink) {
+    // between two rows of pins and names, those of the left column lower
+    let clear = py + if px > LEFT { 0.4 * ROW } else { 0.6 * ROW };
+    let [beside, end, away, near] = [px + 11.0, LEFT + 110.0, LEFT + 190.0, DEVICE - 90.0];
+    let bend = format!("M{px:.0} {py:.0}L{beside:.0} {clear:.0}H{end:.0}C{away:.0} {clear:.0} {near:.0} {y:.0} {DEVICE:.0} {y:.0}");
+    let style = format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\"", ink.0);
+    svg.path(&bend, &style);
 }
 
 fn label(name: &str, position: usize) -> String {

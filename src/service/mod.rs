@@ -84,8 +84,9 @@ impl Claim {
     pub fn new(service: &ServiceSection) -> Result<Self, ServiceError> {
         let Paths { control, status, state } = Paths::of(service);
         let (store, recall) = Store::open(&state)?;
-        for folder in [&control, &status].into_iter().filter_map(|path| path.parent()) {
-            let created = std::fs::DirBuilder::new().recursive(true).mode(0o755).create(folder);
+        for folder in [control.parent(), status.parent()].into_iter().flatten() {
+            let mut builder = std::fs::DirBuilder::new();
+            let created = builder.recursive(true).mode(0o755).create(folder);
             created.map_err(|source| ServiceError::Socket { path: folder.display().to_string(), source })?;
         }
         let stop = paths::stop_socket(&control);
@@ -141,14 +142,20 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
         watch: ThreadWatch::default(),
     };
     let (thread, grants) = start_loop(rt_loop, wish(&config.service, pace))?;
-    let urgent = RtRequest { priority: control_priority(&config.service), cpu: None };
-    let stop = stop_socket::start(stop, Arc::clone(&shared), urgent).map_err(ServiceError::system("the thread of stop"))?;
-    let start_port = |socket, which, wish| Port::start(socket, Arc::clone(&shared), which, wish).map_err(ServiceError::system("a socket"));
+    let calm = RtRequest { priority: 0, cpu: None };
+    let urgent = RtRequest { priority: control_priority(&config.service), ..calm };
+    let stop = stop_socket::start(stop, Arc::clone(&shared), urgent);
+    let stop = stop.map_err(ServiceError::system("the thread of stop"))?;
+    let start_port = |socket, which, wish| {
+        let port = Port::start(socket, Arc::clone(&shared), which, wish);
+        port.map_err(ServiceError::system("a socket"))
+    };
+    let state_writer = StateWriter::start(store);
     let io = HubIo {
         control: start_port(control, Watched::Control, urgent)?,
-        status: start_port(status, Watched::Status, RtRequest { priority: 0, cpu: None })?,
+        status: start_port(status, Watched::Status, calm)?,
         notifier,
-        state_writer: StateWriter::start(store).map_err(ServiceError::system("the state writer"))?,
+        state_writer: state_writer.map_err(ServiceError::system("the state writer"))?,
         rings,
         shared: Arc::clone(&shared),
     };
@@ -167,13 +174,18 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
 
 /// What the loop's thread requests. A simulation that runs ahead of time would take its processor from everybody.
 fn wish(service: &ServiceSection, pace: Option<f64>) -> RtRequest {
-    if pace.is_some() { RtRequest { priority: 0, cpu: None } } else { RtRequest { priority: service.priority, cpu: service.cpu } }
+    let (priority, cpu) = match pace {
+        Some(_) => (0, None),
+        None => (service.priority, service.cpu),
+    };
+    RtRequest { priority, cpu }
 }
 
 /// Starts the loop's thread; returns it with what the kernel has granted.
 fn start_loop(rt_loop: Loop, wish: RtRequest) -> Result<(JoinHandle<Result<(), MachineError>>, RtStatus), ServiceError> {
     let (report, reported) = channel();
-    let thread = std::thread::Builder::new().name("loop".into()).spawn(move || {
+    let builder = std::thread::Builder::new().name("loop".into());
+    let thread = builder.spawn(move || {
         let (status, _guard) = rt::enter(&wish);
         // the receiver is gone only if the service could not start
         let _ = report.send(status);
@@ -186,7 +198,10 @@ fn start_loop(rt_loop: Loop, wish: RtRequest) -> Result<(JoinHandle<Result<(), M
 
 /// Real-time priority of the threads that receive a stop: a busy computer delays no stop.
 fn control_priority(service: &ServiceSection) -> i32 {
-    if service.priority > 0 { (service.priority - CONTROL_BELOW).max(1) } else { 0 }
+    match service.priority {
+        ..=0 => 0,
+        priority => (priority - CONTROL_BELOW).max(1),
+    }
 }
 
 fn log_recall(recall: &Recall, belief: Belief) {
@@ -194,6 +209,7 @@ fn log_recall(recall: &Recall, belief: Belief) {
         tracing::error!(event = "memory_damaged", "{line}");
     }
     if belief == Belief::Lost {
-        tracing::error!(event = "lost", "no memory tells where the pistons are: `retroflex zero`, or `retroflex home` without the service");
+        let mend = "`retroflex zero`, or `retroflex home` without the service";
+        tracing::error!(event = "lost", "no memory tells where the pistons are: {mend}");
     }
 }

@@ -205,8 +205,9 @@ impl ResidualMonitor {
         let moved = (input.given - self.last_given).norm();
         self.path_rad += moved;
         self.last_given = input.given;
-        let gapless = (input.gapless - self.last_gapless.replace(input.gapless).unwrap_or(input.gapless)).norm();
-        self.rested_s = if input.moving { 0.0 } else { self.rested_s + input.dt_s };
+        let before = self.last_gapless.replace(input.gapless);
+        let gapless = (input.gapless - before.unwrap_or(input.gapless)).norm();
+        self.rested_s = lasting(!input.moving, self.rested_s, input.dt_s);
         let departs = input.moving && self.settled;
         let settles = !self.settled && self.rested_s > SETTLE_S + 4.0 * input.answer_s;
         if (departs || settles) && self.verdict.is_none() && self.beyond_s == 0.0 {
@@ -220,7 +221,8 @@ impl ResidualMonitor {
         let since = residual - self.baseline.0;
         let keep = (-input.dt_s / SMOOTH_S).exp();
         self.smooth = since + (self.smooth - since) * keep;
-        self.jump.step(self.config.jump_deg.to_radians(), residual, moved.max(gapless), input.dt_s);
+        let threshold_rad = self.config.jump_deg.to_radians();
+        self.jump.step(threshold_rad, residual, moved.max(gapless), input.dt_s);
         self.assess(input)
     }
 
@@ -250,8 +252,9 @@ impl ResidualMonitor {
         let allowed = least_deg.to_radians() + self.config.share * moved;
         let sudden = self.jump.is_recent();
         let beyond = self.smooth.norm() > allowed;
-        self.beyond_s = if beyond || sudden { self.beyond_s + input.dt_s } else { 0.0 };
-        self.rising_s = if self.smooth.norm() > 0.5 * allowed { self.rising_s + input.dt_s } else { 0.0 };
+        let rising = self.smooth.norm() > 0.5 * allowed;
+        self.beyond_s = lasting(beyond || sudden, self.beyond_s, input.dt_s);
+        self.rising_s = lasting(rising, self.rising_s, input.dt_s);
         if let Some(mut verdict) = self.verdict {
             // a larger residual identifies the cause better
             verdict.age_s += input.dt_s;
@@ -275,10 +278,14 @@ impl ResidualMonitor {
     fn classify(&self, input: &ResidualInput, moved: f64, sudden: bool, abrupt: bool) -> Suspicion {
         let u = if sudden { self.jump.jump } else { self.smooth };
         let along: [f64; 3] = std::array::from_fn(|j| u.dot(&Geometry::spoke(j)));
-        let j = (0..3).fold(0, |best, j| if along[j].abs() > along[best].abs() { j } else { best });
+        let mut j = 0;
+        for other in 1..3 {
+            j = if along[other].abs() > along[j].abs() { other } else { j };
+        }
         let x_mm = -1.5 * self.r_mm * along[j];
         let bellow_mm = |bend: &Vector2<f64>| -self.r_mm * Geometry::spoke(j).dot(bend);
-        let (motion_mm, deflection_mm) = (bellow_mm(&(input.given - self.baseline.1)), bellow_mm(&input.given));
+        let motion_mm = bellow_mm(&(input.given - self.baseline.1));
+        let deflection_mm = bellow_mm(&input.given);
         let of = |kind, share| Suspicion { kind, channel: Some(j as u8 + 1), share, deg: u.norm().to_degrees() };
         let contact = |share| Suspicion { channel: None, ..of(SuspicionKind::Contact, share) };
         let (of_motion, of_deflection) = (x_mm / motion_mm, x_mm / deflection_mm);
@@ -310,6 +317,11 @@ impl ResidualMonitor {
             }
         }
     }
+}
+
+/// Time for which a condition has held, s, after a cycle of `dt_s`.
+fn lasting(holds: bool, since_s: f64, dt_s: f64) -> f64 {
+    if holds { since_s + dt_s } else { 0.0 }
 }
 
 /// Bellow length changes at a bend (rad) and an elongation of the centre line, mm.

@@ -5,7 +5,7 @@ use crate::cli::{CommandOutcome, Unreachable};
 use crate::service::client::Client as Connection;
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
-use miette::{Report, Result, miette};
+use miette::{Report, Result, bail, miette};
 use serde_json::Value;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
@@ -21,35 +21,41 @@ pub struct At {
 impl At {
     /// The named socket, or those on which a service of this user or of the system listens.
     fn sockets(&self) -> Vec<PathBuf> {
-        if let Some(named) = self.socket.clone().or_else(|| std::env::var_os("RETROFLEX_SOCKET").map(PathBuf::from)) {
+        let named = || std::env::var_os("RETROFLEX_SOCKET").map(PathBuf::from);
+        if let Some(named) = self.socket.clone().or_else(named) {
             return vec![named];
         }
-        let live: Vec<PathBuf> = paths::sockets().into_iter().filter(|path| UnixStream::connect(path).is_ok()).collect();
+        let mut live = paths::sockets();
+        live.retain(|path| UnixStream::connect(path).is_ok());
         if live.is_empty() { vec![paths::default_socket()] } else { live }
     }
 }
 
 /// A failure of the service as a report.
 pub(super) fn report(f: Failure) -> Report {
-    if f.code == 3 { Unreachable { what: "the service".to_owned(), why: f.message }.into() } else { miette!("{}", f.message) }
+    match f.code {
+        3 => Unreachable::report("the service", f.message),
+        _ => miette!("{}", f.message),
+    }
 }
 
 /// Connects to the service. Two services of which none is named are refused.
 pub(super) fn connect(at: &At) -> Result<Connection> {
     match &at.sockets()[..] {
-        [one, other, ..] => Err(miette!(
-            "two services are running, at {} and {}: name one with --socket (`retroflex stop` stops both)",
-            one.display(),
-            other.display()
-        )),
+        [one, other, ..] => {
+            let (one, other) = (one.display(), other.display());
+            bail!("two services are running, at {one} and {other}: name one with --socket (`retroflex stop` stops both)")
+        }
         one => Connection::connect(&one[0]).map_err(report),
     }
 }
 
 /// Stops the tip, that of every service if none is named.
 pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
-    let stopped: Vec<_> = at.sockets().iter().map(|socket| answer(Connection::stop(socket)).map(printed)).collect();
-    stopped.into_iter().try_fold(CommandOutcome::Good, |worst, one| one.map(|one| if one == CommandOutcome::Good { worst } else { one }))
+    let stop = |socket: &PathBuf| answer(Connection::stop(socket)).map(printed);
+    let stopped: Vec<_> = at.sockets().iter().map(stop).collect();
+    let outcomes: Vec<CommandOutcome> = stopped.into_iter().collect::<Result<_>>()?;
+    Ok(outcomes.iter().all(|one| *one == CommandOutcome::Good).into())
 }
 
 /// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
@@ -90,7 +96,8 @@ pub(super) fn words(value: &Value) -> String {
     match (file, value["rows"].as_u64(), value["gains"].as_str()) {
         (Some(path), None, _) => format!("recording {path}\n"),
         (Some(path), Some(rows), _) => {
-            let replay = if value["replayable"] == true { ", can be replayed" } else { "" };
+            let replay = value["replayable"] == true;
+            let replay = if replay { ", can be replayed" } else { "" };
             format!("{path}: {rows} rows{replay}\n")
         }
         (None, _, Some(gains)) => format!("{gains} is in use\n"),

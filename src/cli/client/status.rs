@@ -5,7 +5,7 @@ use super::connection::{At, ask, connect, report};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output::{self, print};
 use crate::service::protocol::Request;
-use miette::{Result, miette};
+use miette::{Result, bail, miette};
 use serde_json::Value;
 use std::io::{BufRead, IsTerminal, Write};
 use std::time::Duration;
@@ -41,21 +41,24 @@ fn readable(s: &Value) -> String {
     let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
     let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
     let degrees = |v: &Value| v.as_f64().unwrap_or(0.0);
-    let pose = |v: &Value| match v.is_null() {
-        true => "–".to_owned(),
-        false => format!("{:.1}° at {:.0}°", degrees(&v["bend_deg"]), degrees(&v["dir_deg"])),
+    let pose = |v: &Value| {
+        let (bend, dir) = (degrees(&v["bend_deg"]), degrees(&v["dir_deg"]));
+        if v.is_null() { "–".to_owned() } else { format!("{bend:.1}° at {dir:.0}°") }
     };
-    let pistons: Vec<String> = list(&s["piston_mm"]).iter().map(|p| format!("{:.2}", degrees(p))).collect();
-    let energised = if s["energised"] == true { ", energised" } else { "" };
-    let stopped = if s["stopped"] == true { ", stopped until `retroflex arm`" } else { "" };
-    let loop_line =
-        format!("{} cycles, {} late, at most {} µs, {} frames lost", s["cycles"], s["late_cycles"], s["max_lateness_us"], s["lost_frames"]);
+    let pistons = list(&s["piston_mm"]);
+    let pistons: Vec<String> = pistons.iter().map(|p| format!("{:.2}", degrees(p))).collect();
+    let words = |key: &str, text: &'static str| if s[key] == true { text } else { "" };
+    let energised = words("energised", ", energised");
+    let stopped = words("stopped", ", stopped until `retroflex arm`");
+    let (tip, calibration) = (text(&s["tip"]), text(&s["calibration"]));
+    let (estimate, target) = (pose(&s["estimate"]), pose(&s["target"]));
+    let [cycles, late, most, lost] = ["cycles", "late_cycles", "max_lateness_us", "lost_frames"].map(|key| &s[key]);
     let mut rows = vec![
         ("mode", text(&s["mode"]) + energised + stopped),
-        ("estimate", format!("{}   target {}", pose(&s["estimate"]), pose(&s["target"]))),
+        ("estimate", format!("{estimate}   target {target}")),
         ("pistons", pistons.join("  ") + " mm"),
-        ("tip", format!("{}   calibration {}", text(&s["tip"]), text(&s["calibration"]))),
-        ("loop", loop_line),
+        ("tip", format!("{tip}   calibration {calibration}")),
+        ("loop", format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost")),
     ];
     let optional = [
         ("fault", &s["fault"]),
@@ -68,13 +71,18 @@ fn readable(s: &Value) -> String {
         ("recorded", &s["recording_ended"]),
         ("memory", &s["memory"]["error"]),
     ];
-    rows.extend(optional.iter().filter(|(_, v)| !v.is_null()).map(|(name, v)| (*name, text(v))));
+    let present = optional.iter().filter(|(_, v)| !v.is_null());
+    rows.extend(present.map(|(name, v)| (*name, text(v))));
     if s["unverified"] == true {
-        rows.push(("zero", "stated by the operator; no measurement has confirmed it".to_owned()));
+        let stated = "stated by the operator; no measurement has confirmed it";
+        rows.push(("zero", stated.to_owned()));
     }
-    rows.extend(list(&s["sensor"]["advice"]).iter().map(|advice| ("sensor", text(advice))));
-    rows.extend(list(&s["real_time"]).iter().map(|g| ("real time", format!("{}: {}", text(&g["what"]), text(&g["grant"])))));
-    rows.iter().map(|(name, value)| format!("{name:<10}{}\n", wrapped(value))).collect()
+    let advice = list(&s["sensor"]["advice"]);
+    rows.extend(advice.iter().map(|advice| ("sensor", text(advice))));
+    let granted = |g: &Value| format!("{}: {}", text(&g["what"]), text(&g["grant"]));
+    rows.extend(list(&s["real_time"]).iter().map(|g| ("real time", granted(g))));
+    let line = |(name, value): &(&str, String)| format!("{name:<10}{}\n", wrapped(value));
+    rows.iter().map(line).collect()
 }
 
 /// A text in lines that fit beside a column of names.
@@ -83,7 +91,7 @@ fn wrapped(text: &str) -> String {
     for word in text.split(' ') {
         match lines.last_mut() {
             Some(line) if line.is_empty() => *line = word.to_owned(),
-            Some(line) if line.chars().count() + word.chars().count() + 11 < WIDTH => *line += &format!(" {word}"),
+            Some(line) if line.chars().count() + word.chars().count() + 11 < WIDTH => line.extend([" ", word]),
             _ => lines.push(word.to_owned()),
         }
     }
@@ -98,11 +106,13 @@ pub fn stream(at: &At) -> Result<CommandOutcome> {
     let mut connection = connect(at)?;
     for line in std::io::stdin().lock().lines() {
         let line = line.map_err(|e| miette!("standard input: {e}"))?;
-        let numbers: std::result::Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
-        let Ok(&[bend_deg, dir_deg]) = numbers.as_deref() else {
-            return Err(miette!("standard input: `{line}`: expected BEND DIR, two numbers in degrees"));
+        let numbers: Option<Vec<f64>> = line.split_whitespace().map(|x| x.parse().ok()).collect();
+        let Some(&[bend_deg, dir_deg]) = numbers.as_deref() else {
+            bail!("standard input: `{line}`: expected BEND DIR, two numbers in degrees");
         };
-        if ask(&mut connection, &Request::Stream { bend_deg, dir_deg, length_mm: None })?.is_none() {
+        let length_mm = None;
+        let request = Request::Stream { bend_deg, dir_deg, length_mm };
+        if ask(&mut connection, &request)?.is_none() {
             return Ok(NotGoodEnough);
         }
     }

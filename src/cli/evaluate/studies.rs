@@ -8,7 +8,7 @@ use crate::experiment::ablation::{self, AblationRow, MECHANISMS};
 use crate::experiment::sweep::{self, CONDITIONS, Condition, Study, SweepRow};
 use crate::report::evaluation::settle;
 use crate::report::sweep as picture;
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{IntoDiagnostic, Result, bail};
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
@@ -34,62 +34,68 @@ pub(super) struct Request<'a> {
 /// # Errors
 /// A report about the input or the plant.
 pub(super) fn run(request: &Request<'_>, section: &PlantSection, board: &Board, gains: &Gains) -> Result<CommandOutcome> {
+    let (units, run): (u64, fn(&Request<'_>, &Study) -> Result<CommandOutcome>) = match request.sweep {
+        true => (SWEEP_UNITS, run_sweep),
+        false => (ABLATION_UNITS, run_ablation),
+    };
     let study = Study {
         config: assemble(board, &inputs::calibration(request.calib)?, gains),
         make: section.make(),
         period_s: section.period_s,
         seed: request.seed,
-        units: if request.sweep { SWEEP_UNITS } else { ABLATION_UNITS },
+        units,
     };
-    if request.sweep { run_sweep(request, &study) } else { run_ablation(request, &study) }
+    run(request, &study)
 }
 
 fn run_sweep(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
     let start = Instant::now();
     let only = request.only.unwrap_or_default();
-    let conditions: Vec<Condition> = CONDITIONS.into_iter().filter(|c| c.name.contains(only)).collect();
+    let mut conditions: Vec<Condition> = CONDITIONS.to_vec();
+    conditions.retain(|c| c.name.contains(only));
     if conditions.is_empty() {
         let names = CONDITIONS.map(|c| c.name).join(", ");
-        return Err(miette!("--only {only}: no condition has a name that contains this text; there are {names}"));
+        bail!("--only {only}: no condition has a name that contains this text; there are {names}");
     }
     let rows: usize = conditions.iter().map(|c| c.values.len()).sum();
     let bar = output::bar(rows as u64 * study.units, "units,");
     let rows = sweep::run(study, &conditions, &|| bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
-    output::json(request.json, &json!({ "seed": study.seed, "units": study.units, "sweep": rows }))?;
+    let result = json!({ "seed": study.seed, "units": study.units, "sweep": rows });
+    output::json(request.json, &result)?;
     if let Some(path) = request.svg {
         output::write(path, &picture::svg(&rows))?;
     }
-    let failed = rows.iter().filter(|r| !r.ok).count();
-    let table = output::table(&["condition", "value", "open", "closed", "95 %", "hunting", ""], 1..6, rows.iter().map(sweep_row));
-    let text = format!(
-        "{table}\n{} of {} rows fail; {} units each, {} of 12 directions; {} (in {:.0} s)\n",
-        failed,
-        rows.len(),
-        study.units,
-        sweep::DIRECTIONS,
-        calibration(request),
-        start.elapsed().as_secs_f64()
-    );
+    let (failed, all) = (rows.iter().filter(|r| !r.ok).count(), rows.len());
+    let header = ["condition", "value", "open", "closed", "95 %", "hunting", ""];
+    let table = output::table(&header, 1..6, rows.iter().map(sweep_row));
+    let (units, directions, took_s) = (study.units, sweep::DIRECTIONS, start.elapsed().as_secs_f64());
+    let with = calibration(request);
+    let text =
+        format!("{table}\n{failed} of {all} rows fail; {units} units each, {directions} of 12 directions; {with} (in {took_s:.0} s)\n");
     output::show(&text, request.json);
-    Ok(if failed == 0 { CommandOutcome::Good } else { CommandOutcome::NotGoodEnough })
+    Ok(CommandOutcome::from(failed == 0))
 }
 
 fn sweep_row(r: &SweepRow) -> Vec<String> {
     let deg = |x: f64| format!("{x:.2}°");
     let verdict = if r.ok { "" } else { "FAILS" };
     let numbers = [r.open_deg, r.closed_deg, r.p95_deg, r.hunting_deg].map(deg);
-    [r.condition.to_owned(), r.value.to_string()].into_iter().chain(numbers).chain([verdict.to_owned()]).collect()
+    let [open, closed, p95, hunting] = numbers;
+    vec![r.condition.to_owned(), r.value.to_string(), open, closed, p95, hunting, verdict.to_owned()]
 }
 
 fn run_ablation(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
     let bar = output::bar(MECHANISMS.len() as u64 * study.units, "units,");
     let rows = ablation::run(study, &MECHANISMS, &|| bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
-    output::json(request.json, &json!({ "seed": study.seed, "units": study.units, "ablate": rows }))?;
-    let columns = ["without", "bend RMSE", "worst unit", "median to 1°", "95 % to 1°", "never to 1°", "peak to peak"];
+    let result = json!({ "seed": study.seed, "units": study.units, "ablate": rows });
+    output::json(request.json, &result)?;
+    let columns = "without,bend RMSE,worst unit,median to 1°,95 % to 1°,never to 1°,peak to peak";
+    let columns: Vec<&str> = columns.split(',').collect();
     let table = output::table(&columns, 1..columns.len(), rows.iter().map(ablation_row));
-    output::show(&format!("{table}\nclosed loop, {} units, {}\n", study.units, calibration(request)), request.json);
+    let (units, with) = (study.units, calibration(request));
+    output::show(&format!("{table}\nclosed loop, {units} units, {with}\n"), request.json);
     Ok(CommandOutcome::Good)
 }
 
@@ -106,5 +112,8 @@ fn ablation_row(r: &AblationRow) -> Vec<String> {
 }
 
 fn calibration(request: &Request<'_>) -> String {
-    request.calib.map_or("the paper's calibration for every unit".to_owned(), |path| format!("calibration {}", path.display()))
+    match request.calib {
+        Some(path) => format!("calibration {}", path.display()),
+        None => "the paper's calibration for every unit".to_owned(),
+    }
 }

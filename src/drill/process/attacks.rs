@@ -1,9 +1,9 @@
 //! `stop` under attack: it is answered, the tip brakes, and nothing moves until the next `arm`.
 
-use super::Plan;
 use super::attack::Attack::{self, Connect, Flood, Hang, Keep};
 use super::attack::Attackers;
 use super::daemon::{Daemon, WATCHDOG_S, ask, connect, insist, mode_of};
+use super::plan::Plan;
 use crate::drill::row::Row;
 use crate::drill::run::Allowance;
 use crate::service::protocol::Request;

@@ -1,6 +1,6 @@
 //! `kill -9` at random instants while a child works with the memory, and damage to the memory afterwards.
 
-use super::Plan;
+use super::plan::Plan;
 use super::restart::distance;
 use crate::drill::bench::{Bench, BenchConfig, FaultyMachine};
 use crate::drill::row::Row;

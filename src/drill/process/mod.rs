@@ -8,34 +8,18 @@ pub mod daemon;
 mod disk;
 mod hang;
 mod kills;
+mod plan;
 mod restart;
 
 pub use attacks::rows as attacks;
 pub use daemon::Daemon;
 pub use disk::{Harm, exercise};
 pub use kills::rows as kills;
+pub use plan::Plan;
 
-use crate::drill::bench::BenchConfig;
 use crate::drill::row::Row;
 use std::io;
 use std::path::Path;
-
-/// What the rows about the process need.
-#[derive(Clone, Copy)]
-pub struct Plan<'a> {
-    /// The simulated machine.
-    pub config: &'a BenchConfig,
-    /// This program.
-    pub program: &'a Path,
-    /// An empty folder.
-    pub scratch: &'a Path,
-    /// Kills of the process.
-    pub kills: u32,
-    /// Stops under each attack.
-    pub tries: u32,
-    /// Whether a row is wanted.
-    pub selected: &'a dyn Fn(&str) -> bool,
-}
 
 /// The selected rows about the process.
 ///

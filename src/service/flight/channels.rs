@@ -7,13 +7,15 @@ use serde_json::{Map, Value, json};
 
 /// Topics, the names of their schemas, and the fields of the status that they show, at most [`RATE_HZ`] times a second and only
 /// when one has changed.
-const SHOWN: [(&str, &str, &[&str]); 5] = [
-    ("/angles", "retroflex.Angles", &["target", "setpoint", "estimate", "sigma_deg", "length_mm"]),
-    ("/pistons", "retroflex.Pistons", &["piston_mm", "pressure_kpa"]),
-    ("/gains", "retroflex.Gains", &["k_epsilon", "k_lambda_mm", "lag_s", "delay_s", "integral_s"]),
-    ("/mode", "retroflex.Mode", &["mode", "energised", "at_rest", "blocked", "shortfall", "hunting"]),
-    ("/faults", "retroflex.Faults", &["latched", "fault", "suspicion", "sensor", "alarm", "emergency_stop", "base", "unverified"]),
+const SHOWN: [(&str, &str, &str); 5] = [
+    ("/angles", "retroflex.Angles", "target setpoint estimate sigma_deg length_mm"),
+    ("/pistons", "retroflex.Pistons", "piston_mm pressure_kpa"),
+    ("/gains", "retroflex.Gains", "k_epsilon k_lambda_mm lag_s delay_s integral_s"),
+    ("/mode", "retroflex.Mode", MODE),
+    ("/faults", "retroflex.Faults", FAULTS),
 ];
+const MODE: &str = "mode energised at_rest blocked shortfall hunting";
+const FAULTS: &str = "latched fault suspicion sensor alarm emergency_stop base unverified";
 
 /// Highest rate of a channel.
 pub const RATE_HZ: f64 = 200.0;
@@ -34,8 +36,8 @@ impl Channels {
         status["sensor"] = status["sensor"]["active"].take();
         let mut all = Vec::new();
         for ((topic, schema, keys), shown) in SHOWN.iter().zip(&mut self.shown) {
-            let value: Map<String, Value> = keys.iter().map(|key| ((*key).to_owned(), status[*key].clone())).collect();
-            let value = Value::Object(value);
+            let fields = keys.split(' ').map(|key| (key.to_owned(), status[key].clone()));
+            let value = Value::Object(fields.collect());
             if *shown != value {
                 shown.clone_from(&value);
                 all.push((*topic, *schema, value));

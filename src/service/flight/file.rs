@@ -2,7 +2,7 @@
 
 use crate::service::flight::channels::{Channels, RATE_HZ, schema};
 use crate::service::flight::cycle::{Cycle, encode};
-use crate::service::flight::start::{Event, Logged, hash};
+use crate::service::flight::start::{Event, Logged};
 use mcap::records::Metadata;
 use mcap::{Attachment, Channel, McapResult, Message, Schema, WriteOptions, Writer};
 use serde_json::{Value, json};
@@ -72,11 +72,15 @@ impl FlightFile {
         let Logged { number, events, output } = logged;
         let t_s = output.sensed.t.0;
         let unix_ns = self.unix_ns(t_s);
-        if *number != self.first + self.cycles.len() as u64 || !events.is_empty() || self.cycles.len() >= CYCLES_MAX {
+        let waiting = self.cycles.len();
+        let follows = *number == self.first + waiting as u64;
+        if !follows || !events.is_empty() || waiting >= CYCLES_MAX {
             self.close_message()?;
             self.first = *number;
         }
-        events.iter().try_for_each(|event| self.event(&event.at(*number), unix_ns))?;
+        for event in events {
+            self.event(&event.at(*number), unix_ns)?;
+        }
         if t_s - self.shown_s > 0.98 / RATE_HZ {
             self.shown_s = t_s;
             for (topic, name, value) in self.shown.messages(output, unix_ns, self.step_mm) {
@@ -94,13 +98,23 @@ impl FlightFile {
     pub fn event(&mut self, event: &Event, unix_ns: u64) -> McapResult<()> {
         if let Event::Start(header) = event {
             self.step_mm = header.machine.step_mm;
-            let hashes = header.named_texts().map(|(name, text)| (format!("{name} hash"), hash([text])));
-            let facts = [("version", &header.program), ("machine", &header.machine.name), ("configuration hash", &header.config_hash)];
-            let metadata = facts.map(|(name, fact)| (name.to_owned(), fact.clone())).into_iter().chain(hashes).collect();
-            self.writer.write_metadata(&Metadata { name: "retroflex".to_owned(), metadata })?;
-            for (name, text) in header.named_texts().chain([("version.txt", header.program.as_str())]) {
-                let (name, media_type, data) = (name.to_owned(), "text/plain".to_owned(), text.as_bytes().into());
-                self.writer.attach(&Attachment { log_time: unix_ns, create_time: unix_ns, name, media_type, data })?;
+            let mut metadata = header.hashes();
+            for (name, fact) in
+                [("version", &header.program), ("machine", &header.machine.name), ("configuration hash", &header.config_hash)]
+            {
+                metadata.insert(name.to_owned(), fact.clone());
+            }
+            let name = "retroflex".to_owned();
+            self.writer.write_metadata(&Metadata { name, metadata })?;
+            let version = ("version.txt", header.program.as_str());
+            for (name, text) in header.named_texts().chain([version]) {
+                self.writer.attach(&Attachment {
+                    log_time: unix_ns,
+                    create_time: unix_ns,
+                    name: name.to_owned(),
+                    media_type: "text/plain".to_owned(),
+                    data: text.as_bytes().into(),
+                })?;
             }
         }
         self.put_json(TOPICS[1], "retroflex.Event", unix_ns, &json!(event))
@@ -115,7 +129,8 @@ impl FlightFile {
     }
 
     fn put_json(&mut self, topic: &'static str, name: &str, unix_ns: u64, value: &Value) -> McapResult<()> {
-        self.put(topic, || [name, "jsonschema", &schema(value).to_string(), "json"].map(str::to_owned), unix_ns, value.to_string().into())
+        let channel = || [name, "jsonschema", &schema(value).to_string(), "json"].map(str::to_owned);
+        self.put(topic, channel, unix_ns, value.to_string().into())
     }
 
     /// `channel` is name, encoding and text of the schema, and the encoding of the messages.
@@ -123,8 +138,10 @@ impl FlightFile {
         let id = self.channels.len() as u16 + 1;
         let channel = self.channels.entry(topic).or_insert_with(|| {
             let [name, encoding, text, message_encoding] = channel();
-            let schema = Some(Arc::new(Schema { id, name, encoding, data: text.into_bytes().into() }));
-            Arc::new(Channel { id, topic: topic.to_owned(), schema, message_encoding, metadata: BTreeMap::new() })
+            let data = text.into_bytes().into();
+            let schema = Some(Arc::new(Schema { id, name, encoding, data }));
+            let (topic, metadata) = (topic.to_owned(), BTreeMap::new());
+            Arc::new(Channel { id, topic, schema, message_encoding, metadata })
         });
         let channel = Arc::clone(channel);
         self.writer.write(&Message { channel, sequence: 0, log_time: unix_ns, publish_time: unix_ns, data: data.into() })
@@ -140,7 +157,8 @@ impl FlightFile {
         let message = encode(self.first, &self.cycles).map_err(io::Error::other)?;
         self.first += self.cycles.len() as u64;
         self.cycles.clear();
-        self.put(TOPICS[0], || ["retroflex.Cycles", "postcard", LAYOUT, "postcard"].map(str::to_owned), unix_ns, message)
+        let channel = || ["retroflex.Cycles", "postcard", LAYOUT, "postcard"].map(str::to_owned);
+        self.put(TOPICS[0], channel, unix_ns, message)
     }
 
     /// Closes the chunk: everything so far can be read whatever happens to the program; with `sync` also whatever happens to
@@ -151,7 +169,10 @@ impl FlightFile {
     pub fn flush(&mut self, sync: bool) -> McapResult<()> {
         self.close_message()?;
         self.writer.flush()?;
-        if sync { Ok(self.file.sync_data()?) } else { Ok(()) }
+        if sync {
+            self.file.sync_data()?;
+        }
+        Ok(())
     }
 
     /// Writes the summary and waits for the disk.

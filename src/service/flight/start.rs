@@ -8,6 +8,7 @@ use crate::service::flight::cycle::fnv;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::machine::MachineInfo;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Names of the texts of a [`Header`].
@@ -43,6 +44,13 @@ pub struct Header {
 }
 
 impl Header {
+    /// Hash of each configuration text, by its name.
+    #[must_use]
+    pub fn hashes(&self) -> BTreeMap<String, String> {
+        let texts = self.named_texts();
+        texts.map(|(name, text)| (format!("{name} hash"), hash([text]))).collect()
+    }
+
     /// The configuration texts by name.
     pub fn named_texts(&self) -> impl Iterator<Item = (&'static str, &str)> {
         TEXTS.into_iter().zip(self.texts.iter().map(String::as_str))

@@ -24,9 +24,11 @@ impl Hub {
         // no more than are there now: a hub that is late still answers commands
         let waiting = self.io.rings.frames.slots();
         for _ in 0..waiting {
-            let Ok(LoopFrame { number, changes, output }) = self.io.rings.frames.pop() else { break };
+            let Ok(frame) = self.io.rings.frames.pop() else { break };
+            let LoopFrame { number, changes, output } = frame;
             let due = self.changes.partition_point(|(change, _)| *change <= changes);
-            let logged = Logged { number, events: self.changes.drain(..due).map(|(_, event)| event).collect(), output };
+            let events = self.changes.drain(..due).map(|(_, event)| event).collect();
+            let logged = Logged { number, events, output };
             self.process(&logged, waiting <= FRAMES_SENT_MAX);
             self.last = Some(logged.output);
         }
@@ -71,12 +73,13 @@ impl Hub {
 
     fn give_up_late_answers(&mut self) {
         let late = |p: &Pending| p.caller.since.elapsed().as_secs_f64() > ANSWER_MAX_S;
-        let ids: Vec<u64> = self.pending.iter().filter(|(_, p)| late(p)).map(|(id, _)| *id).collect();
-        for pending in ids.iter().filter_map(|id| self.pending.remove(id)).collect::<Vec<_>>() {
+        let late: Vec<_> = self.pending.extract_if(|_, p| late(p)).collect();
+        for (_, pending) in late {
             if pending.held.is_some() {
                 self.refuse_held(&pending, "the disk does not respond; try again in a moment");
             } else {
-                self.reply(&pending.caller, &Err(Failure { code: 3, message: "the loop does not respond".to_owned() }));
+                let (code, message) = (3, "the loop does not respond".to_owned());
+                self.reply(&pending.caller, &Err(Failure { code, message }));
             }
         }
     }
@@ -117,10 +120,11 @@ impl Hub {
         let mut line = None;
         for s in self.subscriptions.iter_mut().filter(|s| t >= s.next_s) {
             // on average the rate is exact even if it does not divide that of the loop
-            s.next_s = if s.next_s + s.period_s > t { s.next_s + s.period_s } else { t + s.period_s };
-            let line = line.get_or_insert_with(|| status::frame_line(output, self.config.supervisor.gate.step_mm));
-            let port = if s.client % 2 == 1 { &self.io.control } else { &self.io.status };
-            port.send(s.client, line.clone());
+            let next_s = s.next_s + s.period_s;
+            s.next_s = if next_s > t { next_s } else { t + s.period_s };
+            let step_mm = self.config.supervisor.gate.step_mm;
+            let line = line.get_or_insert_with(|| status::frame_line(output, step_mm));
+            self.io.port(s.client).send(s.client, line.clone());
         }
         if line.is_some() {
             self.io.control.wake();
@@ -138,9 +142,10 @@ impl Hub {
         }
         if let Some(cause) = output.tripped {
             let suspicion = output.suspicion.map_or_else(String::new, |s| format!("; {s}"));
-            let (cause, message) = (status::trip_name(cause), status::trip_message(cause).to_owned() + &suspicion);
+            let message = status::trip_message(cause).to_owned() + &suspicion;
+            let (cause, unix_s) = (status::trip_name(cause), unix_s());
             tracing::error!(event = "fault", cause, steps = ?output.steps.0, config = %config, "{message}");
-            self.memory.record_fault(RecordedFault { unix_s: unix_s(), cause, message });
+            self.memory.record_fault(RecordedFault { unix_s, cause, message });
             self.persistence.write_soon();
         }
         if output.suspects
@@ -154,7 +159,8 @@ impl Hub {
         if !output.raised.is_empty()
             && let Some(hidden) = self.log_limit.admit("sensor")
         {
-            let advice = output.raised.iter().map(|c| c.advice()).collect::<Vec<_>>().join("; ");
+            let advice: Vec<&str> = output.raised.iter().map(|c| c.advice()).collect();
+            let advice = advice.join("; ");
             tracing::warn!(event = "sensor", causes = %output.raised, hidden, config = %config, "{advice}");
         }
     }
@@ -203,9 +209,12 @@ impl Hub {
     /// Sends a changed STATUS line to the service manager, at most once a second.
     pub(super) fn notify_manager(&mut self) {
         let Some(last) = &self.last else { return };
-        let pose = |b: &crate::model::bend::Bend| format!(", {:.1}° at {:.0}°", b.beta().to_degrees(), b.delta().to_degrees());
-        let estimate = last.frame.estimate.map_or_else(String::new, |x| pose(&x.bend));
-        let fault = last.latched.map_or_else(String::new, |c| format!(": {}", status::trip_message(c)));
+        let estimate = last.frame.estimate.map_or_else(String::new, |x| {
+            let (bend, dir) = (x.bend.beta().to_degrees(), x.bend.delta().to_degrees());
+            format!(", {bend:.1}° at {dir:.0}°")
+        });
+        let fault = last.latched.map(status::trip_message);
+        let fault = fault.map_or_else(String::new, |message| format!(": {message}"));
         let line = format!("STATUS={}{estimate}{fault}", last.mode);
         let (sent, when) = &self.last_status;
         if *sent != line && when.elapsed() > Duration::from_secs(1) {

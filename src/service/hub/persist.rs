@@ -6,6 +6,7 @@ use crate::service::protocol::Failure;
 use crate::service::state_writer::Completed;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 /// Longest time between two checkpoints.
@@ -94,9 +95,9 @@ impl Hub {
         if self.persistence.arming == Some(write) {
             self.persistence.arming = None;
         }
-        let mut held: Vec<u64> = self.pending.iter().filter(|(_, p)| p.held == Some(write)).map(|(id, _)| *id).collect();
-        held.sort_unstable();
-        for pending in held.iter().filter_map(|id| self.pending.remove(id)).collect::<Vec<_>>() {
+        let held = self.pending.extract_if(|_, p| p.held == Some(write));
+        let held: BTreeMap<u64, Pending> = held.collect();
+        for pending in held.into_values() {
             match &error {
                 None => {
                     match pending.order {

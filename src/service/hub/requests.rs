@@ -5,14 +5,14 @@ use crate::config::gains::Gains;
 use crate::config::source;
 use crate::control::tick::Command;
 use crate::model::bend::Bend;
-use crate::model::transmission::Line;
 use crate::primitives::units::Mm;
 use crate::service::calibrate::{Found, Session};
 use crate::service::flight::start::Event;
 use crate::service::port::Incoming;
 use crate::service::protocol::{CalibrateAction, Failure, Request};
 use crate::service::rt_loop::Message;
-use crate::service::start::with_gains;
+use crate::service::start::{RunConfig, with_gains};
+use crate::supervisor::cycle::SupervisorConfig;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
@@ -31,7 +31,8 @@ impl Hub {
         let reply = match request {
             Err(failure) => {
                 if let Some(hidden) = self.log_limit.admit("invalid") {
-                    tracing::warn!(event = "invalid_request", client, hidden, "{}", failure.message);
+                    let why = &failure.message;
+                    tracing::warn!(event = "invalid_request", client, hidden, "{why}");
                 }
                 Some(Err(failure))
             }
@@ -51,19 +52,21 @@ impl Hub {
             self.reply(&caller, &reply);
         }
         if close {
-            self.port(client).close(client);
+            self.io.port(client).close(client);
         }
     }
 
     fn read_request(&mut self, caller: &Caller, request: &Request) -> Reply {
         let Request::Subscribe { rate_hz } = *request else { return Some(Ok(self.cached_status())) };
         if !(0.1..=1000.0).contains(&rate_hz) {
-            return Some(Err(Failure::bad(format!("rate_hz {rate_hz} is outside 0.1 to 1000"))));
+            let why = format!("rate_hz {rate_hz} is outside 0.1 to 1000");
+            return Some(Err(Failure::bad(why)));
         }
         // the reply precedes the first frame
         self.reply(caller, &Ok(json!({})));
         self.subscriptions.retain(|s| s.client != caller.client);
-        self.subscriptions.push(Subscription { client: caller.client, period_s: 1.0 / rate_hz, next_s: f64::NEG_INFINITY });
+        let (client, period_s, next_s) = (caller.client, 1.0 / rate_hz, f64::NEG_INFINITY);
+        self.subscriptions.push(Subscription { client, period_s, next_s });
         None
     }
 
@@ -104,34 +107,43 @@ impl Hub {
         let Some(path) = self.config.gains.clone() else {
             return refuse("no gains file was given; start the service with `retroflex run --gains FILE`");
         };
-        let gains = source::read(&path).map_err(|e| Failure::bad(format!("{e}; the present gains stay in use")));
-        Some(gains.and_then(|gains| self.apply(&gains)))
+        Some(match source::read(&path) {
+            Ok(gains) => self.apply(&gains),
+            Err(e) => Err(Failure::bad(format!("{e}; the present gains stay in use"))),
+        })
     }
 
     fn apply(&mut self, gains: &Gains) -> Result<Value, Failure> {
-        let next = with_gains(&self.config.supervisor, &self.config.board, &self.config.calibration, gains);
-        self.io.rings.orders.push(Message::Reload(Box::new(next.clone()))).map_err(|_| too_many())?;
-        let text = crate::config::show::compact(gains);
-        self.note_change(Event::Reload { gains: text.clone(), lines: next.tick.lines });
+        let RunConfig { supervisor, board, calibration, .. } = &self.config;
+        let next = with_gains(supervisor, board, calibration, gains);
+        let message = Message::Reload(Box::new(next.clone()));
+        self.io.rings.orders.push(message).map_err(|_| too_many())?;
+        let (text, lines) = (crate::config::show::compact(gains), next.tick.lines);
+        let gains = text.clone();
+        self.note_change(Event::Reload { gains, lines });
         self.config.supervisor = next;
         self.config.texts[1] = text;
         Ok(json!({"gains": self.config.gains}))
     }
 
     fn calibrate(&mut self, action: CalibrateAction, caller: &Caller) -> Reply {
-        let (geometry, step_mm) = (self.config.supervisor.tick.geometry, self.config.supervisor.gate.step_mm);
+        let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
+        let (geometry, step_mm, prior) = (tick.geometry, gate.step_mm, self.config.calibration.prior());
         let session = match action {
             CalibrateAction::Discard => {
-                let discarded = self.memory.proposed.take().is_some();
-                return if discarded { Some(Ok(json!({}))) } else { refuse("there is no proposed calibration to discard") };
+                return match self.memory.proposed.take() {
+                    Some(_) => Some(Ok(json!({}))),
+                    None => refuse("there is no proposed calibration to discard"),
+                };
             }
             CalibrateAction::Accept => return self.accept(caller),
             _ if self.calibration.is_some() => return refuse("a calibration is already running"),
             CalibrateAction::Full => Session::full(geometry, step_mm, self.in_use()),
-            CalibrateAction::Short => Session::short(geometry, step_mm, self.config.calibration.prior(), self.in_use()),
+            CalibrateAction::Short => Session::short(geometry, step_mm, prior, self.in_use()),
         };
         if self.mode() != Mode::Holding {
-            return refuse(format!("not while {}: `retroflex arm` first and wait until the tip holds", self.mode()));
+            let mode = self.mode();
+            return refuse(format!("not while {mode}: `retroflex arm` first and wait until the tip holds"));
         }
         self.calibration = Some(session);
         self.calibration_failed = None;
@@ -142,9 +154,13 @@ impl Hub {
     /// The transmission parameters in use.
     fn in_use(&self) -> Found {
         let tick = &self.config.supervisor.tick;
-        let k_epsilon = self.last.as_ref().map_or(tick.lines.map(|l| l.k_epsilon), |t| t.frame.k_epsilon);
-        let lines = std::array::from_fn(|i| Line { k_epsilon: k_epsilon[i], ..tick.lines[i] });
-        Found { lines, dynamics: tick.dynamics }
+        let (mut lines, dynamics) = (tick.lines, tick.dynamics);
+        if let Some(last) = &self.last {
+            for (line, k_epsilon) in lines.iter_mut().zip(last.frame.k_epsilon) {
+                line.k_epsilon = k_epsilon;
+            }
+        }
+        Found { lines, dynamics }
     }
 
     fn accept(&mut self, caller: &Caller) -> Reply {

@@ -38,6 +38,13 @@ pub struct HubIo {
     pub shared: Arc<Shared>,
 }
 
+impl HubIo {
+    /// The socket of a client: those of the command socket have odd numbers.
+    pub(super) fn port(&self, client: u64) -> &Port {
+        if client % 2 == 1 { &self.control } else { &self.status }
+    }
+}
+
 /// What is known since the start, for the status.
 pub struct Facts {
     /// Remarks of the machine about itself, name first.
@@ -220,12 +227,7 @@ impl Hub {
     }
 
     pub(super) fn reply(&mut self, to: &Caller, reply: &Result<Value, Failure>) {
-        self.port(to.client).reply(to.client, reply_line(&to.id, reply));
-    }
-
-    /// The socket of a client: those of the command socket have odd numbers.
-    pub(super) fn port(&self, client: u64) -> &Port {
-        if client % 2 == 1 { &self.io.control } else { &self.io.status }
+        self.io.port(to.client).reply(to.client, reply_line(&to.id, reply));
     }
 
     pub(super) fn mode(&self) -> Mode {

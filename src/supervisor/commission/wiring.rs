@@ -59,20 +59,24 @@ impl Wiring {
             let _ = write!(text, "motor {} turns in the wrong direction; ", i + 1);
         }
         if self.turned_rad.abs() >= TURN_SMALL_RAD {
-            let _ = write!(text, "the sensor is turned by {:.0}° about the tip axis; ", self.turned_rad.to_degrees());
+            let deg = self.turned_rad.to_degrees();
+            let _ = write!(text, "the sensor is turned by {deg:.0}° about the tip axis; ");
         }
         text.trim_end_matches("; ").to_owned()
     }
 }
 
+/// A bend of the tip for each channel, rad.
+type Bends = [Vector2<f64>; 3];
+
 /// The simplest wiring that explains the responses, and others that fit equally well; `None` if none fits.
 #[must_use]
-pub fn identify(answers: &[Vector2<f64>; 3], expected: &[Vector2<f64>; 3]) -> Option<(Wiring, Vec<Wiring>)> {
-    let mut all: Vec<Wiring> = ORDERS
-        .iter()
-        .flat_map(|order| (0..8).map(move |bits| (*order, [0, 1, 2].map(|i| bits >> i & 1 == 1))))
-        .map(|(reaches, inverted)| fit(answers, expected, reaches, inverted))
-        .collect();
+pub fn identify(answers: &Bends, expected: &Bends) -> Option<(Wiring, Vec<Wiring>)> {
+    let mut all = Vec::new();
+    for reaches in ORDERS {
+        let inverted = (0..8).map(|bits| [0, 1, 2].map(|i| bits >> i & 1 == 1));
+        all.extend(inverted.map(|inverted| fit(answers, expected, reaches, inverted)));
+    }
     let best = all.iter().map(|w| w.residual_rad).fold(f64::MAX, f64::min);
     if best.is_nan() || best > RESIDUAL_MAX_RAD {
         return None;
@@ -80,11 +84,12 @@ pub fn identify(answers: &[Vector2<f64>; 3], expected: &[Vector2<f64>; 3]) -> Op
     all.retain(|w| w.residual_rad <= best + ALIKE_RAD);
     all.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
     let simplest = all.remove(0);
-    let others = all.into_iter().filter(|w| w.cost() <= simplest.cost() + 1.6).take(3).collect();
-    Some((simplest, others))
+    all.retain(|w| w.cost() <= simplest.cost() + 1.6);
+    all.truncate(3);
+    Some((simplest, all))
 }
 
-fn fit(answers: &[Vector2<f64>; 3], expected: &[Vector2<f64>; 3], reaches: [usize; 3], inverted: [bool; 3]) -> Wiring {
+fn fit(answers: &Bends, expected: &Bends, reaches: [usize; 3], inverted: [bool; 3]) -> Wiring {
     let pairs = [0, 1, 2].map(|i| {
         let e = expected[reaches[i]].normalize();
         (answers[i].normalize(), if inverted[i] { -e } else { e })
@@ -93,8 +98,9 @@ fn fit(answers: &[Vector2<f64>; 3], expected: &[Vector2<f64>; 3], reaches: [usiz
     let (dot, cross) = pairs.iter().fold((0.0, 0.0), |(d, c), (a, e)| (d + e.dot(a), c + e.perp(a)));
     let turned_rad = cross.atan2(dot);
     let turn = Rotation2::new(turned_rad);
-    let square = pairs.iter().map(|(a, e)| (turn * e).angle(a).powi(2)).sum::<f64>() / 3.0;
-    Wiring { reaches, inverted, turned_rad, residual_rad: square.sqrt() }
+    let squares = pairs.iter().map(|(a, e)| (turn * e).angle(a).powi(2));
+    let residual_rad = (squares.sum::<f64>() / 3.0).sqrt();
+    Wiring { reaches, inverted, turned_rad, residual_rad }
 }
 
 #[cfg(test)]
