@@ -162,10 +162,7 @@ pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     let facts = Facts { remarks, grants, damaged: recall.damaged, belief };
     let ended = Hub::new(io, config, memory, facts).run(record);
     shared.quit();
-    match thread.join() {
-        Ok(result) => result?,
-        Err(_) => return Err(ServiceError::LoopPanicked),
-    }
+    thread.join().map_err(|_| ServiceError::LoopPanicked)??;
     ended?.into_iter().for_each(Port::join);
     // a thread that panicked has nothing left to do
     let _ = stop.join();
