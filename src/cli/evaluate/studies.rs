@@ -34,10 +34,7 @@ pub(super) struct Request<'a> {
 /// # Errors
 /// A report about the input or the plant.
 pub(super) fn run(request: &Request<'_>, section: &PlantSection, board: &Board, gains: &Gains) -> Result<CommandOutcome> {
-    let (units, run): (u64, fn(&Request<'_>, &Study) -> Result<CommandOutcome>) = match request.sweep {
-        true => (SWEEP_UNITS, run_sweep),
-        false => (ABLATION_UNITS, run_ablation),
-    };
+    let units = if request.sweep { SWEEP_UNITS } else { ABLATION_UNITS };
     let study = Study {
         config: assemble(board, &inputs::calibration(request.calib)?, gains),
         make: section.make(),
@@ -45,7 +42,10 @@ pub(super) fn run(request: &Request<'_>, section: &PlantSection, board: &Board, 
         seed: request.seed,
         units,
     };
-    run(request, &study)
+    match request.sweep {
+        true => run_sweep(request, &study),
+        false => run_ablation(request, &study),
+    }
 }
 
 fn run_sweep(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
