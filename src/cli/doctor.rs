@@ -159,7 +159,7 @@ fn devices(board: &Board) -> Vec<Finding> {
         let Some(config) = sensor else { continue };
         findings.push(match Sensor::start(config) {
             Ok(s) => {
-                let i = s.identity();
+                let i = s.identity;
                 Finding::pass(what, format!("{} at {:#04x}, {:.0} Hz", i.inertial.part, i.inertial.address, i.rate_hz))
             }
             Err(e) => Finding::fail(what, e.to_string(), "check connector, supply, address and part; see [imu] in the board file"),
