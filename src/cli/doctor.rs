@@ -167,8 +167,8 @@ fn devices(board: &Board) -> Vec<Finding> {
         let Some(config) = sensor else { continue };
         findings.push(match Sensor::start(config) {
             Ok(s) => {
-                let (chip, rate_hz) = (s.identity().inertial, s.identity().rate_hz);
-                let found = format!("{} at {:#04x}, {rate_hz:.0} Hz", chip.part, chip.address);
+                let i = s.identity;
+                let found = format!("{} at {:#04x}, {:.0} Hz", i.inertial.part, i.inertial.address, i.rate_hz);
                 Finding::pass(what, found)
             }
             Err(e) => {

@@ -17,6 +17,7 @@ use crate::simulation::plant::effects::Effects;
 use crate::simulation::plant::imu::chip::ImuConfig;
 use crate::simulation::plant::spread::Spread;
 use crate::supervisor::gate::SafeState;
+use crate::supervisor::machine::MachineInfo;
 use serde::{Deserialize, Serialize};
 
 parameters! {
@@ -148,10 +149,12 @@ impl Board {
             SafeState::Hold | SafeState::Relax => EmergencyStop::Hold,
         };
         Some(MachineConfig {
-            name: self.machine.name.clone(),
-            period_s: self.machine.period_s,
-            rest_length_mm: self.geometry.rest_length_mm,
-            step_mm: self.drive.law().step_mm,
+            info: MachineInfo {
+                name: self.machine.name.clone(),
+                period_s: self.machine.period_s,
+                step_mm: self.drive.law().step_mm,
+                rest_length_mm: self.geometry.rest_length_mm,
+            },
             microsteps: self.drive.microsteps,
             pins: self.pins.clone()?,
             stepper: self.stepper,

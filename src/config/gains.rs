@@ -22,9 +22,9 @@ parameters! {
         /// Backlash compensation.
         backlash: BacklashSection;
         /// The standstill latch.
-        standstill: StandstillSection;
+        standstill: StandstillConfig;
         /// Obstruction detection.
-        obstruction: ObstructionSection;
+        obstruction: ObstructionConfig;
         /// Online refinement of the extension gains.
         refine: RefineConfig;
         /// Orientation estimation.
@@ -92,36 +92,6 @@ parameters! {
     }
 }
 
-parameters! {
-    /// The standstill latch: the pistons stand while the error is small.
-    pub struct StandstillSection: Copy {
-        /// The latch closes when the error is below this angle. A larger value stops sooner and less exactly.
-        close_deg: f64 = 0.15, "deg", 0.0..=10.0, "0.15 is three times the noise of the estimate";
-        /// Time for which the error must stay below `close_deg`. A larger value waits for a tip that swings through.
-        close_after_s: f64 = 0.05, "s", 0.0..=5.0, "0.05 outlasts a tip that swings through";
-        /// The latch opens when the error is above this angle. A larger value tolerates more creep before a correction.
-        open_deg: f64 = 0.3, "deg", 0.0..=20.0, "twice close_deg";
-        /// Time constant that smooths the error for the latch. A larger value ignores more noise and reacts later.
-        smooth_s: f64 = 0.04, "s", 0.001..=5.0, "0.04 averages 20 samples at 500 Hz";
-    }
-}
-
-parameters! {
-    /// Obstruction detection: a tip that does not follow its pistons.
-    pub struct ObstructionSection: Copy {
-        /// Feedback that is added at a constant set-point before a tip that does not follow counts as obstructed. A larger
-        /// value pushes harder against an obstacle.
-        push_deg: f64 = 10.0, "deg", 0.5..=90.0, "10 is more than a reversal of the backlash needs";
-        /// Smallest fraction of that feedback that a free tip follows. A larger value takes a soft line for an obstacle.
-        follow_min: f64 = 0.2, "", 0.0..=0.9, "with one line pinched a tip still follows a third";
-        /// Error below which no obstruction is reported. A larger value hides obstacles that cost little.
-        error_deg: f64 = 1.0, "deg", 0.05..=45.0, "1 is the error that matters";
-        /// Pressure with which an obstructed tip is pressed, beyond that which its bend needs. A larger value presses harder
-        /// on what the tip touches.
-        press_kpa: f64 = 12.0, "kPa", 0.0..=40.0, "12 is what a free tip needs for about 35°";
-    }
-}
-
 impl Gains {
     /// How the backlash compensation changes sides.
     #[must_use]
@@ -136,7 +106,7 @@ impl Gains {
     /// The outer loop, in radians.
     #[must_use]
     pub fn feedback(&self) -> FeedbackConfig {
-        let (o, r, w) = (&self.outer, &self.standstill, &self.obstruction);
+        let o = &self.outer;
         FeedbackConfig {
             tau_c_s: o.tau_c_s,
             kp_max: o.kp_max,
@@ -144,18 +114,8 @@ impl Gains {
             lead: o.lead,
             learn_dynamics: o.learn_dynamics,
             learn_backlash: o.learn_backlash,
-            standstill: StandstillConfig {
-                close_rad: r.close_deg.to_radians(),
-                close_after_s: r.close_after_s,
-                open_rad: r.open_deg.to_radians(),
-                smooth_s: r.smooth_s,
-            },
-            obstruction: ObstructionConfig {
-                push_rad: w.push_deg.to_radians(),
-                follow_min: w.follow_min,
-                error_rad: w.error_deg.to_radians(),
-                press_kpa: w.press_kpa,
-            },
+            standstill: self.standstill,
+            obstruction: self.obstruction,
         }
     }
 }

@@ -3,6 +3,8 @@
 //! A file may build on another: `base = "pi4"` takes everything from that board, and the file states only what
 //! differs. Tables are merged key by key; lists and values replace those of the base.
 
+#![allow(clippy::result_large_err, reason = "an error is made at most once a run, on the way out")]
+
 use crate::config::message::plain;
 use crate::config::place::{key_at, span_of};
 use crate::config::shipped;
@@ -52,7 +54,6 @@ pub enum ConfigError {
 ///
 /// # Errors
 /// [`ConfigError`] with file, line, key, value, accepted range and hint.
-#[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
 pub fn read<T: DeserializeOwned + Check>(path: &Path) -> Result<T, ConfigError> {
     parse(&path.display().to_string(), &text_of(path)?)
 }
@@ -61,7 +62,6 @@ pub fn read<T: DeserializeOwned + Check>(path: &Path) -> Result<T, ConfigError> 
 ///
 /// # Errors
 /// [`ConfigError::Unreadable`].
-#[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
 pub fn text_of(path: &Path) -> Result<String, ConfigError> {
     std::fs::read_to_string(path)
         .map_err(|e| ConfigError::Unreadable { path: path.display().to_string(), problem: why_unreadable(path, &e) })
@@ -71,7 +71,6 @@ pub fn text_of(path: &Path) -> Result<String, ConfigError> {
 ///
 /// # Errors
 /// [`ConfigError::Wrong`].
-#[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
 pub fn parse<T: DeserializeOwned + Check>(name: &str, text: &str) -> Result<T, ConfigError> {
     let layers = layers(name, text)?;
     // each file by itself first, so that an error shows its place
@@ -109,7 +108,6 @@ struct Layer {
 }
 
 impl Layer {
-    #[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
     fn new(name: &str, text: &str) -> Result<Self, ConfigError> {
         let mut layer = Self { name: name.to_owned(), text: text.to_owned(), values: Table::new() };
         layer.values = toml::from_str(text).map_err(|e| {
@@ -150,7 +148,6 @@ const BASES_MAX: usize = 8;
 
 /// The text itself, then the base that it names, then that one's base. `base = "pi4"` names a board that comes with
 /// the program, `base = "mine.toml"` a file beside the one that names it.
-#[allow(clippy::result_large_err, reason = "made at most once a run, on the way out")]
 fn layers(name: &str, text: &str) -> Result<Vec<Layer>, ConfigError> {
     let mut layers = vec![Layer::new(name, text)?];
     while let Some((layer, base)) = layers.last().and_then(|l| Some((l, l.values.get("base")?.as_str()?))) {

@@ -5,19 +5,23 @@
 //! loop reports an obstruction. A new target restarts the detection. So does a tip that moves against the feedback, because a weak
 //! line or an approaching obstacle causes that; whether feedback helps then shows from the new position.
 
+use crate::parameters;
 use nalgebra::Vector2;
 
-/// Thresholds of the detector.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ObstructionConfig {
-    /// Growth of the feedback since the set-point came to rest that is required for a decision, rad.
-    pub push_rad: f64,
-    /// Fraction of that growth by which a free tip follows at least.
-    pub follow_min: f64,
-    /// Error below which no obstruction is reported, rad.
-    pub error_rad: f64,
-    /// Pressure with which an obstructed tip is pressed, beyond that which its bend needs, kPa.
-    pub press_kpa: f64,
+parameters! {
+    /// Obstruction detection: a tip that does not follow its pistons.
+    pub struct ObstructionConfig: Copy {
+        /// Feedback that is added at a constant set-point before a tip that does not follow counts as obstructed. A larger
+        /// value pushes harder against an obstacle.
+        push_deg: f64 = 10.0, "deg", 0.5..=90.0, "10 is more than a reversal of the backlash needs";
+        /// Smallest fraction of that feedback that a free tip follows. A larger value takes a soft line for an obstacle.
+        follow_min: f64 = 0.2, "", 0.0..=0.9, "with one line pinched a tip still follows a third";
+        /// Error below which no obstruction is reported. A larger value hides obstacles that cost little.
+        error_deg: f64 = 1.0, "deg", 0.05..=45.0, "1 is the error that matters";
+        /// Pressure with which an obstructed tip is pressed, beyond that which its bend needs. A larger value presses harder
+        /// on what the tip touches.
+        press_kpa: f64 = 12.0, "kPa", 0.0..=40.0, "12 is what a free tip needs for about 35°";
+    }
 }
 
 /// The detector.
@@ -53,10 +57,10 @@ impl ObstructionDetector {
         let size = push.norm();
         if (estimate - estimate0).dot(&push) < -size * BACK_RAD {
             self.start = Some((*feedback, *estimate));
-        } else if size > config.push_rad && error.norm() > config.error_rad {
+        } else if size > config.push_deg.to_radians() && error.norm() > config.error_deg.to_radians() {
             let followed = (estimate - estimate0).dot(&push) / (size * size);
             self.blocked |= followed < config.follow_min;
-        } else if error.norm() < config.error_rad {
+        } else if error.norm() < config.error_deg.to_radians() {
             self.blocked = false;
         }
     }
@@ -69,7 +73,7 @@ const BACK_RAD: f64 = 0.0035;
 mod tests {
     use super::*;
 
-    const CONFIG: ObstructionConfig = ObstructionConfig { push_rad: 0.14, follow_min: 0.25, error_rad: 0.017, press_kpa: 12.0 };
+    const CONFIG: ObstructionConfig = ObstructionConfig { push_deg: 8.0, follow_min: 0.25, error_deg: 1.0, press_kpa: 12.0 };
 
     fn push(compliance: f64) -> bool {
         let mut s = ObstructionDetector::default();

@@ -4,17 +4,20 @@
 //! closes when the smoothed error has stayed within an inner band for some time, and opens when it leaves an outer band
 //! or the set-point moves. While it is closed, targets and integrator are frozen.
 
-/// Bands of the latch, radians and seconds.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StandstillConfig {
-    /// Error below which the latch closes, rad.
-    pub close_rad: f64,
-    /// Time for which the error must stay below `close_rad`, s.
-    pub close_after_s: f64,
-    /// Error above which the latch opens, rad.
-    pub open_rad: f64,
-    /// Time constant for smoothing the error, s.
-    pub smooth_s: f64,
+use crate::parameters;
+
+parameters! {
+    /// The standstill latch: the pistons stand while the error is small.
+    pub struct StandstillConfig: Copy {
+        /// The latch closes when the error is below this angle. A larger value stops sooner and less exactly.
+        close_deg: f64 = 0.15, "deg", 0.0..=10.0, "0.15 is three times the noise of the estimate";
+        /// Time for which the error must stay below `close_deg`. A larger value waits for a tip that swings through.
+        close_after_s: f64 = 0.05, "s", 0.0..=5.0, "0.05 outlasts a tip that swings through";
+        /// The latch opens when the error is above this angle. A larger value tolerates more creep before a correction.
+        open_deg: f64 = 0.3, "deg", 0.0..=20.0, "twice close_deg";
+        /// Time constant that smooths the error for the latch. A larger value ignores more noise and reacts later.
+        smooth_s: f64 = 0.04, "s", 0.001..=5.0, "0.04 averages 20 samples at 500 Hz";
+    }
 }
 
 /// The latch.
@@ -36,8 +39,9 @@ impl StandstillLatch {
             return;
         }
         let size = self.smoothed.norm();
-        self.inside_s = if size < config.close_rad.max(wider_rad) { self.inside_s + dt_s } else { 0.0 };
-        self.closed = if self.closed { size < config.open_rad + 1.5 * wider_rad } else { self.inside_s >= config.close_after_s };
+        self.inside_s = if size < config.close_deg.to_radians().max(wider_rad) { self.inside_s + dt_s } else { 0.0 };
+        self.closed =
+            if self.closed { size < config.open_deg.to_radians() + 1.5 * wider_rad } else { self.inside_s >= config.close_after_s };
     }
 }
 
@@ -46,7 +50,8 @@ mod tests {
     use super::*;
     use nalgebra::Vector2;
 
-    const CONFIG: StandstillConfig = StandstillConfig { close_rad: 0.002, close_after_s: 0.05, open_rad: 0.005, smooth_s: 0.03 };
+    /// Bands of 0.002 and 0.005 rad.
+    const CONFIG: StandstillConfig = StandstillConfig { close_deg: 0.1146, close_after_s: 0.05, open_deg: 0.2865, smooth_s: 0.03 };
 
     #[test]
     fn closes_inside_the_inner_band_and_opens_outside_the_outer() {

@@ -26,7 +26,7 @@ pub const MECHANISMS: [Mechanism; 8] = [
     ("dynamics bank", |c| feedback(c, |f| f.learn_dynamics = false)),
     ("backlash share", |c| feedback(c, |f| f.learn_backlash = false)),
     // the refinement takes its poses from the latch
-    ("standstill latch, online k_eps", |c| feedback(c, |f| f.standstill.close_rad = 0.0)),
+    ("standstill latch, online k_eps", |c| feedback(c, |f| f.standstill.close_deg = 0.0)),
     ("set-point lead", |c| feedback(c, |f| f.lead = 0.0)),
     ("bend filter (vqf)", |c| c.fuse.filter = EstimatorName::Generic(FilterName::Vqf)),
     ("bend filter (madgwick)", |c| c.fuse.filter = EstimatorName::Generic(FilterName::Madgwick)),

@@ -99,7 +99,7 @@ pub fn run<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<(RtBenc
     };
     let load = Load::start(config.load_threads);
     let mut stepper = Stepper::start(pins, &config.stepper, &motion_config, STEP_MM, EmergencyStop::Release)?;
-    let status = stepper.status().clone();
+    let status = stepper.status.clone();
     let start_ns = monotonic_ns();
     // The loop runs at a lower priority than the step thread, as in the service.
     let request = RtRequest { priority: (config.stepper.priority - 10).max(0), cpu: None };

@@ -88,7 +88,7 @@ impl<P: Pins> Shell<P> {
     fn run(mut self) -> (Summary, P) {
         while self.run_once() {}
         let report = self.core.report(monotonic_ns());
-        let interval_error = *self.core.interval_error();
+        let interval_error = self.core.interval_error;
         (Summary { report, wake: self.wake, interval_error }, self.pins)
     }
 
@@ -169,7 +169,8 @@ pub struct Stepper<P> {
     orders: rtrb::Producer<StepperOrder>,
     reports: rtrb::Consumer<StepperReport>,
     latest: Option<StepperReport>,
-    status: RtStatus,
+    /// What the kernel granted to the thread.
+    pub status: RtStatus,
     pin_error_text: Arc<OnceLock<String>>,
     energised: bool,
     started_ns: u64,
@@ -282,12 +283,6 @@ impl<P> Stepper<P> {
     #[must_use]
     pub fn pin_error(&self) -> Option<&str> {
         self.pin_error_text.get().map(String::as_str)
-    }
-
-    /// What the kernel granted to the thread.
-    #[must_use]
-    pub fn status(&self) -> &RtStatus {
-        &self.status
     }
 
     fn join(&mut self) -> Option<(Summary, P)> {

@@ -9,14 +9,8 @@ use crate::primitives::units::Rad;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// Bend vector `β (cos δ, sin δ)` in radians.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Bend(pub Vector2<f64>);
-
-impl Default for Bend {
-    fn default() -> Self {
-        Self::STRAIGHT
-    }
-}
 
 impl Bend {
     /// The tip at rest.

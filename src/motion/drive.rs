@@ -102,11 +102,12 @@ pub struct Drive<G> {
     rebase: Option<([f64; 3], Option<u32>)>,
     state: DriveState,
     /// The emergency stop has just stopped the step generator.
-    stopped: bool,
+    pub stopped: bool,
     /// Number of underruns, and the times of the last ones, ns, newest last.
     underruns: u32,
     underran_ns: [Option<u64>; UNDERRUNS],
-    starved: bool,
+    /// The queue ran empty during motion several times in close succession, until [`Drive::clear`].
+    pub starved: bool,
 }
 
 impl<G: StepGenerator> Drive<G> {
@@ -236,18 +237,6 @@ impl<G: StepGenerator> Drive<G> {
     #[must_use]
     pub fn state(&self) -> DriveState {
         self.state
-    }
-
-    /// The emergency stop has stopped the step generator since the update before the last, however briefly it was pressed.
-    #[must_use]
-    pub fn has_stopped(&self) -> bool {
-        self.stopped
-    }
-
-    /// The queue ran empty during motion several times in close succession, until [`Drive::clear`].
-    #[must_use]
-    pub fn is_starved(&self) -> bool {
-        self.starved
     }
 
     /// The step generator.

@@ -41,7 +41,7 @@ pub enum EmergencyStop {
 }
 
 /// [`StepperConfig`] in nanoseconds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PulseTiming {
     /// Least time for which STEP is high.
     pub high_ns: u64,

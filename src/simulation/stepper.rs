@@ -1,6 +1,6 @@
 //! The step core in simulated time: its pulses take no time and are never late.
 
-use crate::motion::lines::{EmergencyStop, Inputs, PulseTiming};
+use crate::motion::lines::{Inputs, PulseTiming};
 use crate::motion::pulse::{PulseAction, StepCore};
 use crate::motion::queue::{self, FeedError, Feeder, SyncStatus, TimedSegment};
 use crate::motion::report::{StepperOrder, StepperReport};
@@ -25,17 +25,7 @@ impl SimulatedStepper {
     #[must_use]
     pub fn new(motion: &DriveLimits, step_mm: f64) -> Self {
         let (feeder, segments) = queue::ring(SEGMENTS, (motion.lead_s * 1e9).round() as u64);
-        let timing = PulseTiming {
-            high_ns: 0,
-            low_ns: 0,
-            dir_ns: 0,
-            interval_ns: 0,
-            late_ns: u64::MAX / 4,
-            wake_ns: 0,
-            idle_ns: None,
-            poll_ns: u64::from(u32::MAX),
-            emergency_stop: EmergencyStop::Release,
-        };
+        let timing = PulseTiming { late_ns: u64::MAX / 4, poll_ns: u64::from(u32::MAX), ..PulseTiming::default() };
         let core = StepCore::new(timing, &motion.limits, step_mm);
         Self { feeder, segments, report: core.report(0), core }
     }

@@ -61,14 +61,14 @@ impl Sensed {
                 counted_age_s = (t_ns as i64 - report.complete_ns as i64) as f64 * 1e-9;
             }
         }
-        inputs.emergency_stop |= drive.has_stopped();
+        inputs.emergency_stop |= drive.stopped;
         let alarm = match state {
             DriveState::Faulted(StepperFault::Late { late_ns, .. }) => Some(Alarm::Late { late_s: late_ns as f64 * 1e-9 }),
             DriveState::Faulted(StepperFault::Discontinuity { jump_mm, .. }) => Some(Alarm::Discontinuity { jump_mm }),
             DriveState::Faulted(StepperFault::Pins) => Some(Alarm::Pins),
             DriveState::Dead => Some(Alarm::Dead),
             DriveState::Silent => Some(Alarm::Silent),
-            _ => drive.is_starved().then_some(Alarm::Underrun),
+            _ => drive.starved.then_some(Alarm::Underrun),
         };
         let energised = drive.generator().is_energised();
         Self {

@@ -165,6 +165,6 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
 pub(super) fn monitor_saturation(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, cut: Cut, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
     let outer = &mut state.feedback;
-    let off = !outer.standstill.closed && (state.setpoint.target.bend.0 - estimate.0).norm() > f.obstruction.error_rad;
+    let off = !outer.standstill.closed && (state.setpoint.target.bend.0 - estimate.0).norm() > f.obstruction.error_deg.to_radians();
     outer.saturation.step(moving, off, outer.integral_full, cut, dt_s);
 }

@@ -146,7 +146,7 @@ fn invert_transmission(
         return piston_mm;
     }
     let answer_s = state.dynamics.best.delay_s + 3.0 * state.dynamics.best.lag_s + CROSSING_S;
-    let worth_rad = config.feedback.map_or(0.0, |f| f.standstill.open_rad);
+    let worth_rad = config.feedback.map_or(0.0, |f| f.standstill.open_deg.to_radians());
     let error = state.setpoint.target.bend.0 - estimate.0;
     let increments = backlash.step(reversed, &error, &Patience { answer_s, worth_rad }, dt_s);
     for (side, increment) in lines.sides.iter_mut().zip(increments) {

@@ -56,7 +56,8 @@ pub struct FieldGate {
     shapes: Option<Shapes>,
     agreed_s: f64,
     rejected_s: f64,
-    disturbed: bool,
+    /// True while the field differs from the reference.
+    pub disturbed: bool,
 }
 
 /// The reference field and the candidate that may replace it.
@@ -68,11 +69,6 @@ struct Shapes {
 }
 
 impl FieldGate {
-    /// True while the field differs from the reference.
-    #[must_use]
-    pub fn disturbed(&self) -> bool {
-        self.disturbed
-    }
     /// Takes the field in the world frame (µT), the angular rate (rad/s) and the time since the previous field.
     /// Returns the weight of its heading, 0 to 1. The first field becomes the reference.
     pub fn update(&mut self, field_world: &Vector3<f64>, turning_rad_s: f64, dt_s: f64) -> f64 {
@@ -143,7 +139,7 @@ mod tests {
         for _ in 0..5900 {
             assert_eq!(gate.update(&magnet, 0.0, 0.01), 0.0);
         }
-        assert!(gate.disturbed());
+        assert!(gate.disturbed);
         for _ in 0..200 {
             gate.update(&magnet, 0.0, 0.01);
         }
@@ -165,7 +161,7 @@ mod tests {
             for _ in 0..2500 {
                 gate.update(&room, turning, 0.01);
             }
-            assert_eq!(!gate.disturbed(), accepted, "turning at {turning} rad/s");
+            assert_eq!(!gate.disturbed, accepted, "turning at {turning} rad/s");
         }
     }
 }

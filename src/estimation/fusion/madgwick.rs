@@ -59,7 +59,7 @@ impl Default for MadgwickConfig {
 }
 
 /// The filter and its state.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Madgwick {
     config: MadgwickConfig,
     quat: Option<UnitQuaternion<f64>>,
@@ -78,18 +78,7 @@ impl Madgwick {
     /// A filter that levels itself with the first sample.
     #[must_use]
     pub fn new(config: MadgwickConfig) -> Self {
-        Self {
-            config,
-            quat: None,
-            bias: Vector3::zeros(),
-            rate: Vector3::zeros(),
-            force: None,
-            field: None,
-            field_age_s: 0.0,
-            age_s: 0.0,
-            standstill: StandstillDetector::default(),
-            gate: FieldGate::default(),
-        }
+        Self { config, ..Self::default() }
     }
 
     /// Updates the bias at standstill, and the rate without it.
@@ -207,7 +196,7 @@ impl OrientationFilter for Madgwick {
             levelled: self.quat.is_some(),
             north_found: self.quat.is_some() && self.field.is_some(),
             standstill: self.standstill.standstill(),
-            field_disturbed: self.gate.disturbed(),
+            field_disturbed: self.gate.disturbed,
         }
     }
 }

@@ -46,8 +46,10 @@ pub struct Second {
     average: Average,
     /// Time for which the comparison has contradicted the flag, s.
     changed_s: f64,
-    angle_rad: f64,
-    disagrees: bool,
+    /// Angle at the last comparison, rad.
+    pub angle_rad: f64,
+    /// The two estimators have disagreed for [`SecondConfig::time_s`].
+    pub disagrees: bool,
 }
 
 impl Second {
@@ -100,16 +102,5 @@ impl Second {
         if self.changed_s >= config.time_s {
             (self.disagrees, self.changed_s) = (differs, 0.0);
         }
-    }
-
-    /// The two estimators have disagreed for [`SecondConfig::time_s`].
-    #[must_use]
-    pub fn disagrees(&self) -> bool {
-        self.disagrees
-    }
-    /// Angle at the last comparison, rad.
-    #[must_use]
-    pub fn angle_rad(&self) -> f64 {
-        self.angle_rad
     }
 }

@@ -39,7 +39,8 @@ pub struct ImuRecovery<S: Imu + ?Sized> {
     sensor: Box<S>,
     free_bus: Option<FreeBus>,
     stale: u32,
-    temp_c: Option<f64>,
+    /// Die temperature at the last sample, °C.
+    pub temp_c: Option<f64>,
     failures: u32,
     tried_s: Option<f64>,
     init_error: Option<ImuError>,
@@ -106,12 +107,6 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
             free(delay);
         }
         self.sensor.init(delay)
-    }
-
-    /// Die temperature at the last sample, °C.
-    #[must_use]
-    pub fn temp_c(&self) -> Option<f64> {
-        self.temp_c
     }
 
     /// Number of initialisations by [`Self::read`].
@@ -225,9 +220,9 @@ mod tests {
     #[test]
     fn the_die_temperature_follows_the_chip() {
         let (bus, mut imu) = recovering();
-        assert_eq!(imu.temp_c(), None);
+        assert_eq!(imu.temp_c, None);
         bus.machine().set_motion(&crate::hardware::imu::fake::Motion { temp_c: 38.5, ..Default::default() });
         read_for(&bus, &mut imu, 0.0, 0.1);
-        assert!((imu.temp_c().unwrap() - 38.5).abs() < 0.01);
+        assert!((imu.temp_c.unwrap() - 38.5).abs() < 0.01);
     }
 }

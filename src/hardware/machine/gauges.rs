@@ -122,13 +122,11 @@ fn start_pressures(config: &PressureSection) -> Result<(rtrb::Consumer<Pressures
     // if the bus refuses a limit, the age of the readings is one
     let _ = crate::hardware::imu::linux::bound_transfers(&open_bus(&config.bus)?);
     let path = || config.bus.clone();
-    let open = |channel| {
+    let open = |channel| -> Result<_, HardwareError> {
         let bus = linux_embedded_hal::I2cdev::new(&config.bus).map_err(|e| HardwareError::Bus { path: path(), why: e.to_string() })?;
         Ok(PressureSensor::new(bus, config, channel))
     };
-    let sensors: [Result<_, HardwareError>; 3] = [open(0), open(1), open(2)];
-    let [first, second, third] = sensors;
-    watch([first?, second?, third?], &config.bus)
+    watch([open(0)?, open(1)?, open(2)?], &config.bus)
 }
 
 #[cfg(not(feature = "hw"))]

@@ -17,14 +17,8 @@ use crate::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};
 /// Configuration of a machine made of hardware.
 #[derive(Debug, Clone)]
 pub struct MachineConfig {
-    /// Name for reports.
-    pub name: String,
-    /// Period of the loop, s.
-    pub period_s: f64,
-    /// Bellow length at rest, mm.
-    pub rest_length_mm: f64,
-    /// Piston travel per microstep, mm.
-    pub step_mm: f64,
+    /// Name, loop period, microstep and rest length.
+    pub info: MachineInfo,
     /// Microsteps per full step.
     pub microsteps: u32,
     /// Wiring.
@@ -68,16 +62,10 @@ impl Hardware {
         let gauges = GaugeWatch::start(&config.gauges)?;
         let pins = pins::open(&config.pins, config.microsteps)?;
         let limits = MotionLimits::try_from(&config.motion).map_err(StartError::from)?;
-        let stepper = Stepper::start(pins, &config.stepper, &config.motion, config.step_mm, config.emergency_stop)?;
+        let stepper = Stepper::start(pins, &config.stepper, &config.motion, config.info.step_mm, config.emergency_stop)?;
         let motion = DriveLimits { limits, lead_s: config.stepper.lead_ms * 1e-3 };
-        let drive = Drive::new(stepper, &motion, config.step_mm, config.period_s);
-        let info = MachineInfo {
-            name: config.name.clone(),
-            period_s: config.period_s,
-            step_mm: config.step_mm,
-            rest_length_mm: config.rest_length_mm,
-        };
-        Ok(Self { drive, imu, base_imu, gauges, info, zero_ns: None, _lock: lock })
+        let drive = Drive::new(stepper, &motion, config.info.step_mm, config.info.period_s);
+        Ok(Self { drive, imu, base_imu, gauges, info: config.info.clone(), zero_ns: None, _lock: lock })
     }
 }
 
@@ -133,13 +121,13 @@ impl Machine for Hardware {
         let mut remarks = Vec::new();
         for (place, sensor) in [("tip", &self.imu), ("base", &self.base_imu)] {
             if let Some(s) = sensor {
-                let i = s.identity();
-                let (chip, limit) = (i.inertial, if s.is_bounded() { "" } else { "; the bus driver accepts no time limit" });
-                remarks.push(format!("{place} IMU: {} at {:#04x} on {}, {:.1} Hz{limit}", chip.part, chip.address, s.bus(), i.rate_hz));
+                let i = &s.identity;
+                let (chip, limit) = (i.inertial, if s.bounded { "" } else { "; the bus driver accepts no time limit" });
+                remarks.push(format!("{place} IMU: {} at {:#04x} on {}, {:.1} Hz{limit}", chip.part, chip.address, s.bus, i.rate_hz));
             }
         }
         let stepper = self.drive.generator();
-        remarks.extend(stepper.status().iter().map(|(name, grant)| format!("step thread, {name}: {grant}")));
+        remarks.extend(stepper.status.iter().map(|(name, grant)| format!("step thread, {name}: {grant}")));
         if let Some(r) = stepper.latest() {
             if r.underruns > 0 {
                 remarks.push(format!("{} underruns of the step queue: the loop did not run in time", r.underruns));

@@ -54,9 +54,12 @@ pub struct StampedReading {
 pub struct Sensor {
     readings: rtrb::Consumer<StampedReading>,
     stop: Arc<AtomicBool>,
-    identity: Identity,
-    bounded: bool,
-    bus: String,
+    /// The chips that were found and their rates.
+    pub identity: Identity,
+    /// True if the driver of the bus accepted a time limit for its transfers.
+    pub bounded: bool,
+    /// Device file of the bus.
+    pub bus: String,
 }
 
 /// Delays by sleeping.
@@ -98,24 +101,6 @@ impl Sensor {
     /// newest. The mean over the interval keeps the angle that the gyroscope has measured.
     pub fn newest(&mut self) -> Option<StampedReading> {
         std::iter::from_fn(|| self.readings.pop().ok()).fold((None, 0.0), merge).0
-    }
-
-    /// True if the driver of the bus accepted a time limit for its transfers.
-    #[must_use]
-    pub fn is_bounded(&self) -> bool {
-        self.bounded
-    }
-
-    /// The chips that were found and their rates.
-    #[must_use]
-    pub fn identity(&self) -> &Identity {
-        &self.identity
-    }
-
-    /// Device file of the bus.
-    #[must_use]
-    pub fn bus(&self) -> &str {
-        &self.bus
     }
 }
 
@@ -177,7 +162,7 @@ fn run(
         }
         if reading != ImuReading::Nothing {
             // A full ring means that the loop is stuck, and this reading will be outdated when it resumes.
-            let _ = output.push(StampedReading { t_ns, reading, temp_c: imu.temp_c() });
+            let _ = output.push(StampedReading { t_ns, reading, temp_c: imu.temp_c });
         }
         // After a slow transfer the missed readings are not made up for.
         next_ns = (next_ns + period_ns).max(monotonic_ns());

@@ -81,7 +81,7 @@ impl<K: Kernel> Pins for CdevPins<K> {
     }
 
     fn check_enable(&mut self) -> Result<(), PinError> {
-        let mask = self.map.enable();
+        let mask = self.map.enable;
         if mask == 0 {
             return Ok(());
         }
@@ -99,7 +99,7 @@ impl<K: Kernel> Pins for CdevPins<K> {
 
 /// Whether an earlier program left the EN lines driven at the level that energises the drivers.
 fn found_energised<K: Kernel>(kernel: &K, chip: &K::Chip, map: &LineMap) -> io::Result<bool> {
-    let lines: Vec<(usize, u32)> = map.outputs().iter().copied().enumerate().filter(|(i, _)| map.enable() >> i & 1 == 1).collect();
+    let lines: Vec<(usize, u32)> = map.outputs().iter().copied().enumerate().filter(|(i, _)| map.enable >> i & 1 == 1).collect();
     for &(_, offset) in &lines {
         if !kernel.state(chip, offset)?.output {
             return Ok(false);
@@ -111,7 +111,7 @@ fn found_energised<K: Kernel>(kernel: &K, chip: &K::Chip, map: &LineMap) -> io::
     let request = Request { offsets: lines.iter().map(|(_, offset)| *offset).collect(), kind: RequestKind::AsIs };
     let found = kernel.get(&kernel.request(chip, &request)?, (1 << lines.len()) - 1)?;
     let high = lines.iter().enumerate().fold(0, |bits, (k, (i, _))| bits | (found >> k & 1) << i);
-    Ok(map.is_energised(map.enable(), high))
+    Ok(map.is_energised(map.enable, high))
 }
 
 /// Converts the error of opening a chip.

@@ -16,7 +16,8 @@ pub struct LineMap {
     inputs: Vec<(u32, Pull)>,
     step: [u64; 3],
     dir: [u64; 3],
-    enable: u64,
+    /// Bits of the EN lines.
+    pub enable: u64,
     inverted: u64,
     fixed: u64,
     home: [u64; 3],
@@ -97,12 +98,6 @@ impl LineMap {
     pub fn is_energised(&self, driven: u64, high: u64) -> bool {
         let on = self.output_bits(&Levels { enable: true, ..Levels::default() });
         self.enable != 0 && driven & self.enable == self.enable && (high ^ on) & self.enable == 0
-    }
-
-    /// Bits of the EN lines.
-    #[must_use]
-    pub fn enable(&self) -> u64 {
-        self.enable
     }
 
     /// Compares the EN lines with the voltages written.

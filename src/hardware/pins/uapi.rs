@@ -73,7 +73,7 @@ struct LineRequest {
 }
 
 #[repr(C)]
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct LineInfo {
     name: [u8; NAME_LEN],
     consumer: [u8; NAME_LEN],
@@ -201,15 +201,7 @@ impl Kernel for Uapi {
     }
 
     fn state(&self, chip: &File, offset: u32) -> io::Result<LineState> {
-        let mut info = LineInfo {
-            name: [0; NAME_LEN],
-            consumer: [0; NAME_LEN],
-            offset,
-            num_attrs: 0,
-            flags: 0,
-            attrs: [[0; 2]; ATTRS_MAX],
-            padding: [0; 4],
-        };
+        let mut info = LineInfo { offset, ..LineInfo::default() };
         // SAFETY: GET_LINEINFO encodes LineInfo, which is integers and bytes.
         unsafe { ioctl(chip.as_raw_fd(), GET_LINEINFO, &mut info)? };
         let name: Vec<u8> = info.consumer.into_iter().take_while(|b| *b != 0).collect();

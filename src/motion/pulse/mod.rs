@@ -68,7 +68,8 @@ pub struct StepCore {
     underruns: u32,
     refused: u32,
     lateness: Histogram,
-    interval_error: Histogram,
+    /// Deviation of the intervals between two steps of a channel from the planned intervals.
+    pub interval_error: Histogram,
     /// Due time and actual time of the last step of each channel.
     last_step_ns: [(u64, u64); 3],
 }
@@ -240,12 +241,6 @@ impl StepCore {
             refused: self.refused,
             lateness: self.lateness,
         }
-    }
-
-    /// Deviation of the intervals between two steps of a channel from the planned intervals.
-    #[must_use]
-    pub fn interval_error(&self) -> &Histogram {
-        &self.interval_error
     }
 
     /// Counts a pulsed step of a channel.

@@ -120,7 +120,7 @@ impl Plant {
         let truth = Truth {
             r_base_tip: self.r_base_plate * pose.r_plate_tip,
             bellow_mm,
-            play_output_mm: self.line.play_output_mm(),
+            play_output_mm: self.line.play_output_mm,
             pressure_kpa: self.bellows.state.pressure_kpa,
             wall_touched: pose.touched,
         };

@@ -1,7 +1,7 @@
 //! What an effect of the plant is: its parameters, its random draws, and its law in the chain.
 //!
 //! A running effect is a [`Law`]: a place in the chain is one method, which an effect overrides where it acts.
-//! The stages call every law at every place, in the order of [`Law::order`].
+//! The stages call every law at every place, in the order that the table of all effects states.
 
 use crate::primitives::frames::{Rotation, World};
 use crate::simulation::plant::check::PlantError;
@@ -27,8 +27,6 @@ pub(crate) trait PlantEffect: Table + Default + Sized {
     fn consistent(&self) -> Result<(), PlantError> {
         Ok(())
     }
-    /// The running effect, at its start.
-    fn law(&self, unit: &UnitData) -> Box<dyn Law>;
 }
 
 /// What a law may depend on besides its own parameters.
@@ -77,23 +75,8 @@ pub(crate) struct SectionState {
     pub(crate) r_world_plate: Rotation<World, Plate>,
 }
 
-/// Values of [`Law::order`].
-pub(crate) mod order {
-    /// Before all others.
-    pub(crate) const FIRST: u8 = 0;
-    /// Where most laws act.
-    pub(crate) const MIDDLE: u8 = 10;
-    /// After all others.
-    pub(crate) const LAST: u8 = 20;
-}
-
 /// A running effect. The methods are the places of the chain, from command to sample.
 pub(crate) trait Law: std::fmt::Debug + Send + CloneLaw {
-    /// Position among the laws that act at one place: smaller values act first, equal ones in the order of the
-    /// list of effects.
-    fn order(&self) -> u8 {
-        order::MIDDLE
-    }
     /// Microstep counts on their way to the motors.
     fn command(&mut self, _counts: &mut Vector3<f64>, _at: &Moment) {}
     /// Microsteps by which the rotors turn in this step.

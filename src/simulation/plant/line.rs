@@ -12,7 +12,8 @@ use nalgebra::Vector3;
 #[derive(Debug, Clone)]
 pub(crate) struct Line {
     half_width_mm: Vector3<f64>,
-    play_output_mm: Vector3<f64>,
+    /// Outputs of the play operators, mm of piston.
+    pub(crate) play_output_mm: Vector3<f64>,
     delivered_mm: Vector3<f64>,
     /// Injected faults.
     pub(crate) faults: LineFaults,
@@ -45,11 +46,6 @@ impl Line {
         let zero = Vector3::zeros();
         let half_width_mm = Vector3::from(config.k_lambda_mm);
         Self { half_width_mm, play_output_mm: zero, delivered_mm: zero, faults: LineFaults::default() }
-    }
-
-    /// Outputs of the play operators, mm of piston.
-    pub(crate) fn play_output_mm(&self) -> Vector3<f64> {
-        self.play_output_mm
     }
 
     /// Opens all lines for a moment, pistons at zero: the air that leaked flows back.

@@ -55,7 +55,7 @@ const HEADING_UNKNOWN_RAD: f64 = 1.0;
 const FIELD_UNKNOWN_UT: f64 = 30.0;
 
 /// The estimate to which the error states refer.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Estimate {
     r_world_sensor: UnitQuaternion<f64>,
     bias_rad_s: Vector3<f64>,
@@ -90,16 +90,7 @@ impl Mekf {
     /// A filter that levels itself with the first sample.
     #[must_use]
     pub fn new(config: MekfConfig) -> Self {
-        let estimate = Estimate {
-            r_world_sensor: UnitQuaternion::identity(),
-            bias_rad_s: Vector3::zeros(),
-            scale: SVector::zeros(),
-            velocity_m_s: Vector2::zeros(),
-            field_ut: None,
-            iron_ut: Vector3::zeros(),
-            latency_s: config.latency_ms * 1e-3,
-            provisional_rad: 0.0,
-        };
+        let estimate = Estimate { latency_s: config.latency_ms * 1e-3, ..Estimate::default() };
         Self {
             config,
             estimate,

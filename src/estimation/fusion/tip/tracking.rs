@@ -248,8 +248,8 @@ impl Tracker {
             r_base_tip: self.estimator.r_base_tip(),
             bend,
             sigma_rad: self.estimator.sigma_rad(),
-            disagrees: self.second.disagrees(),
-            disagreement_rad: self.second.angle_rad(),
+            disagrees: self.second.disagrees,
+            disagreement_rad: self.second.angle_rad,
         };
         let offset = self.smoother.offset + self.extrapolation;
         if offset.norm_squared() > 0.0 {

@@ -16,15 +16,9 @@ impl PlantEffect for AccScale {
         let size = rng.sized(0.03, 0.15, severity);
         Self { share: std::array::from_fn(|_| size * rng.sign() * rng.between(0.6, 1.2)) }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 impl Law for AccScale {
-    fn order(&self) -> u8 {
-        order::FIRST + 3
-    }
     fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
         stimulus.force += stimulus.force.component_mul(&Vector3::from(self.share));
     }

@@ -20,24 +20,14 @@ impl PlantEffect for AccelBias {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { bias_mg: [0; 3].map(|_| up_to(1.0)) })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 /// How much more of it at 1 g.
 const LOADED: f64 = 0.15;
 
-impl AccelBias {
-    /// What is added to the force, m/s².
-    pub(crate) fn force(&self, force: &Vector3<f64>) -> Vector3<f64> {
-        let loaded = force.map(|f| 1e-3 * GRAVITY_M_S2 * (1.0 + LOADED * (f / GRAVITY_M_S2).powi(2)));
-        Vector3::from(self.bias_mg).component_mul(&loaded)
-    }
-}
-
 impl Law for AccelBias {
     fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
-        stimulus.force += self.force(&stimulus.force);
+        let loaded = stimulus.force.map(|f| 1e-3 * GRAVITY_M_S2 * (1.0 + LOADED * (f / GRAVITY_M_S2).powi(2)));
+        stimulus.force += Vector3::from(self.bias_mg).component_mul(&loaded);
     }
 }

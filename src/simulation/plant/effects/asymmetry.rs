@@ -24,23 +24,13 @@ impl PlantEffect for Asymmetry {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { share: up_to(0.003), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
-}
-
-impl Asymmetry {
-    /// Extra force over the mean stiffness, mm, and its slope.
-    pub(crate) fn extra(&self, q_mm: f64) -> (f64, f64) {
-        let x = q_mm / self.knee_mm;
-        let root = (1.0 + x * x).sqrt();
-        (self.share * self.knee_mm * (root - 1.0), self.share * x / root)
-    }
 }
 
 impl Law for Asymmetry {
     fn wall(&self, q_mm: f64) -> Option<(f64, f64)> {
-        Some(self.extra(q_mm))
+        let x = q_mm / self.knee_mm;
+        let root = (1.0 + x * x).sqrt();
+        Some((self.share * self.knee_mm * (root - 1.0), self.share * x / root))
     }
 }
 
@@ -51,11 +41,12 @@ mod tests {
     #[test]
     fn one_side_is_stiffer_than_the_other() {
         let a = Asymmetry { share: 0.2, ..Asymmetry::default() };
-        assert!((a.extra(5.0).1 - 0.2).abs() < 2e-3 && (a.extra(-5.0).1 + 0.2).abs() < 2e-3);
-        assert!(a.extra(0.0).0.abs() < 1e-15 && a.extra(3.0).0 > 0.0 && a.extra(-3.0).0 > 0.0);
+        let extra = |q_mm: f64| a.wall(q_mm).unwrap();
+        assert!((extra(5.0).1 - 0.2).abs() < 2e-3 && (extra(-5.0).1 + 0.2).abs() < 2e-3);
+        assert!(extra(0.0).0.abs() < 1e-15 && extra(3.0).0 > 0.0 && extra(-3.0).0 > 0.0);
         for q in [-2.0, -0.1, 0.3, 4.0] {
-            let numeric = (a.extra(q + 1e-6).0 - a.extra(q - 1e-6).0) / 2e-6;
-            assert!((numeric - a.extra(q).1).abs() < 1e-6);
+            let numeric = (extra(q + 1e-6).0 - extra(q - 1e-6).0) / 2e-6;
+            assert!((numeric - extra(q).1).abs() < 1e-6);
         }
     }
 }

@@ -42,9 +42,6 @@ impl PlantEffect for BaseMotion {
     fn consistent(&self) -> Result<(), PlantError> {
         range("effects.base_motion.axis length", Vector3::from(self.axis).norm(), &(1e-3..=1e4), "a direction has a length")
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 /// Time before a sway begins, and over which it grows, s.

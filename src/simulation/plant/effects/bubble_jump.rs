@@ -26,20 +26,10 @@ impl PlantEffect for BubbleJump {
         let change = rng.sized(0.25, 0.8, severity);
         Self { change: if rng.chance(0.3) { -0.7 * change } else { change }, channel: rng.channel(), at_s, until_s }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
-}
-
-impl BubbleJump {
-    /// Factor on the compliance of the channel at time `t`.
-    pub(crate) fn factor(&self, t: f64) -> f64 {
-        if t >= self.at_s && t < self.until_s { 1.0 + self.change } else { 1.0 }
-    }
 }
 
 impl Law for BubbleJump {
     fn compliance(&self, compliance: &mut Vector3<f64>, t: f64) {
-        compliance[self.channel - 1] *= self.factor(t);
+        compliance[self.channel - 1] *= if t >= self.at_s && t < self.until_s { 1.0 + self.change } else { 1.0 };
     }
 }

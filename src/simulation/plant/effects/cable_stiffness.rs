@@ -26,9 +26,6 @@ impl PlantEffect for CableStiffness {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { share: up_to(0.0015), direction_deg: up_to(180.0), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Cable::new(self))
-    }
 }
 
 /// Bend over which it turns from buckled to taut, rad.

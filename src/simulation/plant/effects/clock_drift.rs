@@ -15,9 +15,6 @@ impl PlantEffect for ClockDrift {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { per_mille: rng.sign() * rng.sized(5.0, 40.0, severity) }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 impl Law for ClockDrift {

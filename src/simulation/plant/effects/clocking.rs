@@ -28,23 +28,13 @@ impl PlantEffect for Clocking {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { offset_deg: [up_to(0.08), -up_to(0.08), up_to(0.08)], ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 /// Stretch at which the wander counts fully, mm.
 const FULL_MM: f64 = 5.0;
 
-impl Clocking {
-    /// Turn of each bellow at its present stretch, rad.
-    pub(crate) fn angles(&self, bellow_mm: &Vector3<f64>) -> [f64; 3] {
-        std::array::from_fn(|i| self.offset_deg[i].to_radians() * (1.0 + self.wander * bellow_mm[i] / FULL_MM))
-    }
-}
-
 impl Law for Clocking {
     fn offsets(&self, bellow_mm: &Vector3<f64>) -> Option<[f64; 3]> {
-        Some(self.angles(bellow_mm))
+        Some(std::array::from_fn(|i| self.offset_deg[i].to_radians() * (1.0 + self.wander * bellow_mm[i] / FULL_MM)))
     }
 }

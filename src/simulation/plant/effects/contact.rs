@@ -36,9 +36,6 @@ impl PlantEffect for Contact {
             ..Self::default()
         }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Touching::new(self.clone()))
-    }
 }
 
 /// A wall with where the tip sticks to it.

@@ -27,9 +27,6 @@ impl PlantEffect for Creep {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { share: up_to(0.002), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Creeping::new(self.clone()))
-    }
 }
 
 /// Number of elements.

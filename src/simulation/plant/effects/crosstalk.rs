@@ -24,9 +24,6 @@ impl PlantEffect for Crosstalk {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { share: up_to(0.0015), ..Self::default() })
     }
-    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Squeezing { crosstalk: self.clone(), k_epsilon: unit.k_epsilon })
-    }
 }
 
 /// Elongation at which squeezing has half its slope, mm.
@@ -46,9 +43,9 @@ impl Crosstalk {
 
 /// The couplings of one unit.
 #[derive(Debug, Clone)]
-struct Squeezing {
-    crosstalk: Crosstalk,
-    k_epsilon: Vector3<f64>,
+pub(crate) struct Squeezing {
+    pub(crate) crosstalk: Crosstalk,
+    pub(crate) k_epsilon: Vector3<f64>,
 }
 
 impl Law for Squeezing {

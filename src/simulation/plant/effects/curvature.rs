@@ -21,9 +21,6 @@ impl PlantEffect for Curvature {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { excess_deg: up_to(0.1) })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 /// Angle at which the excess is counted, rad.

@@ -16,15 +16,9 @@ impl PlantEffect for GSensitivity {
         let size = rng.sized(0.6, 4.0, severity);
         Self { deg_s_per_g: (rng.direction() * size).into() }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 impl Law for GSensitivity {
-    fn order(&self) -> u8 {
-        order::FIRST + 2
-    }
     fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
         let rate = Vector3::from(self.deg_s_per_g).component_mul(&stimulus.force);
         stimulus.rate += rate.map(|x| (x / GRAVITY_M_S2).to_radians());

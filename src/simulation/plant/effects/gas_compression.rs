@@ -29,30 +29,20 @@ impl PlantEffect for GasCompression {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { strength: up_to(0.012), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 /// Share of the atmosphere below which the curve continues along its tangent: no vacuum is perfect.
 const VACUUM_FLOOR: f64 = 0.1;
 
-impl GasCompression {
-    /// Pressure that a linear spring would need for the same strain, kPa, and its slope: ε(p) and
-    /// dε/dp of the true gas divided by those of the nominal spring at zero pressure.
-    pub(crate) fn linearised_kpa(&self, pressure_kpa: f64) -> (f64, f64) {
+impl Law for GasCompression {
+    /// ε(p) and dε/dp of the true gas divided by those of the nominal spring at zero pressure.
+    fn gas(&self, pressure_kpa: f64) -> Option<(f64, f64)> {
         let (n, s) = (self.polytropic, self.strength / self.atmosphere_kpa);
         let ratio = 1.0 + s * pressure_kpa;
         let bounded = ratio.max(VACUUM_FLOOR);
         let shrunk = (-bounded.ln() / n).exp();
         let slope = shrunk / bounded;
-        (n / s * (1.0 - shrunk) + slope * (ratio - bounded) / s, slope)
-    }
-}
-
-impl Law for GasCompression {
-    fn gas(&self, pressure_kpa: f64) -> Option<(f64, f64)> {
-        Some(self.linearised_kpa(pressure_kpa))
+        Some((n / s * (1.0 - shrunk) + slope * (ratio - bounded) / s, slope))
     }
 }
 
@@ -63,21 +53,22 @@ mod tests {
     #[test]
     fn the_gas_obeys_boyle_and_is_linear_for_small_signals() {
         let g = GasCompression { strength: 1.0, ..GasCompression::default() };
+        let linearised_kpa = |p: f64| g.gas(p).unwrap();
         let volume = g.polytropic * g.atmosphere_kpa; // dead volume in the unit of the result
         for p in [-80.0, -40.0, -10.0, 5.0, 40.0] {
-            let (eps, slope) = g.linearised_kpa(p);
+            let (eps, slope) = linearised_kpa(p);
             let before = g.atmosphere_kpa * volume.powf(g.polytropic);
             let after = (g.atmosphere_kpa + p) * (volume - eps).powf(g.polytropic);
             assert!((after / before - 1.0).abs() < 1e-12);
             let h = 1e-4;
-            let numeric = (g.linearised_kpa(p + h).0 - g.linearised_kpa(p - h).0) / (2.0 * h);
+            let numeric = (linearised_kpa(p + h).0 - linearised_kpa(p - h).0) / (2.0 * h);
             assert!((numeric - slope).abs() < 1e-7);
         }
-        assert!((g.linearised_kpa(1e-6).0 - 1e-6).abs() < 1e-12);
+        assert!((linearised_kpa(1e-6).0 - 1e-6).abs() < 1e-12);
         // beyond the floor it goes on straight
-        let (a, slope) = g.linearised_kpa(-95.0);
-        assert!((g.linearised_kpa(-105.0).0 - (a - 10.0 * slope)).abs() < 1e-9);
+        let (a, slope) = linearised_kpa(-95.0);
+        assert!((linearised_kpa(-105.0).0 - (a - 10.0 * slope)).abs() < 1e-9);
         // pressure meets a stiffer spring than vacuum
-        assert!(g.linearised_kpa(17.0).0 < 17.0 && g.linearised_kpa(-17.0).0 < -17.0);
+        assert!(linearised_kpa(17.0).0 < 17.0 && linearised_kpa(-17.0).0 < -17.0);
     }
 }

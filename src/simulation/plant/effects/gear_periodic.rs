@@ -36,9 +36,6 @@ impl PlantEffect for GearPeriodic {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { amplitude_mm: up_to(0.01), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Teeth::new(self.clone()))
-    }
 }
 
 /// Racks with the tooth errors where they stand.

@@ -27,9 +27,6 @@ impl PlantEffect for Gravity {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { sag_deg: up_to(0.1), ..Self::default() })
     }
-    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Weight::new(self.clone(), unit.rest_length_mm))
-    }
 }
 
 /// Rounds of the fixed point at most.
@@ -78,9 +75,6 @@ impl Weight {
 }
 
 impl Law for Weight {
-    fn order(&self) -> u8 {
-        order::LAST
-    }
     fn bend(&mut self, bend: &mut Vector2<f64>, section: &SectionState) {
         *bend = self.sagged(bend, section.length_mm, &section.r_world_plate);
     }

@@ -23,9 +23,6 @@ impl PlantEffect for GyroBias {
         let size = rng.sized(0.5, 4.0, severity);
         Self { warm_up_deg_s: (rng.direction() * size).into(), over_s: rng.between(15.0, 70.0), wander_deg_s: 0.1 * size }
     }
-    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Drifting::new(self.clone(), unit.seed))
-    }
 }
 
 /// A bias that drifts, with where it has wandered.

@@ -24,9 +24,6 @@ impl PlantEffect for HardIron {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { offset_ut: [0; 3].map(|_| up_to(0.06)), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Iron::new(self.clone()))
-    }
 }
 
 /// Time over which parts are magnetised, s.
@@ -56,9 +53,6 @@ impl Iron {
 }
 
 impl Law for Iron {
-    fn order(&self) -> u8 {
-        order::LAST
-    }
     fn sensor(&mut self, stimulus: &mut Stimulus, at: &Moment) {
         stimulus.field += self.field(&stimulus.field, at.dt_s);
     }

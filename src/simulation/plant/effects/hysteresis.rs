@@ -41,9 +41,6 @@ impl PlantEffect for Hysteresis {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { share: up_to(0.006), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Plies::new(self.clone()))
-    }
 }
 
 /// Number of plies.

@@ -28,9 +28,6 @@ impl PlantEffect for Leak {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { rate_per_s: [0; 3].map(|_| up_to(5e-5)), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Leaking::new(self.clone()))
-    }
 }
 
 impl Leak {
@@ -74,9 +71,6 @@ impl Leaking {
 }
 
 impl Law for Leaking {
-    fn order(&self) -> u8 {
-        order::LAST
-    }
     fn air(&mut self, air_mm: &mut Vector3<f64>, bellows: &BellowState, at: &Moment) {
         *air_mm -= self.step(air_mm, &bellows.pressure_kpa, at.dt_s);
     }

@@ -17,18 +17,12 @@ impl PlantEffect for LengthGain {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sign() * rng.sized(0.2, 0.7, severity) }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 /// Length change at which the share counts, mm.
 const FULL_MM: f64 = 5.0;
 
 impl Law for LengthGain {
-    fn order(&self) -> u8 {
-        order::FIRST
-    }
     fn bend(&mut self, bend: &mut Vector2<f64>, section: &SectionState) {
         *bend *= (1.0 + self.share * section.longer_mm / FULL_MM).max(0.1);
     }

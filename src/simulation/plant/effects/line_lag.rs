@@ -24,9 +24,6 @@ impl PlantEffect for LineLag {
         let tau = rng.sized(0.12, 0.9, severity);
         Self { lag_s: std::array::from_fn(|_| tau * rng.between(0.85, 1.15)), port: rng.between(0.2, 1.0) }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Lumen::new(self.clone()))
-    }
 }
 
 /// Three lumens with what has passed them.

@@ -37,9 +37,6 @@ impl PlantEffect for MissedSteps {
             ..Self::default()
         }
     }
-    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Stall::new(self.clone(), unit.step_mm, unit.microsteps))
-    }
 }
 
 /// A motor that can stall, with its state.

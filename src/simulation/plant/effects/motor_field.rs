@@ -38,9 +38,6 @@ impl PlantEffect for MotorField {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { amplitude_ut: [0; 3].map(|_| up_to(0.02)), ..Self::default() })
     }
-    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Motors::new(self.clone(), unit.microsteps))
-    }
 }
 
 /// How fast the driver lets the current down and up again, s.

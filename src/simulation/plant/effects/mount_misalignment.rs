@@ -24,25 +24,12 @@ impl PlantEffect for MountMisalignment {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { tilt_deg: [0; 3].map(|_| up_to(0.06)), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
-}
-
-impl MountMisalignment {
-    /// Chip to tip, under the specific force `force` (m/s²).
-    pub(crate) fn turn(&self, force: &Vector3<f64>) -> UnitQuaternion<f64> {
-        let tilt = Vector3::from(self.tilt_deg).map(f64::to_radians);
-        let give = force.cross(&Vector3::z()) * (self.give * tilt.norm() / GRAVITY_M_S2);
-        UnitQuaternion::from_scaled_axis(tilt + give)
-    }
 }
 
 impl Law for MountMisalignment {
-    fn order(&self) -> u8 {
-        order::FIRST
-    }
     fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
-        *stimulus = stimulus.turned_by(&self.turn(&stimulus.force));
+        let tilt = Vector3::from(self.tilt_deg).map(f64::to_radians);
+        let give = stimulus.force.cross(&Vector3::z()) * (self.give * tilt.norm() / GRAVITY_M_S2);
+        *stimulus = stimulus.turned_by(&UnitQuaternion::from_scaled_axis(tilt + give));
     }
 }

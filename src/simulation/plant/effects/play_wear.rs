@@ -19,17 +19,20 @@ impl PlantEffect for PlayWear {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { growth: rng.sized(0.5, 2.5, severity), over_mm: rng.between(100.0, 400.0) }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Wearing { wear: self.clone(), plunger_mm: Vector3::zeros(), gone_mm: Vector3::zeros() })
-    }
 }
 
 /// Teeth with the distance that each has travelled.
 #[derive(Debug, Clone)]
-struct Wearing {
+pub(crate) struct Wearing {
     wear: PlayWear,
     plunger_mm: Vector3<f64>,
     gone_mm: Vector3<f64>,
+}
+
+impl Wearing {
+    pub(crate) fn new(wear: PlayWear) -> Self {
+        Self { wear, plunger_mm: Vector3::zeros(), gone_mm: Vector3::zeros() }
+    }
 }
 
 impl Law for Wearing {

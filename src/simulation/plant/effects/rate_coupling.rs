@@ -18,9 +18,6 @@ impl PlantEffect for RateCoupling {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { shift_s: rng.sign() * rng.sized(0.06, 0.3, severity) }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Dragging::new(self.clone()))
-    }
 }
 
 /// Relaxation of the frame, s.
@@ -47,9 +44,6 @@ impl Dragging {
 }
 
 impl Law for Dragging {
-    fn order(&self) -> u8 {
-        order::FIRST
-    }
     fn air(&mut self, air_mm: &mut Vector3<f64>, _bellows: &BellowState, at: &Moment) {
         *air_mm += self.step(air_mm, at.dt_s);
     }

@@ -21,9 +21,6 @@ impl PlantEffect for Respiration {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { amplitude_deg: rng.sized(1.0, 5.0, severity), period_s: rng.between(3.0, 5.0), direction_deg: rng.angle_deg() }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 /// Time before the first push, s.

@@ -21,9 +21,6 @@ impl PlantEffect for Ringing {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.4, 0.9, severity), frequency_hz: rng.between(1.0, 4.0), damping: rng.between(0.03, 0.12) }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Rings::new(self.clone()))
-    }
 }
 
 /// The ringing part's state: distance from the input and speed over ω.

@@ -18,9 +18,6 @@ impl PlantEffect for SensorFreeze {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { for_s: rng.sized(0.5, 3.0, severity), at_s: rng.between(8.0, 20.0), every_s: rng.between(10.0, 25.0) }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 impl Law for SensorFreeze {

@@ -19,14 +19,17 @@ impl PlantEffect for SensorLatency {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { latency_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
     }
-    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Late(DeadTime::new(self.latency_s, self.jitter, Stimulus::default(), PlantRng::new(unit.seed, Stream::SensorLatency))))
-    }
 }
 
 /// Measured quantities on their way.
 #[derive(Debug, Clone)]
-struct Late(DeadTime<Stimulus>);
+pub(crate) struct Late(DeadTime<Stimulus>);
+
+impl Late {
+    pub(crate) fn new(config: &SensorLatency, seed: u64) -> Self {
+        Self(DeadTime::new(config.latency_s, config.jitter, Stimulus::default(), PlantRng::new(seed, Stream::SensorLatency)))
+    }
+}
 
 impl Law for Late {
     fn at_start(&mut self, stimulus: &Stimulus) {

@@ -22,9 +22,6 @@ impl PlantEffect for SnapThrough {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { jump_mm: rng.sized(0.4, 1.5, severity), at_mm: rng.between(1.0, 2.5), channel: rng.channel() }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Snapping::new(self.clone()))
-    }
 }
 
 /// A fold with its state.

@@ -20,15 +20,9 @@ impl PlantEffect for SoftIron {
     fn consistent(&self) -> Result<(), PlantError> {
         range("effects.outside.soft_iron.direction length", Vector3::from(self.direction).norm(), &(1e-3..=1e4), "a direction has a length")
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 impl Law for SoftIron {
-    fn order(&self) -> u8 {
-        order::FIRST
-    }
     fn sensor(&mut self, stimulus: &mut Stimulus, _at: &Moment) {
         let along = Vector3::from(self.direction).normalize();
         stimulus.field += along * (self.stretch * along.dot(&stimulus.field));

@@ -24,9 +24,6 @@ impl PlantEffect for Softening {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { share: up_to(0.003), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Damage::new(self.clone()))
-    }
 }
 
 /// How much a contraction strains the wall compared with an elongation.

@@ -24,9 +24,6 @@ impl PlantEffect for StickSlip {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { breakaway_mm: rng.sized(0.3, 1.5, severity), sliding: rng.between(0.0, 0.4), ..Self::default() }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Sticking::new(self.clone()))
-    }
 }
 
 /// Three plungers with what they remember.

@@ -24,9 +24,6 @@ impl PlantEffect for Stiffening {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { share: up_to(0.003), ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Hardening::new(self))
-    }
 }
 
 /// Stretch at which the share is counted, mm: a bellow's at 75° of bend, nearly.
@@ -43,17 +40,13 @@ impl Hardening {
     pub(crate) fn new(config: &Stiffening) -> Self {
         Self { h: config.share / (FULL_MM / config.onset_mm).exp_m1(), onset_mm: config.onset_mm }
     }
-    /// Extra force over the linear stiffness, mm, and its slope.
-    pub(crate) fn extra(&self, q_mm: f64) -> (f64, f64) {
-        let x = q_mm.abs() / self.onset_mm;
-        let grown = x.exp() - 1.0;
-        (self.h * q_mm * grown, self.h * (grown + x * (grown + 1.0)))
-    }
 }
 
 impl Law for Hardening {
     fn wall(&self, q_mm: f64) -> Option<(f64, f64)> {
-        Some(self.extra(q_mm))
+        let x = q_mm.abs() / self.onset_mm;
+        let grown = x.exp() - 1.0;
+        Some((self.h * q_mm * grown, self.h * (grown + x * (grown + 1.0))))
     }
 }
 
@@ -64,12 +57,13 @@ mod tests {
     #[test]
     fn the_extra_force_is_odd_and_stated_at_full_stretch() {
         let s = Hardening::new(&Stiffening { share: 0.3, ..Stiffening::default() });
-        assert!((s.extra(5.0).0 - 1.5).abs() < 1e-12 && s.extra(-5.0).0 == -s.extra(5.0).0);
-        let gain = |q: f64| s.extra(q).0 / q;
+        let extra = |q_mm: f64| s.wall(q_mm).unwrap();
+        assert!((extra(5.0).0 - 1.5).abs() < 1e-12 && extra(-5.0).0 == -extra(5.0).0);
+        let gain = |q: f64| extra(q).0 / q;
         assert!(gain(1.0) < gain(2.0) && gain(2.0) < gain(4.0) && gain(1.0) < 0.03);
         for q in [-4.0, -0.3, 0.7, 5.5] {
-            let numeric = (s.extra(q + 1e-6).0 - s.extra(q - 1e-6).0) / 2e-6;
-            assert!((numeric - s.extra(q).1).abs() < 1e-6);
+            let numeric = (extra(q + 1e-6).0 - extra(q - 1e-6).0) / 2e-6;
+            assert!((numeric - extra(q).1).abs() < 1e-6);
         }
     }
 }

@@ -31,9 +31,6 @@ impl PlantEffect for ThermalDrift {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { offset_mm: [up_to(0.02), -up_to(0.02), 0.0], ..Self::default() })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Warming::new(self.clone()))
-    }
 }
 
 /// Air that is warming up.

@@ -23,9 +23,6 @@ impl PlantEffect for Torsion {
     fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
         Some(Self { twist_deg: up_to(0.1), direction_deg: 0.0 })
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(self.clone())
-    }
 }
 
 /// Bend at which the twist is counted, rad.
@@ -33,19 +30,12 @@ const FULL: f64 = std::f64::consts::FRAC_PI_3;
 /// Depth of the three lobes.
 const LOBES: f64 = 0.2;
 
-impl Torsion {
-    /// Twist about the tip's axis, rad.
-    fn angle(&self, bend: &Vector2<f64>) -> f64 {
+impl Law for Torsion {
+    fn twist(&mut self, bend: &Vector2<f64>, _at: &Moment) -> f64 {
         let beta = bend.norm();
         let delta = bend.y.atan2(bend.x) - self.direction_deg.to_radians();
         let level = (1.2 * beta / FULL).tanh() / 1.2f64.tanh();
         self.twist_deg.to_radians() * level * (1.0 + LOBES * (3.0 * delta).cos())
-    }
-}
-
-impl Law for Torsion {
-    fn twist(&mut self, bend: &Vector2<f64>, _at: &Moment) -> f64 {
-        self.angle(bend)
     }
 }
 
@@ -55,8 +45,8 @@ mod tests {
 
     #[test]
     fn twist_grows_with_bend_from_zero() {
-        let t = Torsion { twist_deg: 10.0, direction_deg: 30.0 };
-        let at = |beta: f64| t.angle(&Vector2::new(0.0, beta));
+        let mut t = Torsion { twist_deg: 10.0, direction_deg: 30.0 };
+        let mut at = |beta: f64| t.twist(&Vector2::new(0.0, beta), &Moment { t: 0.0, dt_s: 0.0 });
         assert_eq!(at(0.0), 0.0);
         assert!(at(0.3) > 0.0 && at(0.6) > at(0.3) && at(0.6) < 2.0 * at(0.3));
         assert!((at(FULL).to_degrees() - 8.0).abs() < 0.01); // 90° is a valley of the lobes

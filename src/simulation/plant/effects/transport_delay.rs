@@ -19,14 +19,17 @@ impl PlantEffect for TransportDelay {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { delay_s: rng.sized(0.05, 0.25, severity), jitter: rng.between(0.02, 0.1) }
     }
-    fn law(&self, unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Late(DeadTime::new(self.delay_s, self.jitter, Vector3::zeros(), PlantRng::new(unit.seed, Stream::TransportDelay))))
-    }
 }
 
 /// Commands on their way.
 #[derive(Debug, Clone)]
-struct Late(DeadTime<Vector3<f64>>);
+pub(crate) struct Late(DeadTime<Vector3<f64>>);
+
+impl Late {
+    pub(crate) fn new(config: &TransportDelay, seed: u64) -> Self {
+        Self(DeadTime::new(config.delay_s, config.jitter, Vector3::zeros(), PlantRng::new(seed, Stream::TransportDelay)))
+    }
+}
 
 impl Law for Late {
     fn command(&mut self, counts: &mut Vector3<f64>, at: &Moment) {

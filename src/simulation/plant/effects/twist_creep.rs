@@ -19,9 +19,6 @@ impl PlantEffect for TwistCreep {
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { twist_deg: rng.sign() * rng.sized(5.0, 20.0, severity), over_s: rng.between(3.0, 15.0) }
     }
-    fn law(&self, _unit: &UnitData) -> Box<dyn Law> {
-        Box::new(Twisting::new(self.clone()))
-    }
 }
 
 /// A tip with the twist it has crept to.
@@ -37,16 +34,12 @@ impl Twisting {
         let decay = Decay::new(config.over_s);
         Self { config, decay, twist: 0.0 }
     }
-    /// Twist, rad, after `dt_s` at a bend.
-    pub(crate) fn step(&mut self, bend: &Vector2<f64>, dt_s: f64) -> f64 {
-        let target = self.config.twist_deg.to_radians() * bend.norm() / std::f64::consts::FRAC_PI_3;
-        self.twist += (target - self.twist) * self.decay.share(dt_s);
-        self.twist
-    }
 }
 
 impl Law for Twisting {
     fn twist(&mut self, bend: &Vector2<f64>, at: &Moment) -> f64 {
-        self.step(bend, at.dt_s)
+        let target = self.config.twist_deg.to_radians() * bend.norm() / std::f64::consts::FRAC_PI_3;
+        self.twist += (target - self.twist) * self.decay.share(at.dt_s);
+        self.twist
     }
 }

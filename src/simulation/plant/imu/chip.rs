@@ -98,8 +98,8 @@ impl Axes {
 /// The chip with its noise.
 #[derive(Debug, Clone)]
 pub(crate) struct Chip {
-    period_s: f64,
-    mag_period_s: f64,
+    pub(crate) period_s: f64,
+    pub(crate) mag_period_s: f64,
     gyro: Axes,
     acc: Axes,
     mag: Axes,
@@ -118,12 +118,6 @@ impl Chip {
         let acc = axes(&c.acc_bias_mg, acc_sigma, c.acc_wander_mg, c.acc_digit_mg, c.acc_range_g * 1000.0, mg);
         let mag = axes(&c.mag_bias_ut, c.mag_noise_ut, c.mag_wander_ut, c.mag_digit_ut, c.mag_range_ut, 1.0);
         Self { period_s: c.period_s, mag_period_s: c.mag_period_s, gyro, acc, mag, rng, mag_dt_s: 0.0 }
-    }
-    pub(crate) fn period_s(&self) -> f64 {
-        self.period_s
-    }
-    pub(crate) fn mag_period_s(&self) -> f64 {
-        self.mag_period_s
     }
     /// A sample of the stimulus; the caller sets its time.
     pub(crate) fn read(&mut self, stimulus: &Stimulus, dt_s: f64, with_mag: bool) -> ImuSample {

@@ -93,7 +93,7 @@ impl Imu {
     pub(crate) fn sample(&mut self, here: &Surroundings, laws: &mut Laws) -> ImuSample {
         let t = here.t;
         let at = Moment { t, dt_s: t - self.last.t };
-        self.due_s = next_due(self.due_s, self.chip.period_s(), t);
+        self.due_s = next_due(self.due_s, self.chip.period_s, t);
         let mut stimulus = self.stimulus(here, at.dt_s);
         laws.iter_mut().for_each(|law| law.late(&mut stimulus, &at));
         if let Some(mount) = &self.mount {
@@ -105,7 +105,7 @@ impl Imu {
         stimulus.force += force;
         let fresh_mag = t >= self.mag_due_s - 1e-9;
         if fresh_mag {
-            self.mag_due_s = next_due(self.mag_due_s, self.chip.mag_period_s(), t);
+            self.mag_due_s = next_due(self.mag_due_s, self.chip.mag_period_s, t);
         }
         let mut sample = self.chip.read(&stimulus, at.dt_s, fresh_mag);
         sample.t = Seconds(laws.iter().fold(t, |stamp, law| law.clock(stamp)));
