@@ -40,6 +40,7 @@ fn diagnosis(kind: VerdictKind, names: &[&'static str], equivalent: &[&[&'static
         ],
         verdict: VerdictEntry { kind, names: names.to_vec(), equivalent: equivalent.iter().map(|g| g.to_vec()).collect() },
         unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37, predictable_deg_s: 0.0 },
+        logs: vec![],
         rivals: vec![],
     }
 }
