@@ -90,6 +90,7 @@ impl Info {
                     self.facts.extend(own.map(|(name, value)| (name.to_owned(), json!(value))));
                 }
                 Event::Reload { .. } => self.note("new gains"),
+                Event::Path(..) => self.note("a path"),
             },
             Entry::Cycles(first, cycles) => {
                 if let Some(next) = self.next.filter(|next| *next != first) {

@@ -48,16 +48,17 @@ pub(super) fn connect(at: &At) -> Result<Connection> {
 
 /// Stops the tip, that of every service if none is named.
 pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
-    let stopped: Vec<_> = at.sockets().iter().map(|socket| answer(Connection::stop(socket)).map(printed)).collect();
+    let stopped: Vec<_> = at.sockets().iter().map(|socket| answered(Connection::stop(socket)).map(printed)).collect();
     stopped.into_iter().try_fold(CommandOutcome::Good, |worst, one| one.map(|one| if one == CommandOutcome::Good { worst } else { one }))
 }
 
 /// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
 pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Option<Value>> {
-    answer(connection.request(request))
+    answered(connection.request(request))
 }
 
-fn answer(result: Result<Value, Failure>) -> Result<Option<Value>> {
+/// The result of a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
+pub(super) fn answered(result: Result<Value, Failure>) -> Result<Option<Value>> {
     match result {
         Ok(value) => Ok(Some(value)),
         Err(f) if f.code == 1 => {

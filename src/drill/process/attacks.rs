@@ -6,7 +6,7 @@ use crate::drill::bench::BenchConfig;
 use crate::drill::row::Row;
 use crate::drill::run::Allowance;
 use crate::service::client::Client;
-use crate::service::protocol::Request;
+use crate::service::protocol::{Frame, Request};
 use serde_json::Value;
 use std::io;
 use std::path::Path;
@@ -123,7 +123,7 @@ fn order(daemon: &Daemon, request: &Request) -> io::Result<Value> {
 /// Arms and bends, however often the attackers get in the way.
 fn move_again(daemon: &Daemon, n: u32) -> io::Result<()> {
     let dir_deg = if n.is_multiple_of(2) { 30.0 } else { 210.0 };
-    let target = Request::Bend { bend_deg: 60.0, dir_deg, length_mm: None, speed_deg_s: None };
+    let target = Request::Bend { bend_deg: 60.0, dir_deg, length_mm: None, speed_deg_s: None, frame: Frame::Base };
     insist(ARM_MAX_S, || {
         // a loop that was late for the attackers' sake has tripped; without a fault this is refused
         let _ = order(daemon, &Request::ResetFault {});

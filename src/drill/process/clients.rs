@@ -2,7 +2,7 @@
 
 use super::daemon::{Daemon, ask, insist};
 use crate::drill::row::Row;
-use crate::service::protocol::{RecordAction, Request};
+use crate::service::protocol::{Frame, RecordAction, Request};
 use std::io;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -44,7 +44,7 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
         std::thread::spawn(move || -> io::Result<u32> {
             let mut client = client?;
             for _ in 0..50 {
-                ask(&mut client, &Request::Bend { bend_deg, dir_deg: 30.0, length_mm: None, speed_deg_s: None })?;
+                ask(&mut client, &Request::Bend { bend_deg, dir_deg: 30.0, length_mm: None, speed_deg_s: None, frame: Frame::Base })?;
             }
             Ok(50)
         })
@@ -66,7 +66,7 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
 /// A stream of set-points that falls silent.
 fn dead_man(daemon: &Daemon) -> io::Result<Row> {
     let mut client = daemon.client()?;
-    let mut stream = |bend_deg| ask(&mut client, &Request::Stream { bend_deg, dir_deg: 30.0, length_mm: None });
+    let mut stream = |bend_deg| ask(&mut client, &Request::Stream { bend_deg, dir_deg: 30.0, length_mm: None, t_s: None });
     for k in 0..20 {
         stream(30.0 + f64::from(k))?;
         std::thread::sleep(Duration::from_millis(20));
@@ -90,7 +90,7 @@ fn dead_man(daemon: &Daemon) -> io::Result<Row> {
 fn abandoned(daemon: &Daemon) -> io::Result<Row> {
     let mut client = daemon.client()?;
     ask(&mut client, &Request::Record { action: RecordAction::Start, name: Some("x".to_owned()), owned: true })?;
-    let away = Request::Bend { bend_deg: 10.0, dir_deg: 210.0, length_mm: None, speed_deg_s: Some(20.0) };
+    let away = Request::Bend { bend_deg: 10.0, dir_deg: 210.0, length_mm: None, speed_deg_s: Some(20.0), frame: Frame::Base };
     insist(BRAKED_MAX_S, || ask(&mut client, &away))?;
     std::thread::sleep(Duration::from_millis(1000));
     let started = Instant::now();
