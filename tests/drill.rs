@@ -20,6 +20,9 @@ fn every_fault_in_flight_is_survived() {
     let config = config();
     let allowance = Allowance::new(&config).unwrap();
     let rows: Vec<_> = list::specs().iter().map(|s| fly(&config, s, &allowance).unwrap()).collect();
+    for r in rows.iter().filter(|r| r.fault.starts_with("base_imu")) {
+        println!("{}: {:?} s, {:.1} then {:.1} deg, {} {}", r.fault, r.detected_s, r.error_deg_during, r.error_deg_after, r.state, r.why);
+    }
     let failed: Vec<String> = rows.iter().filter(|r| !r.ok).map(|r| format!("{}: {}", r.fault, r.why)).collect();
     assert!(failed.is_empty(), "{failed:#?}");
     assert!(rows.len() >= 40, "only {} faults", rows.len());

@@ -8,8 +8,9 @@ use retroflex::config::assemble;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
+use retroflex::control::path::Path;
 use retroflex::control::tick::LoopConfig;
-use retroflex::experiment::path::Path;
+use retroflex::experiment::path::PathFile;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::track::{self, TrackResult};
 use std::f64::consts::TAU;
@@ -28,7 +29,7 @@ fn path(seconds: f64, at: impl Fn(f64) -> (f64, f64)) -> Path {
         let (bend_deg, dir_deg) = at(t);
         writeln!(text, "{t:.3},{bend_deg:.4},{dir_deg:.4}").unwrap();
     }
-    Path::parse("path.csv", &text, &config().geometry).unwrap()
+    PathFile::parse("path.csv", &text, &config().geometry).unwrap().path
 }
 
 fn circle(seconds: f64, bend_deg: f64, hz: f64) -> Path {

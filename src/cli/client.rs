@@ -40,7 +40,8 @@ pub enum Client {
     Record(RecordArgs),
     /// Run a schedule of `gap excite`: its poses, speeds and holds.
     Play(PlayArgs),
-    /// Stream set-points from standard input, `BEND DIR` per line; the tip stops when the stream pauses.
+    /// Stream set-points from standard input, `BEND DIR` or `BEND DIR T` per line (degrees, and seconds if the tip shall follow a smooth curve
+    /// through them); the tip stops when the stream pauses.
     Stream(Plain),
     /// Print frames as JSON lines.
     Subscribe(SubscribeArgs),

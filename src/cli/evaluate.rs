@@ -162,7 +162,7 @@ fn check(args: &Args) -> Result<()> {
 /// The path of `--track`, within the reach of the machine as far as it is known before an identification.
 fn track(args: &Args, config: &LoopConfig) -> Result<Option<Track>> {
     let Some(file) = &args.track else { return Ok(None) };
-    let path = path::Path::open(file, &config.geometry).into_diagnostic()?;
+    let path = path::PathFile::open(file, &config.geometry).into_diagnostic()?;
     path.within(&config.limits, &config.geometry, &config.lines).into_diagnostic()?;
     Ok(Some(Track { path, live: args.live }))
 }

@@ -96,6 +96,7 @@ impl Info {
                     self.fact("config_hash", &header.config_hash);
                 }
                 Event::Reload { .. } => self.note("new gains"),
+                Event::Path(..) => self.note("a path"),
             },
             Entry::Cycles(first, cycles) => {
                 if let Some(next) = self.next.filter(|next| *next != first) {

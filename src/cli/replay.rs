@@ -6,6 +6,7 @@ use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::source;
 use crate::config::supervisor::assemble;
+
 use crate::log::error::why_unreadable;
 use crate::model::transmission::Line;
 use crate::primitives::parameters::Check;
@@ -147,6 +148,12 @@ impl Replay {
                 Event::Start(header) if self.header.as_ref().is_some_and(|known| known.cycle == header.cycle) => {}
                 Event::Start(header) => self.start(header)?,
                 Event::Reload { gains, lines } => self.reload(&gains, lines)?,
+                Event::Path(t_s, rows) => {
+                    let path = crate::control::path::Path::new(t_s, rows).map(Box::new);
+                    for supervisor in self.supervisor.iter_mut().chain(&mut self.altered) {
+                        supervisor.load(&mut path.clone());
+                    }
+                }
             },
             Entry::Cycles(first, cycles) => {
                 (first..).zip(&cycles).for_each(|(number, cycle)| self.turn(number, cycle));

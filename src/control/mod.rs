@@ -7,6 +7,7 @@ pub mod hunting;
 pub mod learning;
 pub mod limits;
 pub mod obstruction;
+pub mod path;
 pub mod pi;
 pub mod saturation;
 pub mod standstill;

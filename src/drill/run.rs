@@ -23,6 +23,8 @@ const RUNAWAY_S: f64 = 0.01;
 const VENT_S: f64 = 30.0;
 /// Largest error of the pose after the repair, degrees.
 const AFTER_MAX_DEG: f64 = 2.5;
+/// Axis in the world about which a base sways.
+const SWAY_AXIS: [f64; 3] = [0.6, 0.5, 0.6];
 /// Bend and direction of the poses, degrees: before the move, its standard target, the further move, after the repair.
 const FROM: (f64, f64) = (45.0, 30.0);
 const TO: (f64, f64) = (68.0, 80.0);
@@ -108,6 +110,11 @@ pub fn fly(config: &BenchConfig, spec: &Spec, allowance: &Allowance) -> Result<R
     let mut config = config.clone();
     if spec.situation == Situation::Returning {
         config.board.safety.on.emergency_stop = SafeState::Relax;
+    }
+    if let (Some(sway_deg), Some(plant)) = (spec.base_sway_deg, &mut config.board.plant) {
+        plant.base.imu = true;
+        let motion = plant.effects.base_motion.get_or_insert_default();
+        (motion.sway_deg, motion.axis) = (sway_deg, SWAY_AXIS);
     }
     let mut bench = config.bench(0, 1)?;
     if take_off(&mut bench)?.is_none() {

@@ -46,7 +46,7 @@ const FAULT_SHARE: f64 = 0.15;
 /// [`MachineError`].
 pub fn run(config: &BenchConfig, hours: f64, seed: u64, progress: &mut dyn FnMut(f64)) -> Result<Soak, MachineError> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let specs = specs();
+    let specs: Vec<Spec> = specs().into_iter().filter(|spec| spec.base_sway_deg.is_none()).collect();
     let prior = config.calibration.transmission.k_epsilon;
     let mut soak = Soak { gain_allowed: config.gains.refine.range, ..Soak::default() };
     let mut errors: Vec<f64> = Vec::new();

@@ -33,6 +33,8 @@ pub enum Injection {
     Order(Order),
     /// An order, and in the next cycle a contradictory one.
     Orders(Order, Order),
+    /// The cable of the IMU on the base comes off while the base turns by 25°.
+    CableOutInTurn,
     /// A stop, followed by orders to move as long as it is observed.
     Stop,
 }
@@ -86,6 +88,8 @@ pub enum Detector {
     Bias,
     /// A moved base, a suspicion or a trip.
     Base,
+    /// One of these causes against the IMU on the base.
+    BaseImu(&'static [HealthCause]),
 }
 
 /// Bound on the microsteps after the detection.
@@ -138,6 +142,8 @@ pub struct Spec {
     pub situation: Situation,
     /// Longest time until the detection, s.
     pub within_s: f64,
+    /// The base carries an IMU, and sways by so much, degrees.
+    pub base_sway_deg: Option<f64>,
 }
 
 impl Spec {
@@ -146,7 +152,8 @@ impl Spec {
     pub fn new(name: &'static str, injection: Injection, detector: Detector, bound: Bound, states: &'static [&'static str]) -> Self {
         let (zero, by_hand, within_s) = (false, false, WITHIN_S);
         let (target, situation) = ((68.0, 80.0), Situation::Moving);
-        Self { name, injection, detector, bound, states, zero, by_hand, target, situation, within_s }
+        let base_sway_deg = None;
+        Self { name, injection, detector, bound, states, zero, by_hand, target, situation, within_s, base_sway_deg }
     }
 
     /// With a bound of its own on the time until the detection, s.
@@ -195,6 +202,10 @@ impl Injection {
         match *self {
             Self::Bus(fault, _) => machine.bus = Some(fault),
             Self::Plant(fault, _) => machine.inject(fault),
+            Self::CableOutInTurn => {
+                machine.inject(InjectedFault::BaseTurn { axis: [0.3, 0.2, 1.0], angle_deg: 25.0, over_s: 0.6 });
+                machine.inject(InjectedFault::OfBaseImu(&InjectedFault::SILENT));
+            }
             Self::Stall(seconds) => bench.stall(seconds),
             Self::ClockJump(seconds, _) => machine.stamp_offset_s = seconds,
             Self::EmergencyStop => machine.emergency_stop = true,
@@ -235,6 +246,10 @@ impl Detector {
                 let shaken = HealthCause::AccelDisturbed;
                 output.raised.contains(shaken).then(|| shaken.advice().to_owned())
             }),
+            Self::BaseImu(causes) => {
+                let found = causes.iter().find(|c| output.base_raised.contains(**c))?;
+                Some(format!("IMU on the base, {found}: {}", found.advice()))
+            }
             Self::Trip(causes) => trip(causes),
             Self::Stopped => said(output.stopped, "stopped: `retroflex arm` first"),
             Self::LateCycle => {

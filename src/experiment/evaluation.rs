@@ -5,7 +5,7 @@ use crate::diagnosis;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::diagnosed;
 use crate::experiment::identify::{self, Identified, IdentifyError};
-use crate::experiment::path::Path;
+use crate::experiment::path::PathFile;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
 use crate::experiment::track::{self, TrackResult};
@@ -155,7 +155,7 @@ pub struct Plan {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Track {
     /// The path.
-    pub path: Path,
+    pub path: PathFile,
     /// Each point becomes known only at its time.
     pub live: bool,
 }
@@ -225,7 +225,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
             Some(machine) => config.fed_forward(Arc::clone(machine)),
             None => config,
         };
-        track = Some(track::run(&mut Rig::new(config, world.as_mut()), path, *live, &mut || progress("path"))?);
+        track = Some(track::run(&mut Rig::new(config, world.as_mut()), &path.path, *live, &mut || progress("path"))?);
     }
     Ok(Evaluation { track, ..gather(plan, &base, found.as_ref(), plant, arms) })
 }

@@ -1,8 +1,8 @@
 //! A path driven in closed loop on a fresh world, scored against the true bend.
 
+use crate::control::path::Path;
 use crate::control::tick::Command;
 use crate::experiment::arm::{percentile, root_mean};
-use crate::experiment::path::Path;
 use crate::experiment::rig::{Rig, RigError};
 use crate::model::bend::Bend;
 use nalgebra::Vector2;

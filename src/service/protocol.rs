@@ -38,6 +38,9 @@ pub enum Request {
         /// Speed of the set-point, °/s; defaults to that of the gains file.
         #[serde(default)]
         speed_deg_s: Option<f64>,
+        /// Frame in which the tip keeps the orientation.
+        #[serde(default)]
+        frame: Frame,
     },
     /// One set-point of a stream. The tip stops when the stream pauses for longer than `service.dead_man_s`.
     Stream {
@@ -49,6 +52,18 @@ pub enum Request {
         /// Length of the centre line, mm; defaults to the rest length.
         #[serde(default)]
         length_mm: Option<f64>,
+        /// Time of the set-point on the clock of the stream, s. The tip follows a smooth curve through set-points with times. The
+        /// first one is for now, and each may come up to 1 s ahead of its time.
+        #[serde(default)]
+        t_s: Option<f64>,
+    },
+    /// Follow a path from its first row. A path that is too fast for the pistons is slowed down.
+    Path {
+        /// Rows, at most [`PATH_ROWS`] in all.
+        rows: Vec<PathRow>,
+        /// Further rows will come in the next request.
+        #[serde(default)]
+        more: bool,
     },
     /// Decelerate smoothly and hold.
     Hold {},
@@ -91,6 +106,24 @@ pub enum Request {
     },
 }
 
+/// A row of a path: time in s, bend and direction in degrees, and length in mm or null for the rest length.
+pub type PathRow = (f64, f64, f64, Option<f64>);
+/// Most rows of a path.
+pub const PATH_ROWS: usize = 100_000;
+/// Longest duration of a path, s.
+pub const PATH_MAX_S: f64 = 3600.0;
+
+/// Argument of `bend`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Frame {
+    /// The base: the bend is kept, and the tip turns with the base.
+    #[default]
+    Base,
+    /// The world: the tip keeps the orientation that the bend has now, while the base turns.
+    World,
+}
+
 /// Argument of `record`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -120,7 +153,8 @@ impl Request {
     #[must_use]
     pub fn bend(bend_deg: f64, dir_deg: f64, speed_deg_s: Option<f64>) -> Self {
         let length_mm = None;
-        Self::Bend { bend_deg, dir_deg, length_mm, speed_deg_s }
+        let frame = Frame::Base;
+        Self::Bend { bend_deg, dir_deg, length_mm, speed_deg_s, frame }
     }
 
     /// True for requests that the status socket accepts.
@@ -198,7 +232,7 @@ mod tests {
 
     #[test]
     fn a_request_survives_the_round_trip() {
-        let bend = Request::Bend { bend_deg: 40.5, dir_deg: -30.0, length_mm: None, speed_deg_s: Some(10.0) };
+        let bend = Request::Bend { bend_deg: 40.5, dir_deg: -30.0, length_mm: None, speed_deg_s: Some(10.0), frame: Frame::World };
         for request in [Request::Arm {}, bend, Request::Calibrate { action: CalibrateAction::Short }] {
             let (id, parsed) = parse(request_line(7, &request).trim());
             assert_eq!((id, parsed), (json!(7), Ok(request)));

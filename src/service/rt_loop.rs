@@ -1,6 +1,7 @@
 //! The real-time thread: one control cycle per period. It never locks, never allocates and waits for nothing but the
 //! clock.
 
+use crate::control::path::Path;
 use crate::control::tick::RestartState;
 use crate::hardware::rt::{monotonic_ns, sleep_until_ns};
 use crate::primitives::units::Seconds;
@@ -30,6 +31,8 @@ pub enum Message {
     },
     /// Replaces the configuration. The old one comes back as [`Retired::Config`].
     Reload(Box<SupervisorConfig>),
+    /// Loads a path. The one before comes back as [`Retired::Path`].
+    Path(Box<Path>),
     /// Replaces the supervisor with a freshly reset one, so that a recording starts from a known state.
     ReplaceSupervisor(Box<Supervisor>),
 }
@@ -41,6 +44,8 @@ pub enum Retired {
     Config(Box<SupervisorConfig>),
     /// A replaced supervisor.
     Supervisor(Box<Supervisor>),
+    /// A replaced path.
+    Path(Option<Box<Path>>),
 }
 
 /// What a restart needs, sampled by the loop.
@@ -85,7 +90,7 @@ pub struct LoopRings {
 pub struct HubRings {
     /// Messages to the loop, all but set-points.
     pub orders: Producer<Message>,
-    /// `Order::Bend` and `Order::Stream`: a flood of them leaves the other ring free, and delays it by this short one.
+    /// Orders that lead the set-point, but [`Order::Play`], which follows its path: a flood of them leaves the other ring free, and delays it by this short one.
     pub setpoints: Producer<Message>,
     /// Answers to orders.
     pub answers: Consumer<Answer>,
@@ -240,6 +245,12 @@ impl Loop {
                 self.runner.supervisor.reload(&mut config);
                 rings.changes += 1;
                 self.retire(Retired::Config(config));
+            }
+            Ok(Message::Path(path)) => {
+                let mut path = Some(path);
+                self.runner.supervisor.load(&mut path);
+                rings.changes += 1;
+                self.retire(Retired::Path(path));
             }
             Ok(Message::ReplaceSupervisor(mut supervisor)) => {
                 supervisor.inherit(&self.runner.supervisor);

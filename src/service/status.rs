@@ -4,7 +4,7 @@ use crate::control::saturation::Saturation;
 use crate::control::tick::Frame;
 use crate::model::bend::Bend;
 use crate::service::protocol::VERSION;
-use crate::supervisor::cycle::CycleOutput;
+use crate::supervisor::cycle::{CycleOutput, Guidance};
 use crate::supervisor::gate::TripCause;
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
@@ -62,6 +62,19 @@ pub fn base(f: &Frame) -> Option<&'static str> {
     f.base_doubted.then_some(slowly)
 }
 
+/// What is said of an orientation in the world that the tip keeps.
+#[must_use]
+pub fn world(guidance: Guidance) -> Option<&'static str> {
+    match guidance {
+        Guidance::World => Some("the tip keeps its orientation in the world"),
+        Guidance::WorldOutOfReach => Some("the orientation in the world is out of reach: the tip bends towards it as far as it can"),
+        Guidance::WorldLost => Some(
+            "the IMU on the base failed: the tip keeps its bend, and turns with the base; repair it, then give `retroflex bend --world` again",
+        ),
+        _ => None,
+    }
+}
+
 /// The part of the status that one cycle determines.
 #[must_use]
 pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
@@ -85,6 +98,12 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
         "shortfall": shortfall(f).filter(|_| commanded),
         "base_moved": f.base_moved,
         "base": base(f),
+        "path": null,
+        "world": world(output.guidance),
+        "base_imu": output.base_imu.map(|(follows, active)| {
+            let state = if follows { "follows" } else { "lost" };
+            json!({"state": state, "active": active.iter().map(|c| c.name()).collect::<Vec<_>>()})
+        }),
         "latched": output.latched.map(trip_name),
         "suspicion": output.suspicion.map(|s| s.to_string()),
         "sensor": {

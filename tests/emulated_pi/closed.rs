@@ -6,7 +6,7 @@ use crate::rig::Rig;
 use crate::server::ADDRESS;
 use retroflex::model::bend::Bend;
 use retroflex::service::client::Client;
-use retroflex::service::protocol::Request;
+use retroflex::service::protocol::{Frame, Request};
 use serde_json::Value;
 use std::fs::File;
 use std::process::{Child, ExitStatus};
@@ -96,7 +96,7 @@ impl<'r> Service<'r> {
     /// Bends the tip.
     pub fn bend(&mut self, bend_deg: f64, dir_deg: f64) {
         self.target = Some((bend_deg, dir_deg));
-        let request = Request::Bend { bend_deg, dir_deg, length_mm: None, speed_deg_s: None };
+        let request = Request::Bend { bend_deg, dir_deg, length_mm: None, speed_deg_s: None, frame: Frame::Base };
         match self.client.request(&request) {
             Ok(_) => {}
             // a stall has just occurred; its reset repeats the target

@@ -24,6 +24,9 @@ pub struct BendArgs {
     /// Wait until the tip has settled.
     #[arg(long)]
     pub(super) wait: bool,
+    /// Keep the orientation in the world that the bend has now, while the base turns. Needs an IMU on the base.
+    #[arg(long, conflicts_with = "wait")]
+    pub(super) world: bool,
 }
 
 /// Arguments of `status`.
@@ -65,7 +68,7 @@ pub enum Action {
 pub struct PlayArgs {
     #[command(flatten)]
     pub(super) at: At,
-    /// Rows `bend_deg,dir_deg,len_mm,hold_s,speed_mm_s`.
+    /// Rows `bend_deg,dir_deg,len_mm,hold_s,speed_mm_s`, or a path of rows `t_s,bend_deg,dir_deg[,len_mm]`.
     #[arg(value_name = "SCHEDULE.csv")]
     pub(super) schedule: PathBuf,
     /// Record the schedule under this name.

@@ -52,7 +52,7 @@ pub(super) fn connect(at: &At) -> Result<Connection> {
 
 /// Stops the tip, that of every service if none is named.
 pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
-    let stop = |socket: &PathBuf| answer(Connection::stop(socket)).map(printed);
+    let stop = |socket: &PathBuf| answered(Connection::stop(socket)).map(printed);
     let stopped: Vec<_> = at.sockets().iter().map(stop).collect();
     let outcomes: Vec<CommandOutcome> = stopped.into_iter().collect::<Result<_>>()?;
     Ok(outcomes.iter().all(|one| *one == CommandOutcome::Good).into())
@@ -60,10 +60,11 @@ pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
 
 /// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
 pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Option<Value>> {
-    answer(connection.request(request))
+    answered(connection.request(request))
 }
 
-fn answer(result: Result<Value, Failure>) -> Result<Option<Value>> {
+/// The result of a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
+pub(super) fn answered(result: Result<Value, Failure>) -> Result<Option<Value>> {
     match result {
         Ok(value) => Ok(Some(value)),
         Err(f) if f.code == 1 => {

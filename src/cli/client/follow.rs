@@ -5,7 +5,7 @@ use super::connection::{ask, connect};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
 use crate::service::client::Client as Connection;
-use crate::service::protocol::{CalibrateAction, Request};
+use crate::service::protocol::{CalibrateAction, Frame, Request};
 use miette::Result;
 use serde_json::Value;
 use std::time::{Duration, Instant};
@@ -35,7 +35,8 @@ fn poll(connection: &mut Connection, period_ms: u64, mut done: impl FnMut(&Value
 /// A report with the service's message.
 pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
-    let request = Request::Bend { bend_deg: args.bend, dir_deg: args.toward, length_mm: args.length, speed_deg_s: args.speed };
+    let frame = if args.world { Frame::World } else { Frame::Base };
+    let request = Request::Bend { bend_deg: args.bend, dir_deg: args.toward, length_mm: args.length, speed_deg_s: args.speed, frame };
     if ask(&mut connection, &request)?.is_none() {
         return Ok(NotGoodEnough);
     }

@@ -4,20 +4,27 @@
 //! move by (1 + k_ε) Δq (Eq. 16), and all arrive at the same time.
 
 use super::args::PlayArgs;
-use super::connection::{ask, connect, words};
+use super::connection::{answered, ask, connect, words};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
 use crate::diagnosis::excite::rows::{self, Row};
+use crate::experiment::path::PathFile;
+use crate::log::table::{Schema, Table};
 use crate::model::arc::Geometry;
 use crate::model::bend::Bend;
 use crate::service::client::Client as Connection;
-use crate::service::protocol::{RecordAction, Request};
-use miette::{IntoDiagnostic, Result};
+use crate::service::protocol::{Failure, Frame, PathRow, RecordAction, Request};
+use miette::{IntoDiagnostic, Result, miette};
 use serde_json::{Value, json};
+use std::path::Path;
 use std::time::Duration;
 
 /// Longest delay of a segment beyond its planned duration, s.
 const LATE_MAX_S: f64 = 10.0;
+/// Time at the first row of a path before it begins, s.
+const AT_FIRST_S: f64 = 1.0;
+/// Rows of a path in one request: at most 16 KiB.
+const CHUNK_ROWS: usize = 150;
 /// k_ε of a service that does not report one: the mean of the paper's.
 const K_EPSILON: f64 = 2.2;
 
@@ -26,7 +33,7 @@ const K_EPSILON: f64 = 2.2;
 /// # Errors
 /// A schedule that cannot be read, or a report with the service's message.
 pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
-    let rows = rows::read(&args.schedule).into_diagnostic()?;
+    let schedule = Schedule::read(&args.schedule)?;
     let mut connection = connect(&args.at)?;
     let Some(status) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
     if status["mode"] != "holding" || status["stopped"] == true {
@@ -34,7 +41,7 @@ pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
         return Ok(NotGoodEnough);
     }
     if args.record.is_none() {
-        return run_rows(&mut connection, &rows);
+        return schedule.run(&mut connection);
     }
     if status["counted"] != json!([0, 0, 0]) {
         eprintln!("refused: the log must begin at rest: `retroflex relax`, then `retroflex arm`");
@@ -45,11 +52,95 @@ pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     if let Some(remark) = started["remark"].as_str() {
         eprintln!("note: {remark}; `retroflex zero` first measures against the present attitude");
     }
-    let outcome = run_rows(&mut connection, &rows);
+    let outcome = schedule.run(&mut connection);
     if let Some(recorded) = ask(&mut connection, &request(RecordAction::Stop))? {
         output::print(&words(&recorded));
     }
     outcome
+}
+
+/// What is played.
+enum Schedule {
+    /// Poses with speeds and holds.
+    Poses(Vec<Row>),
+    /// A path.
+    Path(PathFile),
+}
+
+impl Schedule {
+    /// Reads a file, which is a path if its header names `t_s`.
+    fn read(file: &Path) -> Result<Self> {
+        let header = Schema { required: &[], known: &|_| false, rows_min: 0 };
+        let is_path = Table::open(file, &header).into_diagnostic()?.header().iter().any(|name| name == "t_s");
+        Ok(match is_path {
+            true => Self::Path(PathFile::open(file, &Geometry::default()).into_diagnostic()?),
+            false => Self::Poses(rows::read(file).into_diagnostic()?),
+        })
+    }
+
+    fn run(&self, connection: &mut Connection) -> Result<CommandOutcome> {
+        match self {
+            Self::Poses(rows) => run_rows(connection, rows),
+            Self::Path(file) => run_path(connection, file),
+        }
+    }
+}
+
+/// Moves to the first row of a path, then follows it.
+fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutcome> {
+    let column = |name: &str| file.table.column(name).unwrap_or_default();
+    let (t_s, bend_deg, dir_deg, len_mm) = (column("t_s"), column("bend_deg"), column("dir_deg"), column("len_mm"));
+    let rows: Vec<PathRow> = (0..t_s.len()).map(|k| (t_s[k], bend_deg[k], dir_deg[k], len_mm.get(k).copied())).collect();
+    let Some(status) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
+    let (_, bend_deg, dir_deg, length_mm) = rows[0];
+    let first = Row { bend_deg, dir_deg, hold_s: AT_FIRST_S, ..Row::rest(0.0, &Geometry::default()) };
+    let request = Request::Bend { bend_deg, dir_deg, length_mm, speed_deg_s: None, frame: Frame::Base };
+    if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, clock_s(&status), 0.0, &first)? {
+        return Ok(NotGoodEnough);
+    }
+    let (chunks, mut answer) = (rows.len().div_ceil(CHUNK_ROWS), Value::Null);
+    for (k, chunk) in rows.chunks(CHUNK_ROWS).enumerate() {
+        let request = Request::Path { rows: chunk.to_vec(), more: k + 1 < chunks };
+        answer = match connection.request(&request) {
+            Err(Failure { code: 2, message }) => return Err(refused(file, &message)),
+            other => match answered(other)? {
+                Some(answer) => answer,
+                None => return Ok(NotGoodEnough),
+            },
+        };
+    }
+    if let Some(slower) = answer["time_scale"].as_f64().filter(|scale| *scale > 1.0) {
+        eprintln!("note: the path asks {slower:.2} times the speed that the pistons can follow; it is played that much slower");
+    }
+    loop {
+        std::thread::sleep(Duration::from_millis(20));
+        let Some(s) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
+        if let Some(why) = halted(&s) {
+            eprintln!("the path ended early: {why}");
+            return Ok(NotGoodEnough);
+        }
+        if s["path"].is_null() && s["mode"] == "holding" {
+            return Ok(Good);
+        }
+    }
+}
+
+/// The refusal of a row by the service, with file, line and column.
+fn refused(file: &PathFile, message: &str) -> miette::Report {
+    let row = message.strip_prefix("row ").and_then(|rest| rest.split(',').next()?.parse::<usize>().ok());
+    match (row, message.split_once("expected ")) {
+        (Some(row @ 1..), Some((_, expected))) if row <= file.table.rows() => miette!("{}", file.refuse(row - 1, expected)),
+        _ => miette!("{message}"),
+    }
+}
+
+/// Why the tip no longer moves as it was told.
+fn halted(s: &Value) -> Option<String> {
+    let mode = s["mode"].as_str().unwrap_or("");
+    if s["stopped"] == true {
+        return Some("stopped".to_owned());
+    }
+    (mode != "tracking" && mode != "holding").then(|| s["fault"].as_str().map_or(format!("mode {mode}"), str::to_owned))
 }
 
 fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome> {
@@ -58,7 +149,8 @@ fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome>
     for row in rows {
         let Some(status) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
         let (seconds, speed_deg_s) = segment(&before, row, &status);
-        let request = Request::Bend { bend_deg: row.bend_deg, dir_deg: row.dir_deg, length_mm: Some(row.len_mm), speed_deg_s };
+        let request =
+            Request::Bend { bend_deg: row.bend_deg, dir_deg: row.dir_deg, length_mm: Some(row.len_mm), speed_deg_s, frame: Frame::Base };
         if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, clock_s(&status), seconds, row)? {
             return Ok(NotGoodEnough);
         }
@@ -89,14 +181,12 @@ fn arrive_and_hold(connection: &mut Connection, started_s: f64, seconds: f64, ro
     loop {
         std::thread::sleep(Duration::from_millis(5));
         let Some(s) = ask(connection, &Request::Status {})? else { return Ok(false) };
-        let mode = s["mode"].as_str().unwrap_or("");
-        if mode != "tracking" && mode != "holding" {
-            let why = s["fault"].as_str().map_or(format!("mode {mode}"), str::to_owned);
+        if let Some(why) = halted(&s) {
             eprintln!("the schedule ended at bend {}° toward {}°: {why}", row.bend_deg, row.dir_deg);
             return Ok(false);
         }
         let now_s = clock_s(&s);
-        let on_its_way = now_s - started_s < seconds || (mode == "tracking" && now_s - started_s < seconds + LATE_MAX_S);
+        let on_its_way = now_s - started_s < seconds || (s["mode"] == "tracking" && now_s - started_s < seconds + LATE_MAX_S);
         if arrived_s.is_none() && !on_its_way {
             arrived_s = Some(now_s);
         }

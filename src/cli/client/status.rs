@@ -5,10 +5,10 @@ use super::connection::{At, ask, connect, report};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output::{self, print};
 use crate::service::protocol::Request;
-use miette::{Result, bail, miette};
+use miette::{Result, miette};
 use serde_json::Value;
 use std::io::{BufRead, IsTerminal, Write};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Clears the terminal and moves to its first place (ECMA-48).
 const CLEAR: &str = "\x1b[H\x1b[2J";
@@ -64,6 +64,7 @@ fn readable(s: &Value) -> String {
         ("fault", &s["fault"]),
         ("limit", &s["shortfall"]),
         ("base", &s["base"]),
+        ("world", &s["world"]),
         ("suspected", &s["suspicion"]),
         ("alarm", &s["alarm"]),
         ("running", &s["calibrating"]),
@@ -73,6 +74,11 @@ fn readable(s: &Value) -> String {
     ];
     let present = optional.iter().filter(|(_, v)| !v.is_null());
     rows.extend(present.map(|(name, v)| (*name, text(v))));
+    if let (Some(at_s), Some(of_s)) = (s["path"]["at_s"].as_f64(), s["path"]["duration_s"].as_f64()) {
+        let slower = s["path"]["time_scale"].as_f64().filter(|scale| *scale > 1.0);
+        let slower = slower.map_or_else(String::new, |x| format!(", {x:.2} times slower than given"));
+        rows.push(("path", format!("{at_s:.1} s of {of_s:.1} s{slower}")));
+    }
     if s["unverified"] == true {
         let stated = "stated by the operator; no measurement has confirmed it";
         rows.push(("zero", stated.to_owned()));
@@ -98,25 +104,48 @@ fn wrapped(text: &str) -> String {
     lines.join(&format!("\n{:10}", ""))
 }
 
-/// `stream`: set-points from standard input, `BEND DIR` per line.
+/// Time by which a set-point with a time is sent ahead of it, s.
+const SENT_AHEAD_S: f64 = 0.3;
+
+/// `stream`: set-points from standard input, `BEND DIR` or `BEND DIR T` per line. A set-point with a time waits for it; after the last
+/// one the tip holds.
 ///
 /// # Errors
 /// A report with the service's message.
 pub fn stream(at: &At) -> Result<CommandOutcome> {
     let mut connection = connect(at)?;
-    for line in std::io::stdin().lock().lines() {
-        let line = line.map_err(|e| miette!("standard input: {e}"))?;
-        let numbers: Option<Vec<f64>> = line.split_whitespace().map(|x| x.parse().ok()).collect();
-        let Some(&[bend_deg, dir_deg]) = numbers.as_deref() else {
-            bail!("standard input: `{line}`: expected BEND DIR, two numbers in degrees");
+    let (mut began, mut end_s) = (None, None);
+    for (k, line) in std::io::stdin().lock().lines().enumerate() {
+        let line = line.map_err(|e| miette!("standard input, line {}: {e}", k + 1))?;
+        let numbers: std::result::Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
+        let (bend_deg, dir_deg, t_s) = match numbers.as_deref() {
+            Ok(&[bend_deg, dir_deg]) => (bend_deg, dir_deg, None),
+            Ok(&[bend_deg, dir_deg, t_s]) => (bend_deg, dir_deg, Some(t_s)),
+            _ => {
+                let expected = "expected BEND DIR or BEND DIR T, numbers in degrees and seconds";
+                return Err(miette!("standard input, line {}: `{line}`: {expected}", k + 1));
+            }
         };
-        let length_mm = None;
-        let request = Request::Stream { bend_deg, dir_deg, length_mm };
-        if ask(&mut connection, &request)?.is_none() {
+        if let Some(t_s) = t_s {
+            let (start, from_s) = *began.get_or_insert_with(|| (Instant::now(), t_s));
+            sleep_until(start, t_s - from_s - SENT_AHEAD_S);
+            end_s = Some((start, t_s - from_s));
+        }
+        if ask(&mut connection, &Request::Stream { bend_deg, dir_deg, length_mm: None, t_s })?.is_none() {
             return Ok(NotGoodEnough);
         }
     }
+    if let Some((start, at_s)) = end_s {
+        sleep_until(start, at_s);
+        return Ok(if ask(&mut connection, &Request::Hold {})?.is_none() { NotGoodEnough } else { Good });
+    }
     Ok(Good)
+}
+
+/// Sleeps until `after_s` from `start`, which may have passed.
+fn sleep_until(start: Instant, after_s: f64) {
+    let left_s = after_s - start.elapsed().as_secs_f64();
+    std::thread::sleep(Duration::try_from_secs_f64(left_s).unwrap_or_default());
 }
 
 /// `subscribe`: frames as JSON lines, until the reader closes its end.

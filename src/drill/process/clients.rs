@@ -67,8 +67,8 @@ fn two_clients(daemon: &Daemon) -> io::Result<Row> {
 /// A stream of set-points that falls silent.
 fn dead_man(daemon: &Daemon) -> io::Result<Row> {
     let mut client = daemon.client()?;
-    let (dir_deg, length_mm) = (30.0, None);
-    let mut stream = |bend_deg| ask(&mut client, &Request::Stream { bend_deg, dir_deg, length_mm });
+    let (dir_deg, length_mm, t_s) = (30.0, None, None);
+    let mut stream = |bend_deg| ask(&mut client, &Request::Stream { bend_deg, dir_deg, length_mm, t_s });
     for k in 0..20 {
         stream(30.0 + f64::from(k))?;
         std::thread::sleep(Duration::from_millis(20));

@@ -1,8 +1,7 @@
 //! The IMU on the base: the rotation of the base since alignment, which is subtracted from that of the tip.
 //!
-//! A complementary attitude filter (Mahony, Hamel & Pflimlin 2008, explicit form). The rotation `T` (base now → base
-//! during alignment) follows the gyroscope. A vector that read `v₀` during alignment is predicted to read `Tᵀ v₀`, and
-//! the difference corrects `T` slowly:
+//! A complementary attitude filter (Mahony, Hamel & Pflimlin 2008, explicit form). The rotation `T` (base now → base during
+//! alignment) follows the gyroscope. A vector that read `v₀` then is predicted to read `Tᵀ v₀`, and the difference corrects `T`:
 //!
 //! `ω̂ = ω − b_g + k_a (a × Tᵀ a₀)/|a||a₀| + k_m (m × Tᵀ m₀)/|m||m₀|`.
 //!
@@ -145,12 +144,14 @@ impl BaseTracker {
     /// The rotation since alignment, in the axes of the tip's IMU during alignment.
     #[must_use]
     pub fn turn(&self) -> BaseTurn {
-        match self {
-            Self::Absent | Self::Aligning(_) => BaseTurn::none(),
-            Self::Following(f) | Self::Lost(f) => {
-                BaseTurn { r_rest_now: f.to_tip * f.q_rest_now * f.to_tip.inverse(), rate_rad_s: f.to_tip * f.rate_rad_s }
-            }
-        }
+        let (Self::Following(f) | Self::Lost(f)) = self else { return BaseTurn::none() };
+        BaseTurn { r_rest_now: f.to_tip * f.q_rest_now * f.to_tip.inverse(), rate_rad_s: f.to_tip * f.rate_rad_s }
+    }
+
+    /// The alignment, once complete.
+    #[must_use]
+    pub fn rest(&self) -> Option<&Alignment> {
+        if let Self::Following(f) | Self::Lost(f) = self { Some(&f.rest) } else { None }
     }
 
     /// True while a base IMU is present and aligned.
@@ -162,7 +163,7 @@ impl BaseTracker {
     /// The IMU had noise during its alignment, so identical readings mean that it is stuck.
     #[must_use]
     pub fn noisy(&self) -> bool {
-        matches!(self, Self::Following(f) | Self::Lost(f) if f.rest.noisy())
+        self.rest().is_some_and(Alignment::noisy)
     }
 
     /// Starts a new alignment at the present attitude.
@@ -290,9 +291,8 @@ mod tests {
         // mounted a quarter turn about the vertical away from the tip IMU
         let config = BaseConfig { mount_deg: [0.0, 0.0, 90.0], ..BaseConfig::default() };
         let tip_up = UnitQuaternion::from_scaled_axis(Vector3::z() * std::f64::consts::FRAC_PI_2) * Vector3::new(2.0, 1.0, 9.5);
-        let mut base = BaseTracker::default();
+        let (mut base, axis) = (BaseTracker::default(), Vector3::new(0.6, 0.0, 0.8));
         assert!(!base.follows());
-        let axis = Vector3::new(0.6, 0.0, 0.8);
         let (mut q, dt) = (UnitQuaternion::identity(), 0.002);
         for k in 0..10_000 {
             let t = f64::from(k) * dt;

@@ -7,6 +7,7 @@ use crate::service::belief::Belief;
 use crate::service::flight::cycle::fnv;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::machine::MachineInfo;
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -71,6 +72,8 @@ pub enum Event {
         /// Gains of channels 1 to 3, which a reload keeps.
         lines: [Line; 3],
     },
+    /// It was given a path: times in s, and rows of bend vector in rad and length in mm.
+    Path(Vec<f64>, Vec<Vector3<f64>>),
 }
 
 impl Event {

@@ -37,7 +37,8 @@ impl Hub {
             if result.is_ok() {
                 self.note_mover(&pending);
             }
-            let reply = result.map(|()| json!({})).map_err(|why| {
+            let done = || if pending.order == Order::Play { self.path.clone() } else { json!({}) };
+            let reply = result.map(|()| done()).map_err(|why| {
                 if let Some(hidden) = self.log_limit.admit("refused") {
                     let Caller { command, client, .. } = &pending.caller;
                     tracing::warn!(event = "refused", command, client, hidden, config = %self.config.config_hash, "{why}");
@@ -63,7 +64,7 @@ impl Hub {
     /// Remembers whose command moves the tip.
     fn note_mover(&mut self, pending: &Pending) {
         match pending.order {
-            Order::Bend(..) | Order::Stream(_) | Order::Calibrate(true) => {
+            order if order.leads_setpoint() || order == Order::Calibrate(true) => {
                 self.mover = Some(Mover { client: pending.caller.client, since: Instant::now() });
             }
             Order::Hold | Order::Disarm | Order::Relax => self.mover = None,

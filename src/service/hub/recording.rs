@@ -13,6 +13,7 @@ use crate::service::rt_loop::Message;
 use crate::service::shared::Watched;
 use crate::service::start::Start;
 use crate::service::status;
+use crate::supervisor::cycle::Guidance;
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -208,6 +209,10 @@ impl Hub {
             "memory": {"error": self.persistence.error, "damaged": self.facts.damaged},
             "faults": memory.faults[memory.faults.len().saturating_sub(FAULTS_SHOWN)..],
         });
+        if let Some(Guidance::Path { at_s }) = last.map(|t| t.guidance) {
+            value["path"] = self.path.clone();
+            value["path"]["at_s"] = json!(at_s);
+        }
         if let (Value::Object(to), Value::Object(from)) = (&mut value, more) {
             to.extend(from);
         }

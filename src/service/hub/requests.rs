@@ -3,13 +3,14 @@
 use super::state::{Caller, Hub, Reply, Subscription, too_many};
 use crate::config::gains::Gains;
 use crate::config::source;
+use crate::control::path::Path;
 use crate::control::tick::Command;
 use crate::model::bend::Bend;
 use crate::primitives::units::Mm;
 use crate::service::calibrate::{Found, Session};
 use crate::service::flight::start::Event;
 use crate::service::port::Incoming;
-use crate::service::protocol::{CalibrateAction, Failure, Request};
+use crate::service::protocol::{CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, PathRow, Request};
 use crate::service::rt_loop::Message;
 use crate::service::start::{RunConfig, with_gains};
 use crate::supervisor::cycle::SupervisorConfig;
@@ -40,7 +41,7 @@ impl Hub {
             Ok(_) if !may_command => refuse("this socket is read-only; use the control socket for commands"),
             Ok(_) if self.ending.is_some() => refuse("the service is ending"),
             Ok(request) => {
-                if !matches!(request, Request::Stream { .. })
+                if !matches!(request, Request::Stream { .. } | Request::Path { .. })
                     && let Some(hidden) = self.log_limit.admit("command")
                 {
                     tracing::info!(event = "command", command = caller.command, client, hidden, config = %self.config.config_hash, "{request:?}");
@@ -76,10 +77,19 @@ impl Hub {
             Request::Record { action, ref name, owned } => return self.record(action, name.as_deref(), owned, caller),
             Request::Reload {} => return self.reload(),
             Request::Calibrate { action } => return self.calibrate(action, caller),
-            Request::Bend { bend_deg, dir_deg, length_mm, speed_deg_s } => {
-                Order::Bend(self.target(bend_deg, dir_deg, length_mm), speed_deg_s.map(f64::to_radians))
+            Request::Path { ref rows, more } => match self.path(rows, more, caller.client) {
+                Ok(true) => Order::Play,
+                Ok(false) => return Some(Ok(json!({}))),
+                Err(failure) => return Some(Err(failure)),
+            },
+            Request::Bend { bend_deg, dir_deg, length_mm, speed_deg_s, frame } => {
+                let (target, speed_rad_s) = (self.target(bend_deg, dir_deg, length_mm), speed_deg_s.map(f64::to_radians));
+                if frame == Frame::World { Order::World(target, speed_rad_s) } else { Order::Bend(target, speed_rad_s) }
             }
-            Request::Stream { bend_deg, dir_deg, length_mm } => Order::Stream(self.target(bend_deg, dir_deg, length_mm)),
+            Request::Stream { bend_deg, dir_deg, length_mm, t_s } => {
+                let target = self.target(bend_deg, dir_deg, length_mm);
+                t_s.map_or(Order::Stream(target), |t_s| Order::Timed(target, t_s))
+            }
             Request::Arm {} => Order::Arm,
             Request::Disarm {} => Order::Disarm,
             Request::Hold {} => Order::Hold,
@@ -101,6 +111,43 @@ impl Hub {
     fn target(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Command {
         let length = Mm(length_mm.unwrap_or(self.config.supervisor.tick.geometry.rest_length_mm));
         Command { bend: Bend::from_deg(bend_deg, dir_deg), length }
+    }
+
+    /// Collects the rows of a path; with the last ones, hands it to the loop, slowed down so that the pistons can follow it. True
+    /// once that is done.
+    fn path(&mut self, rows: &[PathRow], more: bool, client: u64) -> Result<bool, Failure> {
+        let (before, mut all) = std::mem::take(&mut self.path_rows);
+        if before != client {
+            all.clear();
+        }
+        all.extend_from_slice(rows);
+        if all.len() > PATH_ROWS {
+            return Err(Failure::bad(format!("a path has at most {PATH_ROWS} rows")));
+        }
+        if more {
+            self.path_rows = (client, all);
+            return Ok(false);
+        }
+        let shapes = all.iter().map(|&(_, bend_deg, dir_deg, length_mm)| {
+            let Command { bend, length } = self.target(bend_deg, dir_deg, length_mm);
+            bend.0.push(length.0)
+        });
+        let path = Path::new(all.iter().map(|row| row.0).collect(), shapes.collect()).filter(|path| path.duration_s() <= PATH_MAX_S);
+        let expected = || Failure::bad(format!("a path has two or more rows with times that increase by at most {PATH_MAX_S} s in all"));
+        let (path, tick) = (path.ok_or_else(expected)?, &self.config.supervisor.tick);
+        let lines = self.in_use().lines;
+        if let Some((k, expected)) = path.out_of_reach(&tick.limits, &tick.geometry, &lines) {
+            return Err(Failure::bad(format!("row {}, bend_deg {}: expected {expected}", k + 1, all[k].1)));
+        }
+        let time_scale = path.demand(&tick.geometry, &lines, &tick.motion.limits).max(1.0);
+        let path = path.slowed(time_scale);
+        let (t_s, rows) = path.rows();
+        let event = Event::Path(t_s.to_vec(), rows.to_vec());
+        self.path = json!({"duration_s": path.duration_s(), "time_scale": time_scale});
+        let path = Path::new(t_s.to_vec(), rows.to_vec()).ok_or_else(expected)?;
+        self.io.rings.orders.push(Message::Path(Box::new(path))).map_err(|_| too_many())?;
+        self.note_change(event);
+        Ok(true)
     }
 
     fn reload(&mut self) -> Reply {

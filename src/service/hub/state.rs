@@ -8,7 +8,7 @@ use crate::service::flight::start::Event;
 use crate::service::memory::{LearnedGains, Memory};
 use crate::service::notify::Notifier;
 use crate::service::port::Port;
-use crate::service::protocol::{Failure, reply_line};
+use crate::service::protocol::{Failure, PathRow, reply_line};
 use crate::service::record::Recording;
 use crate::service::rt_loop::{HubRings, Message};
 use crate::service::shared::Shared;
@@ -110,6 +110,10 @@ pub struct Hub {
     pub(super) next_id: u64,
     pub(super) pending: HashMap<u64, Pending>,
     pub(super) subscriptions: Vec<Subscription>,
+    /// Rows of a path of which more will come, and the client that sends them.
+    pub(super) path_rows: (u64, Vec<PathRow>),
+    /// Duration of the last path and by how much it was slowed, for the status.
+    pub(super) path: Value,
     pub(super) last: Option<CycleOutput>,
     /// The log of this run, if there is one.
     pub(super) flight: Option<FlightLog>,
@@ -180,6 +184,8 @@ impl Hub {
             next_id: 1,
             pending: HashMap::new(),
             subscriptions: Vec::new(),
+            path_rows: (0, Vec::new()),
+            path: Value::Null,
             last: None,
             flight: None,
             changes_sent: 0,
@@ -214,7 +220,7 @@ impl Hub {
 
     fn push_order(&mut self, id: u64, order: Order, stops: u64) {
         let rings = &mut self.io.rings;
-        let ring = if matches!(order, Order::Bend(..) | Order::Stream(_)) { &mut rings.setpoints } else { &mut rings.orders };
+        let ring = if order.leads_setpoint() && order != Order::Play { &mut rings.setpoints } else { &mut rings.orders };
         let pushed = ring.push(Message::Order { id, order, stops }).is_ok();
         if !pushed && let Some(pending) = self.pending.remove(&id) {
             self.reply(&pending.caller, &Err(too_many()));

@@ -32,7 +32,7 @@ pub struct Plant {
     /// Injected fault: a field added in the world, µT.
     pub(crate) magnet_ut: Vector3<f64>,
     pub(crate) imu: Imu,
-    base_imu: Option<Imu>,
+    pub(super) base_imu: Option<Imu>,
 }
 
 /// Result of one step.
@@ -53,6 +53,8 @@ pub struct Output {
 pub struct Truth {
     /// Tip orientation relative to the start.
     pub r_base_tip: Rotation<Base, Tip>,
+    /// Attitude of the base in the world.
+    pub r_world_base: Rotation<World, Base>,
     /// Length changes of the bellows, mm.
     pub bellow_mm: Vector3<f64>,
     /// Outputs of the play operators, mm of piston.
@@ -119,6 +121,7 @@ impl Plant {
         let (imu, base_imu) = self.sense(here, &counts);
         let truth = Truth {
             r_base_tip: self.r_base_plate * pose.r_plate_tip,
+            r_world_base: r_world_plate * self.r_base_plate.inverse(),
             bellow_mm,
             play_output_mm: self.line.play_output_mm,
             pressure_kpa: self.bellows.state.pressure_kpa,
@@ -135,11 +138,12 @@ impl Plant {
         let since_s = self.t - self.sensed_t;
         self.sensed_t = self.t;
         self.laws.iter_mut().for_each(|law| law.field(&mut here.field_ut, counts, since_s));
-        let base_imu = self.base_imu.as_mut().map(|imu| {
+        let base_imu = self.base_imu.as_mut().and_then(|imu| {
             let r_world_base = self.stand.attitude(self.t, &self.laws) * self.r_base_plate.inverse();
             // this chip stands in the base frame, which takes the place of its tip frame
             let r_world_tip = Rotation::assert_frames(r_world_base.quat());
-            imu.sample(&Surroundings { r_world_tip, at_mm: Vector3::zeros(), ..here }, &mut Vec::new())
+            let sample = imu.sample(&Surroundings { r_world_tip, at_mm: Vector3::zeros(), ..here }, &mut Vec::new());
+            imu.faults.passes().then_some(sample)
         });
         (Some(self.imu.sample(&here, &mut self.laws)), base_imu)
     }

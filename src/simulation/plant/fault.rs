@@ -55,6 +55,18 @@ pub enum InjectedFault {
         /// Change, °/s per axis.
         deg_s: [f64; 3],
     },
+    /// Of the samples of the IMU on the base, only one in so many comes. Not for the tip's.
+    Slow {
+        /// Samples per one that comes.
+        one_in: u32,
+    },
+    /// A magnet at the IMU itself adds a field in its axes.
+    HardIron {
+        /// The field, µT.
+        field_ut: [f64; 3],
+    },
+    /// One of the faults above of the IMU on the base instead of the tip's.
+    OfBaseImu(&'static InjectedFault),
     /// A rotor slips.
     StepLoss {
         /// Channel at fault.
@@ -140,6 +152,11 @@ pub enum InjectedFault {
     },
 }
 
+impl InjectedFault {
+    /// No sample comes.
+    pub const SILENT: Self = Self::Slow { one_in: u32::MAX };
+}
+
 /// Rate at which an open line empties, 1/s: within a tenth of a second.
 const BURST_PER_S: f64 = 25.0;
 /// Give of an injected wall, degrees of bend: soft tissue.
@@ -149,8 +166,15 @@ impl Plant {
     /// Injects a fault.
     pub fn inject(&mut self, fault: InjectedFault) {
         use InjectedFault as F;
-        let (imu, drive, bellows) = (&mut self.imu.faults, &mut self.drive, &mut self.bellows.faults);
+        let (drive, bellows) = (&mut self.drive, &mut self.bellows.faults);
+        let (fault, imu) = match (fault, &mut self.base_imu) {
+            (F::OfBaseImu(fault), Some(imu)) => (*fault, &mut imu.faults),
+            _ => (fault, &mut self.imu.faults),
+        };
         match fault {
+            F::OfBaseImu(_) => {}
+            F::Slow { one_in } => imu.slow = Some((one_in, 0)),
+            F::HardIron { field_ut } => imu.field_ut = Vector3::from(field_ut),
             F::FrozenSample => imu.frozen = true,
             F::NanSample => imu.nan = true,
             F::Spike { gyro_deg_s, acc_g } => {
@@ -188,6 +212,7 @@ impl Plant {
     /// Ends everything that was injected; consequences stay.
     pub fn clear(&mut self) {
         self.imu.faults = ImuFaults::default();
+        self.base_imu.iter_mut().for_each(|imu| imu.faults = ImuFaults::default());
         self.drive.faults = DriveFaults::default();
         self.bellows.faults = BellowFaults::default();
         self.line.faults.clear();

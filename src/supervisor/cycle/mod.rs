@@ -9,6 +9,8 @@
 //! The service, the drills and the soak test run the same cycle; only the machine and the source of the orders differ.
 //! A cycle neither allocates nor locks, and takes the time as an argument.
 
+mod guide;
+mod lead;
 mod obey;
 pub mod order;
 pub mod restart_check;
@@ -19,4 +21,4 @@ mod turn;
 mod types;
 
 pub use state::Supervisor;
-pub use types::{CycleOutput, SupervisorConfig};
+pub use types::{CycleOutput, Guidance, SupervisorConfig};

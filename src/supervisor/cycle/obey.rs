@@ -5,6 +5,7 @@ use crate::control::tick::Command;
 use crate::model::arc::Shape;
 use crate::model::transmission::Line;
 use crate::primitives::units::Steps;
+use crate::supervisor::cycle::guide::Guide;
 use crate::supervisor::cycle::order::{Order, Refusal};
 use crate::supervisor::cycle::state::{ModeState, Position, Supervisor};
 use crate::supervisor::machine::Sensed;
@@ -25,10 +26,15 @@ impl Supervisor {
             Order::Arm => self.arm(),
             _ if self.stopped && order.starts_motion() => Err(Refusal::Stopped),
             Order::Disarm => self.disarm(),
-            Order::Bend(..) | Order::Stream(_) if self.mode().moves() && !sensed.energised => Err(Refusal::Busy),
+            _ if order.leads_setpoint() && self.mode().moves() && !sensed.energised => Err(Refusal::Busy),
             Order::Bend(command, speed_rad_s) => self.bend(&command, speed_rad_s, None),
-            Order::Stream(_) if self.mode() == Mode::Calibrating => Err(Refusal::Mode(Mode::Calibrating)),
+            Order::Stream(_) | Order::Timed(..) | Order::Play | Order::World(..) if self.mode() == Mode::Calibrating => {
+                Err(Refusal::Mode(Mode::Calibrating))
+            }
             Order::Stream(command) => self.bend(&command, None, Some(sensed.t.0 + self.config.dead_man_s)),
+            Order::Timed(command, t_s) => self.stream(&command, t_s, sensed.t.0),
+            Order::Play => self.play(sensed.t.0),
+            Order::World(command, speed_rad_s) => self.point(&command, speed_rad_s),
             Order::Hold => self.hold(),
             Order::Stop => self.stop(),
             Order::Relax => self.relax(sensed),
@@ -68,7 +74,7 @@ impl Supervisor {
         Ok(())
     }
 
-    fn bend(&mut self, command: &Command, speed_rad_s: Option<f64>, stream_until_s: Option<f64>) -> Result<(), Refusal> {
+    pub(super) fn bend(&mut self, command: &Command, speed_rad_s: Option<f64>, stream_until_s: Option<f64>) -> Result<(), Refusal> {
         self.check_target(command)?;
         if self.gate.is_braking() {
             return Err(Refusal::Busy);
@@ -84,6 +90,7 @@ impl Supervisor {
             *until_s = stream_until_s;
         }
         self.config.tick.bend_pace = Pace { speed, ..self.pace };
+        self.guide = Guide::Target;
         self.pending.command = Some(*command);
         Ok(())
     }
@@ -112,6 +119,7 @@ impl Supervisor {
             ModeState::Holding => Ok(()),
             ModeState::Tracking { stream_until_s } => {
                 *stream_until_s = None;
+                self.guide = Guide::Target;
                 self.pending.command = Some(Command { bend: self.setpoint.bend, length: self.setpoint.length });
                 Ok(())
             }

@@ -31,13 +31,25 @@ pub enum Order {
     Calibrate(bool),
     /// Replaces the transmission gains.
     Lines([Line; 3]),
+    /// Like [`Order::Stream`], for a time in s on the clock of the stream: the tip follows a smooth curve through the set-points.
+    Timed(Command, f64),
+    /// Follows the path that was loaded.
+    Play,
+    /// Keeps the orientation in the world that this bend has now, optionally at a given speed in rad/s.
+    World(Command, Option<f64>),
 }
 
 impl Order {
     /// True for an order that can start a motion. A latched stop refuses it, and so does a stop that overtook it.
     #[must_use]
     pub fn starts_motion(&self) -> bool {
-        matches!(self, Self::Arm | Self::Bend(..) | Self::Stream(_) | Self::Relax | Self::Calibrate(true))
+        self.leads_setpoint() || matches!(self, Self::Arm | Self::Relax | Self::Calibrate(true))
+    }
+
+    /// True for an order that gives the set-point a target or another lead.
+    #[must_use]
+    pub fn leads_setpoint(&self) -> bool {
+        matches!(self, Self::Bend(..) | Self::Stream(_) | Self::Timed(..) | Self::Play | Self::World(..))
     }
 }
 
@@ -91,13 +103,35 @@ pub enum Refusal {
     /// A motion has not ended, or the drivers are not energised yet.
     #[error("still braking or energising; try again in a moment")]
     Busy,
+    /// No IMU on the base measures how it turns.
+    #[error("no healthy IMU on the base measures how it turns: bend without `--world`, or see `retroflex status`")]
+    NoBase,
+    /// The time of a set-point is not later than that of the one before.
+    #[error("the times of a stream must increase")]
+    Backwards,
+    /// A set-point comes too early.
+    #[error("a set-point may come at most 1 s ahead of its time")]
+    Ahead,
+    /// No path was loaded.
+    #[error("no path was given")]
+    NoPath,
 }
 
 impl Refusal {
     /// True if the order itself is invalid, in whatever state.
     #[must_use]
     pub fn is_invalid_order(&self) -> bool {
-        matches!(self, Self::NotANumber | Self::TooFar | Self::Unreachable(_) | Self::Length | Self::Speed | Self::Gains)
+        matches!(
+            self,
+            Self::NotANumber
+                | Self::TooFar
+                | Self::Unreachable(_)
+                | Self::Length
+                | Self::Speed
+                | Self::Gains
+                | Self::Backwards
+                | Self::Ahead
+        )
     }
 }
 

@@ -1,10 +1,12 @@
 //! State of the supervisor. Each mode owns its data; every change of mode goes through [`Supervisor::take`].
 
 use crate::control::follow::Pace;
+use crate::control::path::Path;
 use crate::control::tick::{Command, FeedbackConfig, LoopState, RestartRest, RestartState};
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::primitives::units::{Mm, Steps};
+use crate::supervisor::cycle::guide::{Guide, Recent};
 use crate::supervisor::cycle::order::Refusal;
 use crate::supervisor::cycle::sensor_watch::SensorWatch;
 use crate::supervisor::cycle::types::SupervisorConfig;
@@ -93,6 +95,12 @@ pub struct Supervisor {
     /// Time that the machine still has to clear its alarm, s.
     pub(super) clearing_s: f64,
     pub(super) pending: Pending,
+    /// What leads the set-point.
+    pub(super) guide: Guide,
+    /// The path that was loaded.
+    pub(super) path: Option<Box<Path>>,
+    /// Set-points that came with a time.
+    pub(super) recent: Recent,
     /// A stop is latched: nothing starts a motion until the next accepted `arm`, and the gate keeps standing.
     pub(super) stopped: bool,
     /// Attitude of the straight tip at the last zero, also after a restart.
@@ -127,6 +135,9 @@ impl Supervisor {
             pace: config.tick.bend_pace,
             clearing_s: 0.0,
             pending,
+            guide: Guide::Target,
+            path: None,
+            recent: Recent::default(),
             stopped: false,
             straight: remembered.and_then(|r| r.rest),
             unverified: false,

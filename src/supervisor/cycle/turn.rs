@@ -1,6 +1,7 @@
 //! One cycle: order, tick, sensor supervision, alignment, gate, residual monitor.
 
 use crate::control::tick::{Frame, Input, TickPhase, tick};
+use crate::estimation::fusion::health::CauseSet;
 use crate::model::bend::Bend;
 use crate::primitives::units::{Seconds, Steps};
 use crate::supervisor::cycle::order::Order;
@@ -49,8 +50,11 @@ impl Supervisor {
             suspicion: self.residual.suspicion().copied(),
             suspects,
             raised,
+            base_imu: self.state.fusion.base_health().map(|(in_force, _)| (self.state.fusion.tracks_base(), in_force)),
+            base_raised: self.state.fusion.base_health().map_or(CauseSet::EMPTY, |(_, raised)| raised),
             bias_moved: self.sensors.bias_moved(&self.state.fusion),
             stream_ended,
+            guidance: self.guidance(sensed.t.0),
             stopped: self.stopped,
             unverified: self.unverified,
             dt_s,
@@ -64,11 +68,13 @@ impl Supervisor {
     }
 
     fn tick_input(&mut self, sensed: &Sensed, dt_s: f64) -> Input {
+        // a late cycle does not let the set-point jump
+        let dt_s = dt_s.max(0.0).min(2.0 * self.config.gate.tick_s);
+        let reference = self.guided(sensed.t.0, dt_s);
         Input {
-            reference: None,
+            reference,
             t: sensed.t,
-            // a late cycle does not let the set-point jump
-            dt_s: dt_s.max(0.0).min(2.0 * self.config.gate.tick_s),
+            dt_s,
             imu: sensed.imu,
             base_imu: sensed.base_imu,
             command: self.pending.command.take(),

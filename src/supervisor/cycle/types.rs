@@ -25,6 +25,26 @@ pub struct SupervisorConfig {
     pub dead_man_s: f64,
 }
 
+/// What leads the set-point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Guidance {
+    /// A target, or nothing.
+    Target,
+    /// A path.
+    Path {
+        /// Time since its beginning, s.
+        at_s: f64,
+    },
+    /// Set-points with times.
+    Stream,
+    /// An orientation in the world.
+    World,
+    /// An orientation in the world that is out of reach: the largest bend towards it.
+    WorldOutOfReach,
+    /// The last bend towards an orientation in the world, since the IMU on the base failed.
+    WorldLost,
+}
+
 /// Output of one cycle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CycleOutput {
@@ -60,10 +80,16 @@ pub struct CycleOutput {
     pub suspects: bool,
     /// Causes that came into force against the sensor in this cycle.
     pub raised: CauseSet,
+    /// The IMU on the base: whether it measures the turns of the base, and the causes in force against it.
+    pub base_imu: Option<(bool, CauseSet)>,
+    /// Causes that came into force against it in this cycle.
+    pub base_raised: CauseSet,
     /// The gyroscope bias differs from that of the alignment.
     pub bias_moved: bool,
     /// A stream of set-points fell silent in this cycle, and the tip was stopped.
     pub stream_ended: bool,
+    /// What leads the set-point.
+    pub guidance: Guidance,
     /// A stop is latched.
     pub stopped: bool,
     /// No measurement has confirmed the last zero.

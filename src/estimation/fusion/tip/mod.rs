@@ -21,6 +21,7 @@ use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::health::{CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, Quality, SensorMonitor};
 use crate::model::bend::Bend;
+use crate::primitives::frames::{Base, Rotation, World};
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::Seconds;
 use nalgebra::Vector3;
@@ -48,6 +49,9 @@ pub struct Fusion {
     verdict: Option<HealthVerdict>,
     base: BaseTracker,
     base_monitor: SensorMonitor,
+    base_raised: CauseSet,
+    /// The monitor of the base IMU knows the field of its alignment.
+    with_base_field: bool,
     /// The base IMU has been seen.
     with_base: bool,
     stage: Stage,
@@ -94,9 +98,17 @@ impl Fusion {
             Stage::Tracking(t) => t.base_limits(),
         };
         let verdict = self.base_monitor.assess(&limits, input.now, &reading);
+        self.base_raised = verdict.raised;
         let up = self.alignment().map(|a| a.acc_rest_m_s2);
         match &input.base {
-            Some(sample) if verdict.gyro => self.base.update(&config.base, &config.align, sample, up.as_ref()),
+            Some(sample) if verdict.gyro => {
+                let sample = ImuSample { mag_ut: sample.mag_ut.filter(|_| verdict.mag), ..*sample };
+                self.base.update(&config.base, &config.align, &sample, up.as_ref());
+                if let (false, Some(rest)) = (self.with_base_field, self.base.rest()) {
+                    self.base_monitor.set_known(KnownErrors::default(), &rest.acc_rest_m_s2, rest.mag_rest_ut.as_ref());
+                }
+                self.with_base_field = self.base.rest().is_some();
+            }
             _ if verdict.blind => self.base.lose(),
             _ => {}
         }
@@ -196,10 +208,20 @@ impl Fusion {
     pub fn hold(&self) -> bool {
         self.verdict.is_some_and(|v| v.hold)
     }
+    /// Causes against the IMU on the base: those in force, and those raised by the last reading. `None` without such an IMU.
+    #[must_use]
+    pub fn base_health(&self) -> Option<(CauseSet, CauseSet)> {
+        self.with_base.then(|| (self.base_monitor.in_force(), self.base_raised))
+    }
     /// The base has an IMU of its own, and it is aligned.
     #[must_use]
     pub fn tracks_base(&self) -> bool {
         self.base.follows()
+    }
+    /// Attitude of the base in the world, which is the base at the alignment; the last known one without a healthy IMU on the base.
+    #[must_use]
+    pub fn base_attitude(&self) -> Rotation<World, Base> {
+        Rotation::assert_frames(self.base.turn().r_rest_now)
     }
     /// The tip has twisted against the mechanism for several seconds without a base IMU: the base may have turned.
     #[must_use]

@@ -84,7 +84,9 @@ impl Tracker {
     /// Limits of the monitor of the base IMU: it must notice a stuck one as soon as a silent one.
     pub fn base_limits(&self) -> HealthConfig {
         let readings = (self.limits.blind_max_s * FROZEN_SHARE / self.alignment.periods_s().0) as u32;
-        HealthConfig { frozen_after: readings.clamp(3, self.limits.frozen_after.max(3)), ..self.limits }
+        let frozen_after = readings.clamp(3, self.limits.frozen_after.max(3));
+        // readings that stick after a jump count as stuck before the jump counts as true
+        HealthConfig { frozen_after, spike_confirm: self.limits.spike_confirm.max(2 * frozen_after), ..self.limits }
     }
 
     /// Expects noise of every source that had noise during alignment.

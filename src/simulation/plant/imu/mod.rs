@@ -56,6 +56,20 @@ pub(crate) struct ImuFaults {
     pub(crate) spike: Option<(Vector3<f64>, Vector3<f64>)>,
     /// Added to every rate, rad/s.
     pub(crate) rate: Vector3<f64>,
+    /// Of the samples of the IMU on the base, only one in so many comes; those since the last one.
+    pub(crate) slow: Option<(u32, u32)>,
+    /// Added to the field in the axes of the chip, µT.
+    pub(crate) field_ut: Vector3<f64>,
+}
+
+impl ImuFaults {
+    /// Whether a sample comes.
+    pub(crate) fn passes(&mut self) -> bool {
+        self.slow.as_mut().is_none_or(|(one_in, since)| {
+            *since = (*since + 1) % *one_in;
+            *since == 0
+        })
+    }
 }
 
 impl Imu {
@@ -103,6 +117,7 @@ impl Imu {
         let (rate, force) = self.faults.spike.take().unwrap_or_default();
         stimulus.rate = stimulus.rate + self.faults.rate + rate;
         stimulus.force += force;
+        stimulus.field += self.faults.field_ut;
         let fresh_mag = t >= self.mag_due_s - 1e-9;
         if fresh_mag {
             self.mag_due_s = next_due(self.mag_due_s, self.chip.mag_period_s, t);
