@@ -312,3 +312,54 @@ fn the_service_plays_a_path_and_streams_set_points_with_times() {
     expect(&["stream"], "20 0 1\n20 x 2\n", 2, "line 2");
     expect(&["bend", "20", "--world"], "", 1, "IMU on the base");
 }
+
+#[test]
+fn a_stick_steers_the_tip_while_its_button_is_held() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(File::new(env!("CARGO_BIN_EXE_retroflex")), folder.path()).unwrap();
+    let socket = daemon.sockets()[0].clone();
+    let expect = |args: &[&str], code: i32, part: &str| {
+        let (got, text) = cli(&socket, args, "");
+        assert!(got == code && text.contains(part), "{args:?}: expected {code} and `{part}`, got {got}:\n{text}");
+    };
+    let table = |name: &str, rows: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, format!("t_s,x,y,held\n{rows}")).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let target = |what: &str, bend_deg: f64, dir_deg: f64| {
+        let near = |s: &serde_json::Value| {
+            let given = |key: &str| s["target"][key].as_f64().unwrap_or(f64::NAN);
+            (at(given("bend_deg"), given("dir_deg")).bend.0 - at(bend_deg, dir_deg).bend.0).norm().to_degrees() < 1.0
+        };
+        daemon.until(3.0, what, |s| s["mode"] == "holding" && near(s)).unwrap();
+    };
+    daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
+    let up = table("up.csv", "0,0,1,1\n1.5,0,1,0\n1.9,0,1,0\n");
+    expect(&["steer", "--replay", &up], 1, "must be armed");
+    expect(&["arm"], 0, "");
+    // the stick stays where it is when the button is released, and the tip holds
+    expect(&["steer", "--mode", "position", "--bend-max", "30", "--replay", &up], 0, "");
+    target("the stick's bend", 30.0, 90.0);
+    expect(&["steer", "--replay", &table("far.csv", "0,0,0,1\n1,2,0,1\n")], 2, "far.csv, line 3, column x: `2` is not within -1 to 1");
+    expect(&["steer", "--replay", folder.path().join("none.csv").to_str().unwrap()], 2, "none.csv");
+    expect(&["steer", "--device", "/dev/none"], 2, "/dev/none");
+
+    // a joystick that is unplugged while its button is held; --speed 20 for 1 s
+    let device = folder.path().join("js0");
+    assert!(process::Command::new("mkfifo").arg(&device).status().unwrap().success());
+    let writer = device.clone();
+    let unplugged = std::thread::spawn(move || {
+        let event = |value: i16, kind: u8, number: u8| [[0; 4], [value.to_ne_bytes()[0], value.to_ne_bytes()[1], kind, number]].concat();
+        let mut joystick = std::fs::OpenOptions::new().write(true).open(writer).unwrap();
+        // the state at the start, then the stick away from the operator, which a joystick counts as negative
+        joystick.write_all(&[event(0, 0x81, 0), event(0, 0x82, 0), event(0, 0x82, 1)].concat()).unwrap();
+        joystick.write_all(&[event(i16::MAX, 2, 1), event(1, 1, 0)].concat()).unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(1000));
+    });
+    expect(&["steer", "--device", device.to_str().unwrap(), "--speed", "20", "--expo", "0"], 3, "holding");
+    unplugged.join().unwrap();
+    let status = daemon.until(3.0, "the hold", |s| s["mode"] == "holding").unwrap();
+    let bend_deg = status["target"]["bend_deg"].as_f64().unwrap();
+    assert!((6.0..16.0).contains(&bend_deg), "20 °/s for a second from 30°: {bend_deg}");
+}

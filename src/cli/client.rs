@@ -11,6 +11,7 @@ pub mod connection;
 pub mod follow;
 pub mod play;
 pub mod status;
+pub mod steer;
 
 /// Commands to a running service.
 #[derive(Debug, clap::Subcommand)]
@@ -43,6 +44,8 @@ pub enum Client {
     /// Stream set-points from standard input, `BEND DIR` or `BEND DIR T` per line (degrees, and seconds if the tip shall follow a smooth curve
     /// through them); the tip stops when the stream pauses.
     Stream(Plain),
+    /// Bend the tip by hand, with a joystick or the arrow keys, while a button is held.
+    Steer(steer::SteerArgs),
     /// Print frames as JSON lines.
     Subscribe(SubscribeArgs),
 }
@@ -89,6 +92,7 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
             }
         }
         Client::Play(args) => play::play(args),
+        Client::Steer(args) => steer::steer(args),
         Client::Stream(p) => status::stream(&p.at),
         Client::Subscribe(args) => status::subscribe(args),
     }

@@ -9,7 +9,25 @@ use std::path::PathBuf;
 
 /// The commands by task, as `--help` lists them.
 pub const GROUPS: [(&str, &[&str]); 7] = [
-    ("Move", &["run", "arm", "bend", "stream", "play", "hold", "stop", "relax", "disarm", "status", "subscribe", "reset-fault", "reload"]),
+    (
+        "Move",
+        &[
+            "run",
+            "arm",
+            "bend",
+            "stream",
+            "play",
+            "steer",
+            "hold",
+            "stop",
+            "relax",
+            "disarm",
+            "status",
+            "subscribe",
+            "reset-fault",
+            "reload",
+        ],
+    ),
     ("Bring up", &["board", "doctor", "release", "jog", "home", "commission", "bench"]),
     ("Calibrate", &["zero", "calibrate", "imu"]),
     ("Diagnose", &["record", "log", "replay", "gap"]),
@@ -26,6 +44,8 @@ bend 60 --toward 90 --wait
 bend 30 --speed 10 --length 21
 play schedule.csv
 play schedule.csv --record today
+steer --mode position --bend-max 45
+steer --replay stick.csv
 status --watch
 status --json -
 subscribe

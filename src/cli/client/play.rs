@@ -134,8 +134,8 @@ fn refused(file: &PathFile, message: &str) -> miette::Report {
     }
 }
 
-/// Why the tip no longer moves as it was told.
-fn halted(s: &Value) -> Option<String> {
+/// Why the tip does not move as it is told.
+pub(super) fn halted(s: &Value) -> Option<String> {
     let mode = s["mode"].as_str().unwrap_or("");
     if s["stopped"] == true {
         return Some("stopped".to_owned());

@@ -1,0 +1,211 @@
+//! `steer`: bends the tip by hand with a joystick, the arrow keys, or a recorded list of stick movements.
+
+mod input;
+mod law;
+
+use super::connection::{At, answered, ask, connect};
+use super::play::halted;
+use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
+use crate::cli::Unreachable;
+use crate::cli::inputs::within;
+use crate::model::bend::Bend;
+use crate::service::client::Client as Connection;
+use crate::service::protocol::Request;
+use input::{Event, Input};
+use law::{Law, Mode};
+use miette::{IntoDiagnostic, Result};
+use nalgebra::Vector2;
+use serde_json::Value;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::time::{Duration, Instant};
+
+/// Period of the set-points, s.
+const PERIOD_S: f64 = 0.02;
+/// Set-points between two readings of the status.
+const STATUS_EVERY: u32 = 10;
+/// Time after a release in which a set-point may be refused, because the tip brakes.
+const BRAKES: Duration = Duration::from_secs(1);
+
+/// Arguments of `steer`.
+#[derive(Debug, clap::Args)]
+pub struct SteerArgs {
+    #[command(flatten)]
+    at: At,
+    /// Joystick, for example /dev/input/js0. Default: the first one; without any, the arrow keys of the terminal.
+    #[arg(long, value_name = "DEVICE")]
+    device: Option<PathBuf>,
+    /// Dead-man button of the joystick, counted from 0. Default: any button.
+    #[arg(long, value_parser = clap::value_parser!(u8).range(0..32))]
+    button: Option<u8>,
+    /// Steer by a table `t_s,x,y,held` of stick movements.
+    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["device", "button"])]
+    replay: Option<PathBuf>,
+    /// What the stick commands: the speed of the bend, or the bend itself.
+    #[arg(long, value_enum, default_value = "rate")]
+    mode: Mode,
+    /// Largest bend, degrees. A larger value reaches further.
+    #[arg(long, default_value_t = 60.0, value_parser = within(1.0..=135.0, "degrees"))]
+    bend_max: f64,
+    /// Largest speed, °/s. A larger value is quicker and less precise.
+    #[arg(long, default_value_t = 40.0, value_parser = within(1.0..=180.0, "°/s"))]
+    speed: f64,
+    /// Deflection below which the stick counts as released, of 1. A larger value tolerates a worn stick.
+    #[arg(long, default_value_t = 0.12, value_parser = within(0.0..=0.9, ""))]
+    dead_zone: f64,
+    /// Share of a cubic response, 0 to 1. A larger value makes the centre finer.
+    #[arg(long, default_value_t = 0.5, value_parser = within(0.0..=1.0, ""))]
+    expo: f64,
+}
+
+/// Steers until the operator ends. The tip moves while the dead-man button is held, and holds when it is released.
+///
+/// # Errors
+/// A report about the input, or with the service's message; a device that is gone counts as unreachable.
+pub fn steer(args: &SteerArgs) -> Result<CommandOutcome> {
+    let input = open(args)?;
+    let mut steering = Steering::new(args, connect(&args.at)?);
+    if let Some(why) = steering.ready()? {
+        eprintln!("refused: steering moves the tip, so it must be armed: {why}");
+        return Ok(NotGoodEnough);
+    }
+    let ended = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&ended)).into_diagnostic()?;
+    }
+    let (mut stick, mut held) = (Vector2::zeros(), false);
+    loop {
+        for event in input.events.try_iter() {
+            match event {
+                Event::X(x) => stick.x = x,
+                Event::Y(y) => stick.y = y,
+                Event::Held(now) => held = now,
+                Event::End => ended.store(true, Relaxed),
+                Event::Gone(why) => {
+                    steering.release()?;
+                    return Err(Unreachable::report("the joystick", format!("{why}: holding")));
+                }
+            }
+        }
+        let over = ended.load(Relaxed);
+        let outcome = if held && !over { steering.step(&stick)? } else { steering.release()? };
+        if let Some(outcome) = outcome.or_else(|| over.then_some(Good)) {
+            return Ok(outcome);
+        }
+        steering.wait();
+    }
+}
+
+fn open(args: &SteerArgs) -> Result<Input> {
+    if let Some(file) = &args.replay {
+        return Input::table(file);
+    }
+    if let Some(device) = args.device.clone().or_else(input::first_joystick) {
+        eprintln!(
+            "{}: hold {} and move the stick",
+            device.display(),
+            args.button.map_or("any button".to_owned(), |b| format!("button {b}"))
+        );
+        return Input::joystick(&device, args.button);
+    }
+    if std::io::stdin().is_terminal() {
+        eprintln!("arrow keys bend, the space bar holds, q ends");
+    }
+    Input::keyboard()
+}
+
+/// The bend under way.
+struct Steering {
+    connection: Connection,
+    law: Law,
+    /// Last bend that was accepted, rad.
+    at: Vector2<f64>,
+    moving: bool,
+    released: Option<Instant>,
+    began: Instant,
+    cycles: u32,
+    warned: Option<String>,
+}
+
+impl Steering {
+    fn new(args: &SteerArgs, connection: Connection) -> Self {
+        let law = Law {
+            mode: args.mode,
+            dead_zone: args.dead_zone,
+            expo: args.expo,
+            bend_max_rad: args.bend_max.to_radians(),
+            speed_rad_s: args.speed.to_radians(),
+        };
+        let (at, began) = (Vector2::zeros(), Instant::now());
+        Self { connection, law, at, moving: false, released: None, began, cycles: 0, warned: None }
+    }
+
+    /// Starts from the present target; says why the tip cannot be steered.
+    fn ready(&mut self) -> Result<Option<String>> {
+        let Some(s) = self.status()? else { return Ok(Some("the service refuses its status".to_owned())) };
+        let degrees = |key: &str| s["target"][key].as_f64().unwrap_or(0.0);
+        self.at = Bend::from_deg(degrees("bend_deg"), degrees("dir_deg")).0;
+        Ok(halted(&s))
+    }
+
+    fn status(&mut self) -> Result<Option<Value>> {
+        ask(&mut self.connection, &Request::Status {})
+    }
+
+    /// One set-point; the outcome of the command if the service no longer moves.
+    fn step(&mut self, stick: &Vector2<f64>) -> Result<Option<CommandOutcome>> {
+        let next = self.law.next(&self.at, stick, PERIOD_S);
+        let bend = Bend(next);
+        let (bend_deg, dir_deg) = (bend.beta().to_degrees(), bend.delta().to_degrees());
+        let request = Request::Stream { bend_deg, dir_deg, length_mm: None, t_s: Some(self.began.elapsed().as_secs_f64()) };
+        match self.connection.request(&request) {
+            Ok(_) => (self.at, self.moving) = (next, true),
+            Err(f) if f.code == 1 => {
+                let Some(s) = self.status()? else { return Ok(Some(NotGoodEnough)) };
+                if let Some(why) = halted(&s) {
+                    eprintln!("steering ended: {why}");
+                    return Ok(Some(NotGoodEnough));
+                }
+                if self.released.is_none_or(|at| at.elapsed() > BRAKES) {
+                    self.warn(Some(f.message));
+                }
+            }
+            Err(f) => return answered(Err(f)).map(|_| None),
+        }
+        if self.cycles.is_multiple_of(STATUS_EVERY)
+            && let Some(s) = self.status()?
+            && self.moving
+        {
+            self.warn(s["shortfall"].as_str().map(str::to_owned));
+        }
+        Ok(None)
+    }
+
+    /// The tip holds where it is.
+    fn release(&mut self) -> Result<Option<CommandOutcome>> {
+        if std::mem::take(&mut self.moving) {
+            self.released = Some(Instant::now());
+            ask(&mut self.connection, &Request::Hold {})?;
+            self.ready()?;
+        }
+        Ok(None)
+    }
+
+    /// Prints a warning once.
+    fn warn(&mut self, warning: Option<String>) {
+        if let Some(text) = warning.as_ref().filter(|_| warning != self.warned) {
+            eprintln!("\x07warning: {text}");
+        }
+        self.warned = warning;
+    }
+
+    /// Waits for the next set-point.
+    fn wait(&mut self) {
+        self.cycles += 1;
+        let due = Duration::from_secs_f64(f64::from(self.cycles) * PERIOD_S);
+        std::thread::sleep(due.saturating_sub(self.began.elapsed()));
+    }
+}

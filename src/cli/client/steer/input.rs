@@ -1,0 +1,193 @@
+//! Sources of stick movements: a joystick device, the keys of a terminal, or a table. Each is a thread that sends events.
+
+use crate::log::table::{Schema, Table};
+use miette::{IntoDiagnostic, Result, miette};
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::{sleep, spawn};
+use std::time::{Duration, Instant};
+
+/// Time for which a key acts, s: a terminal repeats a held key after at most half a second.
+const KEY_S: f64 = 0.6;
+/// Types of a joystick event (Linux, `Documentation/input/joydev/joystick-api.rst`); the first event of each control has the bit 0x80 too.
+const BUTTON: u8 = 1;
+const AXIS: u8 = 2;
+
+/// A change of the stick.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event {
+    /// Deflection to the right, −1 to 1.
+    X(f64),
+    /// Deflection away from the operator, −1 to 1.
+    Y(f64),
+    /// Whether the dead-man button is held.
+    Held(bool),
+    /// The operator, or the table, ends.
+    End,
+    /// The device is gone.
+    Gone(String),
+}
+
+/// A stick that sends events; restores the terminal when dropped.
+pub struct Input {
+    /// The events.
+    pub events: Receiver<Event>,
+    terminal: Option<String>,
+}
+
+impl Drop for Input {
+    fn drop(&mut self) {
+        if let Some(settings) = &self.terminal {
+            // a terminal that is gone needs no settings
+            let _ = stty(&[settings]);
+        }
+    }
+}
+
+impl Input {
+    /// The joystick of a device file; `button` counts from 0, any button if none is named.
+    ///
+    /// # Errors
+    /// A report that names the device.
+    pub fn joystick(device: &Path, button: Option<u8>) -> Result<Self> {
+        let mut file = File::open(device).map_err(|e| miette!("{}: {e}; `ls /dev/input/js*` lists the joysticks", device.display()))?;
+        let name = device.display().to_string();
+        Ok(Self::of(move |send| {
+            let (mut event, mut pressed) = ([0; 8], 0u32);
+            loop {
+                if let Err(e) = file.read_exact(&mut event) {
+                    let _ = send.send(Event::Gone(format!("{name}: {e}")));
+                    return;
+                }
+                let value = i16::from_ne_bytes([event[4], event[5]]);
+                let deflection = f64::from(value) / f64::from(i16::MAX);
+                let known = match (event[6] & 0x7f, event[7]) {
+                    (AXIS, 0) => Event::X(deflection),
+                    (AXIS, 1) => Event::Y(-deflection),
+                    (BUTTON, n) if button.is_none_or(|b| b == n) && n < 32 => {
+                        pressed = if value != 0 { pressed | 1 << n } else { pressed & !(1 << n) };
+                        Event::Held(pressed != 0)
+                    }
+                    _ => continue,
+                };
+                if send.send(known).is_err() {
+                    return;
+                }
+            }
+        }))
+    }
+
+    /// The arrow keys of the terminal. A held key deflects the stick fully; the space bar releases it, and `q` ends.
+    ///
+    /// # Errors
+    /// A report if standard input is no terminal.
+    pub fn keyboard() -> Result<Self> {
+        let settings = stty(&["-g"]).map_err(|e| miette!("standard input is no terminal ({e}): name a joystick with --device"))?;
+        stty(&["-icanon", "-echo", "min", "0", "time", "1"])?;
+        let mut input = Self::of(|send| {
+            let (mut bytes, mut acts_until, mut known) = ([0; 64], None::<Instant>, Vec::new());
+            loop {
+                let Ok(n) = std::io::stdin().lock().read(&mut bytes) else { return };
+                known.extend(keys(&bytes[..n]));
+                if known.iter().any(|e| *e == Event::Held(true)) {
+                    acts_until = Some(Instant::now() + Duration::from_secs_f64(KEY_S));
+                } else if acts_until.is_some_and(|until| Instant::now() > until) {
+                    acts_until = None;
+                    known.push(Event::Held(false));
+                }
+                if known.drain(..).any(|event| send.send(event).is_err()) {
+                    return;
+                }
+            }
+        });
+        input.terminal = Some(settings);
+        Ok(input)
+    }
+
+    /// A table `t_s,x,y,held` of deflections and of the dead-man button, 0 or 1.
+    ///
+    /// # Errors
+    /// A report that names file, line and column.
+    pub fn table(file: &Path) -> Result<Self> {
+        let known = |name: &str| ["t_s", "x", "y", "held"].contains(&name);
+        let schema = Schema { required: &["t_s", "x", "y", "held"], known: &known, rows_min: 1 };
+        let table = Table::open(file, &schema).into_diagnostic()?;
+        let mut columns = [table.clock("t_s").into_diagnostic()?.to_vec(), vec![], vec![], vec![]];
+        for (column, (name, least)) in columns[1..].iter_mut().zip([("x", -1.0), ("y", -1.0), ("held", 0.0)]) {
+            *column = table.complete(name).into_diagnostic()?.to_vec();
+            if let Some(row) = column.iter().position(|v| !(least..=1.0).contains(v)) {
+                let (given, expected) = (column[row].to_string(), format!("within {least} to 1"));
+                return Err(table.refuse(row, name, &given, &expected)).into_diagnostic();
+            }
+        }
+        Ok(Self::of(move |send| {
+            let [t_s, x, y, held] = columns;
+            let began = Instant::now();
+            for k in 0..t_s.len() {
+                let due = Duration::from_secs_f64((t_s[k] - t_s[0]).max(0.0));
+                sleep(due.saturating_sub(began.elapsed()));
+                if [Event::X(x[k]), Event::Y(y[k]), Event::Held(held[k] > 0.5)].into_iter().any(|event| send.send(event).is_err()) {
+                    return;
+                }
+            }
+            let _ = send.send(Event::End);
+        }))
+    }
+
+    fn of(work: impl FnOnce(Sender<Event>) + Send + 'static) -> Self {
+        let (send, events) = channel();
+        spawn(move || work(send));
+        Self { events, terminal: None }
+    }
+}
+
+/// The first joystick of this computer.
+#[must_use]
+pub fn first_joystick() -> Option<PathBuf> {
+    (0..32).map(|n| PathBuf::from(format!("/dev/input/js{n}"))).find(|path| path.exists())
+}
+
+/// The events of bytes from a terminal.
+fn keys(bytes: &[u8]) -> Vec<Event> {
+    let at = |x: f64, y: f64| vec![Event::X(x), Event::Y(y), Event::Held(true)];
+    let mut out = vec![];
+    let mut rest = bytes;
+    while let [first, after @ ..] = rest {
+        let (events, left) = match (first, after) {
+            (0x1b, [b'[' | b'O', b'A', left @ ..]) => (at(0.0, 1.0), left),
+            (0x1b, [b'[' | b'O', b'B', left @ ..]) => (at(0.0, -1.0), left),
+            (0x1b, [b'[' | b'O', b'C', left @ ..]) => (at(1.0, 0.0), left),
+            (0x1b, [b'[' | b'O', b'D', left @ ..]) => (at(-1.0, 0.0), left),
+            (b' ', left) => (vec![Event::Held(false)], left),
+            (b'q', left) => (vec![Event::End], left),
+            (_, left) => (vec![], left),
+        };
+        out.extend(events);
+        rest = left;
+    }
+    out
+}
+
+/// Runs `stty` on the terminal of standard input; returns what it prints.
+fn stty(arguments: &[&str]) -> Result<String> {
+    let out = Command::new("stty").args(arguments).stdin(Stdio::inherit()).output().map_err(|e| miette!("stty: {e}"))?;
+    if out.status.success() {
+        return Ok(String::from_utf8_lossy(&out.stdout).trim().to_owned());
+    }
+    Err(miette!("{}", String::from_utf8_lossy(&out.stderr).trim()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_deflect_release_and_end() {
+        assert_eq!(keys(b"\x1b[A"), [Event::X(0.0), Event::Y(1.0), Event::Held(true)]);
+        assert_eq!(keys(b"x\x1bOD q"), [Event::X(-1.0), Event::Y(0.0), Event::Held(true), Event::Held(false), Event::End]);
+        assert!(keys(b"\x1b[").is_empty());
+    }
+}
