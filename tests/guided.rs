@@ -300,6 +300,7 @@ fn the_service_plays_a_path_and_streams_set_points_with_times() {
     expect(&["play", &far], "", 2, "far.csv, line 3, column bend_deg: `120` is not within");
     expect(&["play", &file("late.csv", "0,20,0\n0,25,0\n")], "", 2, "late.csv, line 3, column t_s");
 
+    expect(&["bend", "30", "--wait"], "", 0, "settled");
     let rows: String = (0..=50).map(|k| format!("{} 0 {}\n", 30.0 - 0.2 * f64::from(k), 7.0 + f64::from(k) * 0.02)).collect();
     expect(&["stream"], &rows, 0, "");
     daemon

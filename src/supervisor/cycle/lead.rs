@@ -49,7 +49,9 @@ impl Supervisor {
         if at_s > now_s + AHEAD_MAX_S {
             return Err(Refusal::Ahead);
         }
-        self.lead_by(Guide::Stream { offset_s }, command, None, Some(now_s + self.config.dead_man_s))?;
+        // a client that sends ahead may fall silent until the time of its last set-point
+        let until_s = (now_s + self.config.dead_man_s).max(at_s);
+        self.lead_by(Guide::Stream { offset_s }, command, None, Some(until_s))?;
         if running.is_none() {
             self.recent.clear();
         }

@@ -92,7 +92,7 @@ impl Input {
             loop {
                 let Ok(n) = std::io::stdin().lock().read(&mut bytes) else { return };
                 known.extend(keys(&bytes[..n]));
-                if known.iter().any(|e| *e == Event::Held(true)) {
+                if known.contains(&Event::Held(true)) {
                     acts_until = Some(Instant::now() + Duration::from_secs_f64(KEY_S));
                 } else if acts_until.is_some_and(|until| Instant::now() > until) {
                     acts_until = None;
