@@ -10,8 +10,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
-/// Time for which a key acts, s: a terminal repeats a held key after at most half a second.
-const KEY_S: f64 = 0.6;
+/// Time for which a key acts, s: longer than a terminal takes to repeat it, so that a held key moves the tip evenly once the repetition
+/// has begun, and a key that is only pressed is a small step.
+const KEY_S: f64 = 0.15;
 /// Types of a joystick event (Linux, `Documentation/input/joydev/joystick-api.rst`); the first event of each control has the bit 0x80 too.
 const BUTTON: u8 = 1;
 const AXIS: u8 = 2;
