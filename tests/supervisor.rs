@@ -119,6 +119,30 @@ fn a_fault_of_one_line_is_attributed_to_its_channel() {
 }
 
 #[test]
+fn a_suspicion_ends_once_moves_come_good() {
+    let mut f = Flight::new(None, None);
+    f.run(2.5);
+    f.order(Order::Arm);
+    f.run(0.1);
+    f.bend(65.0, 70.0);
+    f.run(2.5);
+    let line = |factor| InjectedFault::Gain { channel: Channel::Two, factor };
+    f.runner.machine.world.plant_mut().inject(line(0.4));
+    assert!(f.run(5.0).suspicion.is_some());
+    // the line stays weak: the suspicion stays
+    f.bend(40.0, 70.0);
+    assert!(f.run(3.0).suspicion.is_some());
+    f.runner.machine.world.plant_mut().inject(line(1.0));
+    f.run(3.0);
+    let ended = (0..8).position(|k| {
+        f.bend(if k % 2 == 0 { 60.0 } else { 30.0 }, 70.0);
+        f.run(3.0).suspicion.is_none()
+    });
+    println!("the suspicion ended with move {ended:?} after the repair");
+    assert!(ended.is_some(), "{:?}", f.run(0.1).suspicion);
+}
+
+#[test]
 fn a_weak_line_is_attributed_to_its_channel() {
     // in poses in which the line is deflected
     let cases =
