@@ -91,14 +91,26 @@ fn healthy_tips_never_trip_and_are_rarely_suspected() {
     assert!(suspected.len() <= 12, "false suspicions in more than 12 of {poses} poses: {suspected:#?}");
 }
 
-/// Injects a fault into a held pose; returns kind and channel of the suspicion five seconds later.
-fn named(fault: InjectedFault, at: (f64, f64)) -> (String, Option<u8>) {
+/// An armed tip at rest.
+fn armed() -> Flight {
     let mut f = Flight::new(None, None);
     f.run(2.5);
     f.order(Order::Arm);
     f.run(0.1);
-    f.bend(at.0, at.1);
+    f
+}
+
+/// An armed tip that holds a pose, degrees.
+fn held(bend_deg: f64, dir_deg: f64) -> Flight {
+    let mut f = armed();
+    f.bend(bend_deg, dir_deg);
     f.run(2.5);
+    f
+}
+
+/// Injects a fault into a held pose; returns kind and channel of the suspicion five seconds later.
+fn named(fault: InjectedFault, at: (f64, f64)) -> (String, Option<u8>) {
+    let mut f = held(at.0, at.1);
     f.runner.machine.world.plant_mut().inject(fault);
     let t = f.run(5.0);
     let s = t.suspicion.unwrap_or_else(|| panic!("{fault:?} was not detected"));
@@ -121,12 +133,7 @@ fn a_fault_of_one_line_is_attributed_to_its_channel() {
 #[test]
 #[ignore = "the suspicion of a weak line outlives its repair by more than eight moves; the cause is not known"]
 fn a_suspicion_ends_once_moves_come_good() {
-    let mut f = Flight::new(None, None);
-    f.run(2.5);
-    f.order(Order::Arm);
-    f.run(0.1);
-    f.bend(65.0, 70.0);
-    f.run(2.5);
+    let mut f = held(65.0, 70.0);
     let line = |factor| InjectedFault::Gain { channel: Channel::Two, factor };
     f.runner.machine.world.plant_mut().inject(line(0.4));
     assert!(f.run(5.0).suspicion.is_some());
@@ -157,12 +164,7 @@ fn a_weak_line_is_attributed_to_its_channel() {
 
 #[test]
 fn feedback_compensates_a_weak_line_without_reporting_an_obstruction() {
-    let mut f = Flight::new(None, None);
-    f.run(2.5);
-    f.order(Order::Arm);
-    f.run(0.1);
-    f.bend(50.0, 70.0);
-    f.run(2.5);
+    let mut f = held(50.0, 70.0);
     f.runner.machine.world.plant_mut().inject(InjectedFault::Gain { channel: Channel::Two, factor: 0.6 });
     let t = f.run(5.0);
     let off = (t.frame.estimate.unwrap().bend.0 - t.frame.target.bend.0).norm().to_degrees();
@@ -171,10 +173,7 @@ fn feedback_compensates_a_weak_line_without_reporting_an_obstruction() {
 
 #[test]
 fn saturation_of_the_feedback_is_reported_and_withdrawn() {
-    let mut f = Flight::new(None, None);
-    f.run(2.5);
-    f.order(Order::Arm);
-    f.run(0.1);
+    let mut f = armed();
     let mut next = f.runner.supervisor.config().clone();
     next.tick.feedback.as_mut().unwrap().integral_max_rad = 0.05;
     f.runner.supervisor.reload(&mut next);
@@ -225,10 +224,7 @@ fn orders_are_accepted_and_refused_by_mode() {
 
 #[test]
 fn a_stream_that_falls_silent_stops_the_tip() {
-    let mut f = Flight::new(None, None);
-    f.run(2.5);
-    f.order(Order::Arm);
-    f.run(0.1);
+    let mut f = armed();
     let Order::Bend(command, _) = bend_to(70.0, 10.0) else { unreachable!() };
     f.order(Order::Stream(command));
     let mut ended = None;
@@ -245,10 +241,7 @@ fn a_stream_that_falls_silent_stops_the_tip() {
 
 #[test]
 fn a_reload_does_not_move_the_tip() {
-    let mut f = Flight::new(None, None);
-    f.run(2.5);
-    f.order(Order::Arm);
-    f.run(0.1);
+    let mut f = armed();
     f.bend(50.0, 120.0);
     let before = f.run(2.5).steps;
     let mut next = f.runner.supervisor.config().clone();
@@ -364,10 +357,7 @@ fn no_return_begins_while_the_emergency_stop_is_pressed() {
 
 /// A tip in motion that has just been ordered to stop.
 fn braking() -> Flight {
-    let mut f = Flight::new(None, None);
-    f.run(2.5);
-    f.order(Order::Arm);
-    f.run(0.1);
+    let mut f = armed();
     f.bend(60.0, 40.0);
     f.run(0.3);
     f.order(Order::Stop);

@@ -97,8 +97,7 @@ pub(super) fn words(value: &Value) -> String {
     match (file, value["rows"].as_u64(), value["gains"].as_str()) {
         (Some(path), None, _) => format!("recording {path}\n"),
         (Some(path), Some(rows), _) => {
-            let replay = value["replayable"] == true;
-            let replay = if replay { ", can be replayed" } else { "" };
+            let replay = if value["replayable"] == true { ", can be replayed" } else { "" };
             format!("{path}: {rows} rows{replay}\n")
         }
         (None, _, Some(gains)) => format!("{gains} is in use\n"),

@@ -3,7 +3,7 @@
 mod input;
 mod law;
 
-use super::connection::{At, answered, ask, connect};
+use super::connection::{At, ask, connect, report};
 use super::play::halted;
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::Unreachable;
@@ -91,9 +91,13 @@ pub fn steer(args: &SteerArgs) -> Result<CommandOutcome> {
             }
         }
         let over = ended.load(Relaxed);
-        let outcome = if held && !over { steering.step(&stick)? } else { steering.release()? };
-        if let Some(outcome) = outcome.or_else(|| over.then_some(Good)) {
-            return Ok(outcome);
+        if !held || over {
+            steering.release()?;
+        } else if !steering.step(&stick)? {
+            return Ok(NotGoodEnough);
+        }
+        if over {
+            return Ok(Good);
         }
         steering.wait();
     }
@@ -155,8 +159,8 @@ impl Steering {
         ask(&mut self.connection, &Request::Status {})
     }
 
-    /// One set-point; the outcome of the command if the service no longer moves.
-    fn step(&mut self, stick: &Vector2<f64>) -> Result<Option<CommandOutcome>> {
+    /// One set-point; false if the service no longer moves.
+    fn step(&mut self, stick: &Vector2<f64>) -> Result<bool> {
         let next = self.law.next(&self.at, stick, PERIOD_S);
         let bend = Bend(next);
         let (bend_deg, dir_deg) = (bend.beta().to_degrees(), bend.delta().to_degrees());
@@ -164,16 +168,16 @@ impl Steering {
         match self.connection.request(&request) {
             Ok(_) => (self.at, self.moving) = (next, true),
             Err(f) if f.code == 1 => {
-                let Some(s) = self.status()? else { return Ok(Some(NotGoodEnough)) };
+                let Some(s) = self.status()? else { return Ok(false) };
                 if let Some(why) = halted(&s) {
                     eprintln!("steering ended: {why}");
-                    return Ok(Some(NotGoodEnough));
+                    return Ok(false);
                 }
                 if self.released.is_none_or(|at| at.elapsed() > BRAKES) {
                     self.warn(Some(f.message));
                 }
             }
-            Err(f) => return answered(Err(f)).map(|_| None),
+            Err(f) => return Err(report(f)),
         }
         if self.cycles.is_multiple_of(STATUS_EVERY)
             && let Some(s) = self.status()?
@@ -181,17 +185,17 @@ impl Steering {
         {
             self.warn(s["shortfall"].as_str().map(str::to_owned));
         }
-        Ok(None)
+        Ok(true)
     }
 
     /// The tip holds where it is.
-    fn release(&mut self) -> Result<Option<CommandOutcome>> {
+    fn release(&mut self) -> Result<()> {
         if std::mem::take(&mut self.moving) {
             self.released = Some(Instant::now());
             ask(&mut self.connection, &Request::Hold {})?;
             self.ready()?;
         }
-        Ok(None)
+        Ok(())
     }
 
     /// Prints a warning once.

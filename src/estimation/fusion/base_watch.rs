@@ -11,6 +11,8 @@
 //!   obstructed tip deviates by *not* turning while it is pushed, and an overestimated backlash by turning further
 //!   than it is pushed.
 //!
+//! A sway stays below both limits. [`super::sway`] estimates it, so that the feedback can leave it out.
+//!
 //! Neither test detects a rotation that looks like bending while the tip moves. A cable that becomes taut, or an
 //! obstruction, makes the tip lag its pistons by as much, and one IMU cannot tell the three apart. The residual
 //! monitor of the supervisor reports larger deviations.
