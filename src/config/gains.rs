@@ -47,6 +47,9 @@ parameters! {
         lead: f64 = 1.0, "", 0.0..=1.5, "1 leads by the whole lag";
         /// Learns lag and dead time during operation.
         learn_dynamics: bool = true;
+        /// Learns the static error of the model as a function of the bend; without it, every new target starts with the
+        /// feedback of the last.
+        learn_error: bool = true;
         /// Learns how much of the backlash a reversal by feedback crosses; without it, all of it.
         learn_backlash: bool = true;
     }
@@ -113,6 +116,7 @@ impl Gains {
             integral_max_rad: o.integral_max_deg.to_radians(),
             lead: o.lead,
             learn_dynamics: o.learn_dynamics,
+            learn_error: o.learn_error,
             learn_backlash: o.learn_backlash,
             standstill: self.standstill,
             obstruction: self.obstruction,

@@ -20,7 +20,8 @@
 //! Let the true response time τ + T differ from the model's by at most Δ. With the model exact except for a gain g the loop
 //! is stable for |g − 1| < 1, a gain margin of 2; with an error Δ of the response time alone it is stable for λ > Δ. λ is
 //! therefore at least 1.5 times the largest plausible Δ, which is large before the tip has moved and shrinks with the
-//! evidence ([`crate::control::learning::dynamics`]): the loop starts slowly and becomes quicker.
+//! evidence ([`crate::control::learning::dynamics`]): the loop starts slowly and becomes quicker. It is also at least the dead
+//! time, so that errors of gain and of dead time together are tolerated (the SIMC rule, Skogestad 2003).
 
 use nalgebra::Vector2;
 
@@ -130,7 +131,7 @@ impl PiGains {
     /// bounded by `kp_max`, because it amplifies the noise of the estimate. `caution` ≥ 1 slows the loop down.
     #[must_use]
     pub fn new(range: &DynamicsRange, tau_c_s: f64, kp_max: f64, caution: f64) -> Self {
-        let integral_s = tau_c_s.max(DELAY_MARGIN * range.error_max_s()) * caution;
+        let integral_s = tau_c_s.max(range.best.delay_s).max(DELAY_MARGIN * range.error_max_s()) * caution;
         Self { integral_s, lag_s: range.lag_min_s.min(kp_max * integral_s) }
     }
 

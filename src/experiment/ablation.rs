@@ -20,9 +20,10 @@ const SLOW_LAG_S: f64 = 0.25;
 type Mechanism = (&'static str, fn(&mut LoopConfig));
 
 /// The loop as configured, then each mechanism.
-pub const MECHANISMS: [Mechanism; 8] = [
+pub const MECHANISMS: [Mechanism; 9] = [
     ("nothing", |_| ()),
     ("online k_eps", |c| c.refine.enabled = false),
+    ("learned static error", |c| feedback(c, |f| f.learn_error = false)),
     ("dynamics bank", |c| feedback(c, |f| f.learn_dynamics = false)),
     ("backlash share", |c| feedback(c, |f| f.learn_backlash = false)),
     // the refinement takes its poses from the latch

@@ -15,9 +15,9 @@ use crate::control::pi::{Dynamics, DynamicsPrior, DynamicsRange};
 use nalgebra::Vector2;
 
 /// Lags of the candidates, s.
-pub const LAGS_S: [f64; 8] = [0.01, 0.03, 0.06, 0.12, 0.2, 0.35, 0.6, 1.0];
+pub const LAGS_S: [f64; 13] = [0.01, 0.03, 0.06, 0.1, 0.14, 0.19, 0.25, 0.32, 0.41, 0.52, 0.66, 0.83, 1.05];
 /// Dead times of the candidates, s.
-pub const DELAYS_S: [f64; 13] = [0.0, 0.01, 0.025, 0.05, 0.08, 0.12, 0.16, 0.21, 0.26, 0.32, 0.4, 0.5, 0.6];
+pub const DELAYS_S: [f64; 16] = [0.0, 0.01, 0.025, 0.05, 0.08, 0.11, 0.14, 0.17, 0.2, 0.24, 0.28, 0.32, 0.37, 0.43, 0.5, 0.6];
 /// Sampling rate of the bank, 1/s.
 const RATE_HZ: f64 = 100.0;
 const PERIOD_S: f64 = 1.0 / RATE_HZ;
@@ -142,10 +142,11 @@ impl DynamicsBank {
         let (best, least) = all().map(|c| (c, score(c))).fold(((0, 0), f64::INFINITY), |a, b| if b.1 < a.1 { b } else { a });
         let mut range = DynamicsRange { best: now.best, lag_min_s: f64::INFINITY, response_min_s: f64::INFINITY, response_max_s: 0.0 };
         for c in all().filter(|c| score(*c) < least + PLAUSIBLE) {
-            let Dynamics { lag_s, delay_s } = candidate(c);
-            range.lag_min_s = range.lag_min_s.min(lag_s);
-            range.response_min_s = range.response_min_s.min(lag_s + delay_s);
-            range.response_max_s = range.response_max_s.max(lag_s + delay_s);
+            // a candidate stands for everything up to half of the way to its neighbours
+            let ([lag_min_s, lag_max_s], [delay_min_s, delay_max_s]) = (cell(&LAGS_S, c.0), cell(&DELAYS_S, c.1));
+            range.lag_min_s = range.lag_min_s.min(lag_min_s);
+            range.response_min_s = range.response_min_s.min(lag_min_s + delay_min_s);
+            range.response_max_s = range.response_max_s.max(lag_max_s + delay_max_s);
         }
         if score(nearest(&now.best)) > least + BETTER {
             range.best = self.interpolated(best);
@@ -157,18 +158,17 @@ impl DynamicsBank {
         all().map(|c| self.unexplained(c)).fold(1.0, f64::min)
     }
 
-    /// The dead time at the vertex of the parabola through the shares of a candidate and its neighbours.
+    /// Lag and dead time between the candidates: the dead time that leaves least for each lag, then the lag.
     fn interpolated(&self, (l, d): (usize, usize)) -> Dynamics {
-        let Dynamics { lag_s, delay_s } = candidate((l, d));
-        if d == 0 || d + 1 == DELAYS_S.len() {
-            return Dynamics { lag_s, delay_s };
-        }
-        let (x0, x2) = (DELAYS_S[d - 1] - delay_s, DELAYS_S[d + 1] - delay_s);
-        let (y0, y1, y2) = (self.unexplained((l, d - 1)), self.unexplained((l, d)), self.unexplained((l, d + 1)));
-        let (s0, s2) = ((y0 - y1) / x0, (y2 - y1) / x2);
-        let curvature = (s2 - s0) / (x2 - x0);
-        let shift = if curvature > 0.0 { -(s0 - curvature * x0) / (2.0 * curvature) } else { 0.0 };
-        Dynamics { lag_s, delay_s: delay_s + shift.clamp(x0 / 2.0, x2 / 2.0) }
+        let delay = |l: usize| vertex(&DELAYS_S, d, |d| self.unexplained((l, d)));
+        let last = LAGS_S.len() - 1;
+        let near = l.saturating_sub(1)..=(l + 1).min(last);
+        let l = near.min_by(|&a, &b| delay(a).1.total_cmp(&delay(b).1)).unwrap_or(l);
+        let (lag_s, _) = vertex(&LAGS_S, l, |l| delay(l).1);
+        // a longer lag goes with a shorter dead time
+        let other = if lag_s < LAGS_S[l] { l.saturating_sub(1) } else { (l + 1).min(last) };
+        let part = if other == l { 0.0 } else { (lag_s - LAGS_S[l]) / (LAGS_S[other] - LAGS_S[l]) };
+        Dynamics { lag_s, delay_s: (delay(l).0 + part * (delay(other).0 - delay(l).0)).max(0.0) }
     }
 
     fn unexplained(&self, (l, d): (usize, usize)) -> f64 {
@@ -185,6 +185,27 @@ fn all() -> impl Iterator<Item = (usize, usize)> {
 
 fn candidate((l, d): (usize, usize)) -> Dynamics {
     Dynamics { lag_s: LAGS_S[l], delay_s: DELAYS_S[d] }
+}
+
+/// Where the parabola through the values at `i` and its neighbours in the grid is least, no further than the neighbours, and the
+/// value there.
+fn vertex(grid: &[f64], i: usize, value: impl Fn(usize) -> f64) -> (f64, f64) {
+    let least = value(i);
+    if i == 0 || i + 1 == grid.len() {
+        return (grid[i], least);
+    }
+    let (x0, x2) = (grid[i - 1] - grid[i], grid[i + 1] - grid[i]);
+    let (s0, s2) = ((value(i - 1) - least) / x0, (value(i + 1) - least) / x2);
+    let curvature = (s2 - s0) / (x2 - x0);
+    let slope = s0 - curvature * x0;
+    let shift = if curvature > 0.0 { (-slope / (2.0 * curvature)).clamp(x0, x2) } else { 0.0 };
+    (grid[i] + shift, least + (slope + curvature * shift) * shift)
+}
+
+/// Half of the way from a value of a grid to its neighbours on both sides.
+fn cell(grid: &[f64], i: usize) -> [f64; 2] {
+    let halfway = |j: usize| (grid[i] + grid[j]) / 2.0;
+    [halfway(i.saturating_sub(1)), halfway((i + 1).min(grid.len() - 1))]
 }
 
 /// The candidate nearest to the given dynamics.

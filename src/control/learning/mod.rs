@@ -4,3 +4,4 @@ pub mod batch;
 pub mod dynamics;
 pub mod online;
 pub mod sides;
+pub mod static_error;

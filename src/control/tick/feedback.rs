@@ -7,13 +7,14 @@ use super::types::{Input, LoopConfig};
 use crate::control::follow::Follower;
 use crate::control::learning::online::HeldPose;
 use crate::control::learning::sides::Sides;
+use crate::control::learning::static_error::Observed;
 use crate::control::limits::Cut;
 use crate::control::pi::{PiGains, PiState};
 use crate::control::standstill::StandstillLatch;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::primitives::units::{Mm, Steps};
-use nalgebra::Vector1;
+use nalgebra::{Vector1, Vector3};
 
 /// Share of the pace by which the lead may raise the speed of the command: pistons that follow the pace have that much to
 /// spare.
@@ -66,8 +67,8 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input
     cut
 }
 
-/// PI feedback on what the model does not explain. After the base has moved that is meaningless: the integral part keeps
-/// its value in that pose, and later poses have the feedforward alone.
+/// PI feedback on what the model and its learned error do not explain. After the base has moved that is meaningless: the
+/// integral part keeps its value in that pose, and later poses have the feedforward and what was learned before.
 pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &Observation, moving: bool, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
     let outer = &mut state.feedback;
@@ -75,48 +76,61 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     if state.base.moved {
         outer.standstill = StandstillLatch::default();
         outer.pi.feedback = outer.pi.integral;
+        outer.feedback = outer.pi.feedback + outer.error.at(&state.setpoint.bend.at);
         return;
     }
     let to_go = state.setpoint.target.bend.0 - observed.settled;
+    let estimate = observed.predicted - observed.unexplained;
     if !moving {
-        let estimate = observed.predicted - observed.unexplained;
         outer.hunting.step(state.setpoint.target.bend.0 - estimate, observed.predicted);
     }
     outer.standstill.step(&f.standstill, outer.hunting.band_rad, to_go, moving, dt_s);
     outer.standstill_s = if outer.standstill.closed { outer.standstill_s + dt_s } else { 0.0 };
-    outer.obstruction.step(&f.obstruction, moving, &outer.pi.feedback, &observed.settled, &to_go);
+    outer.obstruction.step(&f.obstruction, moving, &outer.feedback, &observed.settled, &to_go);
+    let dynamics = &state.dynamics;
+    let timing_s = TIMING_S + TIMING_SHARE * dynamics.best.response_s();
+    if f.learn_error && !outer.obstruction.blocked {
+        let seen = Observed {
+            bend: estimate,
+            unexplained: observed.unexplained,
+            rate: observed.predicted_rate,
+            sides: Vector3::from_fn(|i, _| state.transmission.sides[i].side),
+            timing_s: timing_s + dynamics.error_max_s(),
+            response_s: dynamics.response_max_s,
+        };
+        let changed = outer.error.learn(&seen, dt_s);
+        outer.pi.hand_over(-changed);
+    }
     if !outer.standstill.closed && !state.hold.is_holding() {
         let (gains, timing_s) = match state.setpoint.acceleration {
             // an error of timing is part of the error of a path, so the feedback takes it too
-            Some(_) => (PiGains::following(&state.dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), 0.0),
-            None => {
-                let timing_s = TIMING_S + TIMING_SHARE * state.dynamics.best.response_s();
-                (PiGains::new(&state.dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), timing_s)
-            }
+            Some(_) => (PiGains::following(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), 0.0),
+            None => (PiGains::new(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), timing_s),
         };
         outer.integral_s = gains.integral_s;
-        let timing = timing_s * observed.predicted_rate;
         let before = outer.pi;
-        let unexplained = observed.unexplained * state.base.watch.share_of_tip();
-        outer.integral_full = outer.pi.step(unexplained, timing, &gains, f.integral_max_rad, dt_s);
+        let unexplained = (observed.unexplained - outer.error.at(&estimate)) * state.base.watch.share_of_tip();
+        outer.integral_full = outer.pi.step(unexplained, timing_s * observed.predicted_rate, &gains, f.integral_max_rad, dt_s);
         if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
             outer.pi = before;
         }
+        outer.feedback = outer.pi.feedback + outer.error.at(&state.setpoint.bend.at);
     }
 }
 
 impl Feedback {
-    /// When the set-point begins to move: keeps the integral part. What it has gained against an obstruction says nothing
-    /// about the next target, so there it starts from the last value that was free of it.
+    /// When the set-point begins to move: keeps the integral part and what was learned. What both have gained against an
+    /// obstruction says nothing about the next target, so there they start from the last values that were free of it.
     fn depart(&mut self, moving: bool, base_moved: bool) {
         if moving && !self.moving {
             if base_moved {
                 // it belongs to the pose in which the base turned
                 self.pi = PiState::default();
             } else if self.obstruction.blocked {
-                self.pi = PiState { integral: self.free_integral, feedback: self.free_integral };
+                (self.pi, self.error) = self.free;
             } else {
-                self.free_integral = self.pi.integral;
+                let integral = self.pi.integral;
+                self.free = (PiState { integral, feedback: integral }, self.error);
             }
             self.hunting.new_target();
         }
@@ -124,8 +138,9 @@ impl Feedback {
     }
 }
 
-/// Learns the dynamics during motion, and k_ε and k_λ from every new held pose.
-pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Observation, estimate: Bend, dt_s: f64) {
+/// Learns the dynamics during motion, and k_ε and k_λ from every new pose in which the tip rests: once it has settled, or at the
+/// latest when the set-point `departs`.
+pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Observation, estimate: Bend, departs: bool, dt_s: f64) {
     if config.feedback.is_some_and(|f| f.learn_dynamics) {
         let learning = &mut state.learning;
         if learning.bank.step(observed.from_pistons.0, estimate.0, dt_s) {
@@ -134,8 +149,9 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
     }
     let rested_s = state.feedback.standstill_s;
     let just_settled = rested_s >= LEARN_AFTER_S && rested_s - dt_s < LEARN_AFTER_S;
+    let leaves_quiet = departs && rested_s < LEARN_AFTER_S && state.feedback.error.quiet;
     // the gains of a described machine were identified together with its effects
-    if !just_settled || config.feedforward.is_some() {
+    if !(just_settled || leaves_quiet) || config.feedforward.is_some() {
         return;
     }
     let bend = observed.settled;
@@ -155,8 +171,13 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
         // bumpless: the pistons stay, so the same play outputs now mean another bend
         let before = lines.intended_shape(&config.geometry).bend;
         let after = shape_of(&config.geometry, &next, &lines.intended_mm).bend;
-        state.feedback.pi.hand_over(after.0 - before.0);
-        state.feedback.model.shift(after.0 - before.0);
+        let shift = after.0 - before.0;
+        let outer = &mut state.feedback;
+        let learned = outer.error.at(&bend);
+        outer.error.change_lines(&lines.lines, &next);
+        outer.pi.hand_over(shift + learned - outer.error.at(&bend));
+        outer.model.shift(shift);
+        state.base.watch.shift(&shift);
         lines.lines = next;
     }
 }

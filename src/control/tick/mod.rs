@@ -59,9 +59,10 @@ pub fn tick(config: &LoopConfig, state: &mut LoopState, input: &Input) -> Frame 
         unexplained: predicted - bend.0,
         settled: bend.0 + from_pistons.0 - predicted,
     };
+    let departs = (moving || holding) && !state.feedback.moving;
     feedback::feed_back(config, state, &observation, moving || holding, input.dt_s);
     if config.feedback.is_some() && !holding && !state.base.moved {
-        feedback::learn(config, state, &observation, bend, input.dt_s);
+        feedback::learn(config, state, &observation, bend, departs, input.dt_s);
     }
     let mut output = pistons::command(config, state, bend, moving, input.dt_s);
     feedback::monitor_saturation(config, state, bend, moving || holding, output.cut, input.dt_s);
@@ -87,7 +88,7 @@ fn frame(config: &LoopConfig, state: &LoopState, input: &Input, observation: &Ob
         bend_from_pistons: from_pistons,
         predicted,
         unexplained,
-        feedback: state.feedback.pi.feedback,
+        feedback: state.feedback.feedback,
         command: output.command,
         bellow_mm: output.bellow_mm,
         piston_target_mm: output.piston_target_mm,

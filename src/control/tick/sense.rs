@@ -2,6 +2,7 @@
 
 use super::state::{BaseState, LoopState, QuietPose};
 use super::types::{Input, LoopConfig};
+use crate::control::pi::PiState;
 use crate::estimation::fusion::base_watch::{Watch, WatchInput};
 use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::fusion::tip::FusionInput;
@@ -58,7 +59,6 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
     let Some(rate_rad_s) = state.fusion.rate_rad_s().filter(|_| !state.fusion.tracks_base()) else {
         return;
     };
-    let pi = &mut state.feedback.pi;
     let observed = WatchInput {
         rate_rad_s,
         estimate: estimate.0,
@@ -79,10 +79,11 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
     state.base.moved = flagged;
     if flagged {
         // the integral from before the base turned
-        pi.integral = state.base.quiet.integral * state.base.watch.share_of_tip();
-        pi.feedback = pi.integral;
+        let learned = state.feedback.error.at(&state.setpoint.bend.at);
+        let integral = state.base.quiet.feedback * state.base.watch.share_of_tip() - learned;
+        state.feedback.pi = PiState { integral, feedback: integral };
     } else if state.base.watch.quiet() {
-        state.base.quiet = QuietPose { integral: pi.integral, estimate: estimate.0, played };
+        state.base.quiet = QuietPose { feedback: state.feedback.feedback, estimate: estimate.0, played };
         state.fusion.remember(input.t);
     }
 }

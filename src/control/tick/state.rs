@@ -8,6 +8,7 @@ use crate::control::hunting::HuntingDetector;
 use crate::control::learning::dynamics::DynamicsBank;
 use crate::control::learning::online::RefineState;
 use crate::control::learning::sides::Sides;
+use crate::control::learning::static_error::StaticError;
 use crate::control::obstruction::ObstructionDetector;
 use crate::control::pi::{DynamicsPrior, DynamicsRange, PiState, ReferenceModel};
 use crate::control::saturation::SaturationMonitor;
@@ -113,6 +114,10 @@ pub(super) fn shape_of(geometry: &Geometry, lines: &[Line; 3], w_mm: &Vector3<f6
 pub(super) struct Feedback {
     pub(super) model: ReferenceModel,
     pub(super) pi: PiState,
+    /// What the poses have taught about the error of the model.
+    pub(super) error: StaticError,
+    /// Learned error at the set-point plus that of the controller, contained in the command, rad.
+    pub(super) feedback: Vector2<f64>,
     /// Integral time in use, s.
     pub(super) integral_s: f64,
     /// The integrator is at its bound.
@@ -122,8 +127,8 @@ pub(super) struct Feedback {
     pub(super) standstill_s: f64,
     pub(super) obstruction: ObstructionDetector,
     pub(super) hunting: HuntingDetector,
-    /// Integral part when the set-point last left a pose that nothing obstructed, rad.
-    pub(super) free_integral: Vector2<f64>,
+    /// Controller and learned error when the set-point last left a pose that nothing obstructed.
+    pub(super) free: (PiState, StaticError),
     /// The set-point moves.
     pub(super) moving: bool,
     pub(super) saturation: SaturationMonitor,
@@ -151,7 +156,7 @@ pub(super) struct BaseState {
 /// The last pose in which nothing moved, rad.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct QuietPose {
-    pub(super) integral: Vector2<f64>,
+    pub(super) feedback: Vector2<f64>,
     pub(super) estimate: Vector2<f64>,
     /// Bend from the play outputs.
     pub(super) played: Vector2<f64>,
@@ -227,6 +232,7 @@ impl LoopState {
     pub fn set_lines(&mut self, lines: [Line; 3]) {
         if self.transmission.described.is_none() {
             self.transmission.lines = lines;
+            self.feedback.error = StaticError::default();
         }
     }
 
@@ -253,11 +259,16 @@ impl LoopState {
         let length = given.length.0.clamp(0.5 * config.geometry.rest_length_mm, 2.0 * config.geometry.rest_length_mm);
         self.setpoint = SetPoint::resting(Shape { bend: at, length: Mm(length) });
         let feedback = given.bend.0 - at.0;
+        let (error, integral) = (self.feedback.error, feedback - self.feedback.error.at(&at.0));
+        let pi = PiState { integral, feedback: integral };
         let mut backlash = self.feedback.backlash;
         backlash.forget();
         self.feedback = Feedback {
             model: ReferenceModel::resting(given.bend.0),
-            pi: PiState { integral: feedback, feedback },
+            pi,
+            error,
+            free: (pi, error),
+            feedback,
             backlash,
             hunting: HuntingDetector::new(self.feedback.hunting.caution),
             ..Feedback::default()
@@ -267,9 +278,11 @@ impl LoopState {
         self.motors.last_steps = *steps;
     }
 
-    /// Removes the feedback from the command, for an open loop.
+    /// Removes the feedback and what was learned from the command, for an open loop.
     pub fn forget_feedback(&mut self) {
         self.feedback.pi = PiState::default();
+        self.feedback.error = StaticError::default();
+        self.feedback.feedback = Vector2::zeros();
         self.feedback.integral_full = false;
         self.feedback.saturation = SaturationMonitor::default();
     }

@@ -92,6 +92,8 @@ pub struct FeedbackConfig {
     pub lead: f64,
     /// Learn lag and dead time online.
     pub learn_dynamics: bool,
+    /// Learn the static error of the model as a function of the bend.
+    pub learn_error: bool,
     /// Learn how much of the backlash a reversal by feedback crosses.
     pub learn_backlash: bool,
     /// The standstill latch.
