@@ -108,10 +108,6 @@ pub fn realised(line: &Line, state: &SideState, realised_mm: f64, piston_mm: f64
     if state.way >= 0.0 { realised_mm.max(reached.min(state.w_mm)) } else { realised_mm.min(reached.max(state.w_mm)) }
 }
 
-/// Ratio of the reversals that are ignored if they cross a part of the gap to those that are ignored if they cross all of it: where
-/// the tip then comes to rest is less certain.
-const PARTIAL: f64 = 2.0;
-
 /// Follows motion in the direction of the last; ignores a reversal up to the band; otherwise reverses.
 fn band(state: SideState, want: f64, band_mm: f64, reach: f64) -> SideState {
     let ahead = want - state.w_mm;
@@ -119,7 +115,7 @@ fn band(state: SideState, want: f64, band_mm: f64, reach: f64) -> SideState {
         // a set-point that moves on crosses the remaining gap
         let side = if reach >= 1.0 { state.way } else { state.side };
         SideState { w_mm: want, side, ..state }
-    } else if ahead.abs() > if reach < 1.0 { PARTIAL * band_mm } else { band_mm } {
+    } else if ahead.abs() > band_mm {
         let way = ahead.signum();
         let side = (state.side + 2.0 * reach * way).clamp(-1.0, 1.0);
         SideState { w_mm: want, side: if reach >= 1.0 { way } else { side }, way }

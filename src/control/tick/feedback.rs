@@ -14,7 +14,7 @@ use crate::control::standstill::StandstillLatch;
 use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::primitives::units::{Mm, Steps};
-use nalgebra::{Vector1, Vector3};
+use nalgebra::{Vector1, Vector2, Vector3};
 
 /// Share of the pace by which the lead may raise the speed of the command: pistons that follow the pace have that much to
 /// spare.
@@ -109,7 +109,7 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
         };
         outer.integral_s = gains.integral_s;
         let before = outer.pi;
-        let unexplained = (observed.unexplained - outer.error.at(&estimate)) * state.base.watch.share_of_tip();
+        let unexplained = (observed.unexplained - outer.error_near(estimate, state.setpoint.bend.at)) * state.base.watch.share_of_tip();
         outer.integral_full = outer.pi.step(unexplained, timing_s * observed.predicted_rate, &gains, f.integral_max_rad, dt_s);
         if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
             outer.pi = before;
@@ -118,7 +118,16 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     }
 }
 
+/// Slope of the learned error that the loop relies on. Where it is −1, the set-point would never be reached.
+const SLOPE_MAX: f64 = 0.4;
+
 impl Feedback {
+    /// The learned error at the estimate, seen from the set-point.
+    fn error_near(&self, estimate: Vector2<f64>, setpoint: Vector2<f64>) -> Vector2<f64> {
+        let at_setpoint = self.error.at(&setpoint);
+        at_setpoint - (at_setpoint - self.error.at(&estimate)).cap_magnitude(SLOPE_MAX * (setpoint - estimate).norm())
+    }
+
     /// When the set-point begins to move: keeps the integral part and what was learned. What both have gained against an
     /// obstruction says nothing about the next target, so there they start from the last values that were free of it.
     fn depart(&mut self, moving: bool, base_moved: bool) {
