@@ -2,11 +2,12 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fmt::Write;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
 
 /// Files that the cases name. They are read in an empty folder, so that the messages do not depend on it.
-const FILES: [(&str, &str); 42] = [
+const FILES: [(&str, &str); 45] = [
     ("empty.csv", ""),
     ("other.csv", "a,b\n1,2\n"),
     ("no-rows.csv", "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n"),
@@ -49,6 +50,9 @@ const FILES: [(&str, &str); 42] = [
     ("no-flight.csv", "time_s\n"),
     ("garbage.mcap", "not an MCAP file\n"),
     ("empty.mcap", ""),
+    ("good.token", "0123456789abcdef\n"),
+    ("short.token", "secret\n"),
+    ("open.token", "0123456789abcdef\n"),
 ];
 
 /// Command lines, one or more for each command.
@@ -71,8 +75,24 @@ const CASES: &[&str] = &[
     "reset-fault 4",
     "reload gains.toml",
     "status --watsh",
+    "monitor",
+    "monitor missing.mcap",
+    "monitor garbage.mcap",
+    "monitor garbage.mcap --speed 0",
+    "monitor garbage.mcap --socket x.sock",
+    "monitor --speed 2",
     "stream 30 40",
     "subscribe --rate 0",
+    "page --listen localhost",
+    "page --listen 127.0.0.1:99999",
+    "page --listen 0.0.0.0:8088",
+    "page --listen 192.0.2.1:8088 --token-file good.token",
+    "page --token-file short.token",
+    "page --token-file empty.csv",
+    "page --token-file open.token",
+    "page --token-file folder",
+    "page --token-file nowhere/page.token",
+    "page --rate 50",
     "record",
     "record begin",
     "play",
@@ -160,11 +180,15 @@ const CASES: &[&str] = &[
     "replay no-flight.csv",
     "replay garbage.mcap",
     "replay empty.mcap",
+    "replay empty.mcap --filter kalman",
     "log",
     "log info folder",
     "log info missing.mcap",
     "log info garbage.mcap",
     "log export garbage.mcap --csv out.csv",
+    "log export garbage.mcap",
+    "log export garbage.mcap --parquet empty.csv",
+    "log export garbage.mcap --parquet garbage.mcap",
     "log cut garbage.mcap --out cut.mcap",
     "log cut garbage.mcap --from 3 --to 2 --out cut.mcap",
     "log cut garbage.mcap --from long --out cut.mcap",
@@ -195,6 +219,9 @@ fn every_bad_input_ends_with_code_2_and_one_message() {
     std::fs::write(file("damaged.csv.gz"), [0x1f, 0x8b, 8, 0, 1, 2, 3]).unwrap();
     std::fs::write(file("binary.toml"), [0xff, 0xfe, 0]).unwrap();
     std::fs::create_dir(file("folder")).unwrap();
+    for (name, mode) in [("empty.csv", 0o600), ("good.token", 0o600), ("short.token", 0o600), ("open.token", 0o644)] {
+        std::fs::set_permissions(file(name), std::fs::Permissions::from_mode(mode)).unwrap();
+    }
     for board in ["sim.toml", "pi4.toml"] {
         std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("boards").join(board), file(board)).unwrap();
     }

@@ -3,21 +3,16 @@
 
 mod common;
 
-use common::{repo, twin};
-use retroflex::config::calib::Calibration;
+use common::flight::fly;
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::record::Field;
 use retroflex::config::gains::Gains;
-use retroflex::config::{show, source};
-use retroflex::drill::bench::{BenchConfig, bend};
+use retroflex::config::source;
+use retroflex::drill::bench::{Bench, bend};
 use retroflex::estimation::fusion::health::ReadFault;
-use retroflex::service::belief::Belief;
-use retroflex::service::flight::file::FlightFile;
-use retroflex::service::flight::start::{Event, Logged, hash};
-use retroflex::service::start::{RunConfig, Start};
 use retroflex::supervisor::cycle::order::Order;
-use retroflex::supervisor::machine::{Alarm, Machine};
-use std::path::Path;
+use retroflex::supervisor::machine::Alarm;
 use std::process::Command;
-use std::sync::Arc;
 use std::time::Instant;
 
 /// Duration of each flight, s; `RETROFLEX_FLIGHT_S=3600` flies for an hour.
@@ -25,47 +20,25 @@ fn duration_s() -> f64 {
     std::env::var("RETROFLEX_FLIGHT_S").ok().and_then(|s| s.parse().ok()).unwrap_or(40.0)
 }
 
-/// Flies with a pose every 2 s and a fault every 7 s; returns the cycles and the bytes of the log.
-fn fly(path: &Path, gains: Gains) -> (u64, u64) {
-    let calibration: Calibration = source::read(&repo("calib/paper.toml")).unwrap();
-    let config = BenchConfig { board: twin(), calibration, gains };
-    let mut bench = config.bench(3, 5).unwrap();
-    let texts = vec![show::compact(&config.board), show::compact(&config.gains), show::compact(&config.calibration)];
-    let supervisor = config.supervisor(bench.runner.machine.info());
-    let start = Start { config: supervisor.clone(), restart: None, belief: Belief::Certain, unverified: false };
-    let BenchConfig { board, calibration, .. } = config;
-    let service = board.service.clone();
-    let config_hash = hash(texts.iter().map(String::as_str));
-    let run = RunConfig { supervisor, service, board, gains: None, calibration, tip: String::new(), config_hash, texts };
-    let mut events = vec![Arc::new(Event::Start(start.header(&run, "bench")))];
-    let mut file = FlightFile::create(path, 0).unwrap();
-    let cycles = (duration_s() / bench.period_s()) as u64;
-    for number in 0..cycles {
-        let ms = number % 7000;
-        let machine = &mut bench.runner.machine;
-        match (number / 7000 % 4, ms) {
-            (0, 5000) => machine.bus = Some(ReadFault::Nack),
-            (1, 5000) => machine.alarm = Some(Alarm::Pressure { kpa: 60.0 }),
-            (2, 5000) => machine.emergency_stop = true,
-            (3, 5000) => machine.stamp_offset_s = 0.3,
-            (_, 5700) => machine.clear_faults(),
-            _ => {}
-        }
-        let order = match ms {
-            3000 | 6200 => Some(Order::Arm),
-            6000 => Some(Order::Reset),
-            n if n % 1000 == 500 && n > 3000 => Some(bend(10.0 + (number % 60_000) as f64 / 1000.0, (number / 100 % 360) as f64)),
-            6900 => Some(Order::Relax),
-            _ => None,
-        };
-        let output = bench.turn(order).unwrap();
-        file.write(&Logged { number, events: std::mem::take(&mut events), output }).unwrap();
-        if number % 400 == 399 {
-            file.flush(false).unwrap();
-        }
+/// A pose every second and a fault every 7 s.
+fn script(number: u64, bench: &mut Bench) -> Option<Order> {
+    let ms = number % 7000;
+    let machine = &mut bench.runner.machine;
+    match (number / 7000 % 4, ms) {
+        (0, 5000) => machine.bus = Some(ReadFault::Nack),
+        (1, 5000) => machine.alarm = Some(Alarm::Pressure { kpa: 60.0 }),
+        (2, 5000) => machine.emergency_stop = true,
+        (3, 5000) => machine.stamp_offset_s = 0.3,
+        (_, 5700) => machine.clear_faults(),
+        _ => {}
     }
-    file.finish().unwrap();
-    (cycles, std::fs::metadata(path).unwrap().len())
+    match ms {
+        3000 | 6200 => Some(Order::Arm),
+        6000 => Some(Order::Reset),
+        n if n % 1000 == 500 && n > 3000 => Some(bend(10.0 + (number % 60_000) as f64 / 1000.0, (number / 100 % 360) as f64)),
+        6900 => Some(Order::Relax),
+        _ => None,
+    }
 }
 
 #[test]
@@ -74,7 +47,7 @@ fn a_flight_with_faults_replays_bit_for_bit_on_every_filter() {
     for filter in ["bend", "madgwick", "vqf", "vqf-long", "mekf"] {
         let gains: Gains = source::parse("gains", &format!("[fuse]\nfilter = \"{filter}\"\n")).unwrap();
         let path = folder.path().join(format!("{filter}.mcap"));
-        let (cycles, bytes) = fly(&path, gains);
+        let (cycles, bytes) = fly(&path, gains, duration_s(), script);
         let since = Instant::now();
         let out = Command::new(env!("CARGO_BIN_EXE_retroflex")).arg("replay").arg(&path).output().unwrap();
         let elapsed_s = since.elapsed().as_secs_f64();
@@ -88,4 +61,38 @@ fn a_flight_with_faults_replays_bit_for_bit_on_every_filter() {
         // the goal is 150, which a tip that holds most of the time meets; this one never rests
         assert!(mb_h < 220.0, "{filter}: {mb_h} MB an hour");
     }
+}
+
+/// The table that `log export --parquet` writes holds the values of the bend log that `--csv` writes, and nulls where that is empty.
+#[test]
+fn a_parquet_table_equals_the_bend_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let [log, csv, parquet] = ["flight.mcap", "flight.csv", "flight.parquet"].map(|name| folder.path().join(name));
+    fly(&log, Gains::default(), 4.0, script);
+    let mut export = Command::new(env!("CARGO_BIN_EXE_retroflex"));
+    export.args(["log", "export"]).arg(&log).arg("--csv").arg(&csv).arg("--parquet").arg(&parquet);
+    assert!(export.status().unwrap().success());
+    let text = std::fs::read_to_string(&csv).unwrap();
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let reader = SerializedFileReader::new(std::fs::File::open(&parquet).unwrap()).unwrap();
+    let (mut rows, mut nulls) = (0, 0);
+    for row in reader.get_row_iter(None).unwrap() {
+        let row = row.unwrap();
+        let written: Vec<&str> = lines.next().unwrap().split(',').collect();
+        for ((k, (name, field)), (known, text)) in row.get_column_iter().enumerate().zip(names.iter().zip(written)) {
+            assert_eq!(name, known);
+            match field {
+                Field::Null => (assert_eq!(text, "", "{name} in row {rows}"), nulls += 1).1,
+                // the time has six digits in the bend log
+                Field::Double(value) if k == 0 => assert_eq!(format!("{value:.6}"), text),
+                Field::Double(value) => assert_eq!(*value, text.parse::<f64>().unwrap(), "{name} in row {rows}"),
+                other => panic!("{name}: {other}"),
+            }
+        }
+        rows += 1;
+    }
+    assert!(rows > 500 && lines.next().is_none(), "{rows} rows");
+    // the magnetometer is slower than the other sensors, and no pressure is measured
+    assert!(nulls > 3 * rows, "{nulls}");
 }

@@ -234,7 +234,7 @@ fn a_service_that_has_failed_for_good_is_followed_by_the_release_of_the_drivers(
 
 #[test]
 fn the_units_are_hardened() {
-    for unit in ["systemd/retroflex.service", "systemd/retroflex-release.service"] {
+    for unit in ["systemd/retroflex.service", "systemd/retroflex-release.service", "systemd/retroflex-page.service"] {
         let out = Command::new("systemd-analyze").args(["security", "--offline=yes"]).arg(repo(unit)).output();
         let Ok(out) = out else {
             eprintln!("skipped: no systemd-analyze");

@@ -63,9 +63,9 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
             (measure(&base, MockPins(map))?, "the mock".to_owned())
         }
     };
-    output::print(&format!("through {through}\n{}\n", bench.table()));
+    output::print(format!("through {through}\n{}\n", bench.table()));
     if let Some(path) = &args.svg {
-        output::write(path, &bench.svg())?;
+        output::write(path, bench.svg())?;
     }
     if !args.alone {
         compare(&bench);

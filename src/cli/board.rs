@@ -107,7 +107,7 @@ fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
         devices.push(Device { name: "emergency stop".to_owned(), terminals });
     }
     let title = format!("Wiring of {}", board.machine.name);
-    output::write(&args.svg, &wiring::draw(&title, raspberry, &devices))?;
+    output::write(&args.svg, wiring::draw(&title, raspberry, &devices))?;
     Ok(CommandOutcome::Good)
 }
 
@@ -115,7 +115,7 @@ fn draw(args: &DrawArgs) -> Result<CommandOutcome> {
 fn check(path: &Path) -> Result<CommandOutcome> {
     let board = inputs::board(Some(path))?;
     let bound = PressureBound::of(&board);
-    output::print(&format!("file      consistent\npressure  {bound}\n"));
+    output::print(format!("file      consistent\npressure  {bound}\n"));
     Ok(bound.is_bounded().into())
 }
 

@@ -9,6 +9,8 @@ use miette::Result;
 pub mod args;
 pub mod connection;
 pub mod follow;
+pub mod monitor;
+pub mod page;
 pub mod play;
 pub mod status;
 pub mod steer;
@@ -33,6 +35,8 @@ pub enum Client {
     Zero(ZeroArgs),
     /// Show the state of the service.
     Status(StatusArgs),
+    /// Watch the tip, its lines and gains on the terminal, live or from a flight log.
+    Monitor(monitor::MonitorArgs),
     /// Clear a fault whose cause has been removed.
     ResetFault(Plain),
     /// Read the gains file again and apply it without a jump.
@@ -46,6 +50,8 @@ pub enum Client {
     Stream(Plain),
     /// Bend the tip by hand, with a joystick or the arrow keys, while a button is held.
     Steer(steer::SteerArgs),
+    /// Serve a page for a tablet beside the unit: tip and bellows in 3-D, bend by hand, stop.
+    Page(page::PageArgs),
     /// Print frames as JSON lines.
     Subscribe(SubscribeArgs),
 }
@@ -83,6 +89,7 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
         Client::ResetFault(p) => send(&p.at, &Request::ResetFault {}),
         Client::Reload(p) => send(&p.at, &Request::Reload {}),
         Client::Status(args) => status::status(args),
+        Client::Monitor(args) => monitor::monitor(args),
         Client::Record(args) => {
             let request = |action| Request::Record { action, name: args.name.clone(), owned: false };
             match args.action {
@@ -94,6 +101,7 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
         Client::Play(args) => play::play(args),
         Client::Steer(args) => steer::steer(args),
         Client::Stream(p) => status::stream(&p.at),
+        Client::Page(args) => page::page(args),
         Client::Subscribe(args) => status::subscribe(args),
     }
 }

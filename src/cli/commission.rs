@@ -42,7 +42,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         })
     })?;
     drop(machine);
-    output::print(&findings.report());
+    output::print(findings.report());
     if let (true, Some(wiring)) = (args.write, &findings.wiring) {
         write_back(&args.board, &board, wiring)?;
     }

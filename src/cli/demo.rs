@@ -51,7 +51,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let program = std::env::current_exe().into_diagnostic()?;
     let demo = Demo { program, folder: &scratch.0 };
     std::fs::write(demo.file("schedule.csv"), SCHEDULE).into_diagnostic()?;
-    output::print(&format!("A simulated tip, {PACE} times faster than real time. Every line after `$` is a command that you can type.\n"));
+    output::print(format!("A simulated tip, {PACE} times faster than real time. Every line after `$` is a command that you can type.\n"));
     {
         let service = Some(&demo.serve("healthy", None)?);
         demo.step("The tip moves.", &["arm"], service)?;
@@ -71,7 +71,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let names = after["verdict"]["names"].as_array();
     let good = names.is_some_and(|names| names.iter().all(|n| n != "leak"));
     let end = if good { "gone" } else { "still there" };
-    output::print(&format!("\nThe leak is {end}. The report of the leaky tip is {report}.\n"));
+    output::print(format!("\nThe leak is {end}. The report of the leaky tip is {report}.\n"));
     Ok(good.into())
 }
 
@@ -115,9 +115,9 @@ impl Demo<'_> {
     fn step(&self, about: &str, words: &[&str], service: Option<&Daemon>) -> Result<()> {
         let (folder, line) = (format!("{}/", self.folder.display()), words.join(" "));
         if !about.is_empty() {
-            output::print(&format!("\n{about}\n"));
+            output::print(format!("\n{about}\n"));
         }
-        output::print(&format!("$ retroflex {}\n", line.replace(&folder, "")));
+        output::print(format!("$ retroflex {}\n", line.replace(&folder, "")));
         let socket = service.map_or(self.folder, |s| s.sockets()[0].as_path());
         let mut command = Command::new(&self.program);
         let done = command.args(words).env("RETROFLEX_SOCKET", socket).status();

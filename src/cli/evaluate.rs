@@ -131,10 +131,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let result = result.into_diagnostic()?;
     output::json(args.json.as_deref(), &result)?;
     if let Some(path) = &args.html {
-        output::write(path, &pictures::html(&result))?;
+        output::write(path, pictures::html(&result))?;
     }
     if let Some(path) = &args.svg {
-        output::write(path, &pictures::svg(&result))?;
+        output::write(path, pictures::svg(&result))?;
     }
     output::show(&summary(&result), args.json.as_deref());
     if let Some(warning) = result.track.as_ref().and_then(too_fast) {

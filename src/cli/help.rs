@@ -8,93 +8,24 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 /// The commands by task, as `--help` lists them.
-pub const GROUPS: [(&str, &[&str]); 7] = [
-    (
-        "Move",
-        &[
-            "run",
-            "arm",
-            "bend",
-            "stream",
-            "play",
-            "steer",
-            "hold",
-            "stop",
-            "relax",
-            "disarm",
-            "status",
-            "subscribe",
-            "reset-fault",
-            "reload",
-        ],
-    ),
-    ("Bring up", &["board", "doctor", "release", "jog", "home", "commission", "bench"]),
-    ("Calibrate", &["zero", "calibrate", "imu"]),
-    ("Diagnose", &["record", "log", "replay", "gap"]),
-    ("Simulate", &["demo", "evaluate"]),
-    ("Prove", &["drill"]),
-    ("Other", &["completions", "man", "help"]),
+pub const GROUPS: [(&str, &str); 7] = [
+    ("Move", "run arm bend stream play steer page hold stop relax disarm status monitor subscribe reset-fault reload"),
+    ("Bring up", "board doctor release jog home commission bench"),
+    ("Calibrate", "zero calibrate imu"),
+    ("Diagnose", "record log replay gap"),
+    ("Simulate", "demo evaluate"),
+    ("Prove", "drill"),
+    ("Other", "completions man help"),
 ];
 
 /// Two examples of each command that has arguments. A command with commands of its own stands for all of them.
-const EXAMPLES: &str = "
-run
-run --board boards/pi4.toml --calib calib/paper.toml
-bend 60 --toward 90 --wait
-bend 30 --speed 10 --length 21
-play schedule.csv
-play schedule.csv --record today
-steer --mode position --bend-max 45
-steer --replay stick.csv
-status --watch
-status --json -
-subscribe
-subscribe --rate 100
-board show pi4
-board check boards/pi4.toml
-doctor --board boards/pi4.toml
-doctor --json -
-release --board boards/pi4.toml
-release --hold --board boards/pi4.toml
-jog --board boards/pi4.toml --channel 1 --mm 2
-jog --board boards/pi4.toml --channel 3 --mm -5 --speed 1
-home --board boards/pi4.toml
-home --board boards/pi4.toml --at-rest
-commission --board boards/pi4.toml
-commission --board boards/pi4.toml --write
-bench rt
-bench rt --board boards/pi4.toml --seconds 60 --load 4
-zero
-zero --straight
-calibrate transmission --short
-calibrate imu gyro rest.csv --out tip.toml
-imu score recording.csv
-imu score --all --json - recording.csv
-record start today
-record stop
-log info flight.mcap
-log export flight.mcap --csv flight.csv
-replay today.csv.gz
-replay flight.mcap --gains gains.toml
-gap diagnose today.csv --html today.html --save model.toml
-gap check model.toml tomorrow.csv
-demo --html leak.html
-demo
-evaluate --seed 7 --html figures.html
-evaluate --track examples/circle.csv --json -
-drill --in-flight
-drill --only kink --json -
-completions bash
-completions fish
-man .
-man target/man
-";
+const EXAMPLES: &str = include_str!("examples.txt");
 
 const TEMPLATE: &str = "{about-with-newline}\n{usage-heading} {usage}\n{after-help}\n\nOptions:\n{options}";
 
 /// The commands with examples, in their order, with the two of each.
 fn all_examples() -> Vec<(&'static str, [&'static str; 2])> {
-    let lines: Vec<&str> = EXAMPLES.lines().skip(1).collect();
+    let lines: Vec<&str> = EXAMPLES.lines().collect();
     let pairs = lines.chunks_exact(2).map(|pair| [pair[0], pair[1]]);
     pairs.filter_map(|pair| Some((pair[0].split(' ').next()?, pair))).collect()
 }
@@ -114,13 +45,13 @@ pub fn explained(cli: Command) -> Command {
     let mut text = String::new();
     for (task, names) in GROUPS {
         let _ = writeln!(text, "\n{task}:");
-        for name in names {
+        for name in names.split(' ') {
             let about = cli.find_subcommand(name).and_then(Command::get_about);
             let about = about.map_or("Print help for a command.".to_owned(), ToString::to_string);
             let _ = writeln!(text, "  {name:<13} {about}");
         }
         let mut own = all_examples();
-        own.retain(|e| names.contains(&e.0) && e.1[0].contains(' '));
+        own.retain(|e| names.split(' ').any(|name| name == e.0) && e.1[0].contains(' '));
         let Some((_, [first, second])) = own.first() else { continue };
         let second = own.get(1).map_or(second, |other| &other.1[0]);
         let _ = writeln!(text, "  Examples: `retroflex {first}`, `retroflex {second}`");
@@ -136,7 +67,8 @@ pub fn explained(cli: Command) -> Command {
 /// A usage error without the terms of the Rust library.
 #[must_use]
 pub fn plain(text: &str) -> String {
-    const WORDS: [(&str, &str); 6] = [
+    const WORDS: [(&str, &str); 7] = [
+        ("invalid socket address syntax", "expected an address and a port, for example 192.168.1.20:8088"),
         ("..=", " to "),
         ("invalid float literal", "expected a number"),
         ("cannot parse float from empty string", "expected a number"),
@@ -160,7 +92,7 @@ pub struct CompletionsArgs {
 pub fn completions(args: &CompletionsArgs, mut command: Command) -> CommandOutcome {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command, "retroflex", &mut script);
-    output::print(&String::from_utf8_lossy(&script));
+    output::print(&script);
     CommandOutcome::Good
 }
 

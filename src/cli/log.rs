@@ -3,15 +3,16 @@
 use crate::cli::replay::flight_of;
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::estimation::fusion::health::ImuReading;
+use crate::log::columns;
+use crate::service::flight::channels::Changes;
 use crate::service::flight::file::{FlightFile, TOPICS};
 use crate::service::flight::read::{Entry, messages};
 use crate::service::flight::start::Event;
 use crate::service::record;
 use mcap::{McapError, Message};
-use miette::{Result, bail, miette};
+use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use time::OffsetDateTime;
 
@@ -26,13 +27,16 @@ pub enum Log {
         #[arg(long)]
         json: Option<PathBuf>,
     },
-    /// Write the samples as a bend log, which `gap diagnose` reads.
+    /// Write the samples as a bend log, which `gap diagnose` reads, or as a table for programs that read Parquet.
     Export {
         /// Flight log.
         file: PathBuf,
         /// Bend log to write; `-` is standard output.
+        #[arg(long, required_unless_present = "parquet")]
+        csv: Option<PathBuf>,
+        /// Parquet file to write, with the columns of a bend log; a missing value is null.
         #[arg(long)]
-        csv: PathBuf,
+        parquet: Option<PathBuf>,
     },
     /// Write a part of a log as a log. It can be replayed if it begins with the start of the log.
     Cut {
@@ -57,7 +61,7 @@ pub enum Log {
 pub fn run(command: &Log) -> Result<CommandOutcome> {
     match command {
         Log::Info { file, json } => info(&flight_of(file)?, json.as_deref()),
-        Log::Export { file, csv } => export(&flight_of(file)?, csv),
+        Log::Export { file, csv, parquet } => export(&flight_of(file)?, csv.as_deref(), parquet.as_deref()),
         Log::Cut { file, from, to, out } => cut(&flight_of(file)?, *from, *to, out),
     }
 }
@@ -70,7 +74,7 @@ struct Info {
     duration_s: f64,
     cycles: u64,
     next: Option<u64>,
-    last: HashMap<&'static str, Value>,
+    changes: Changes,
     events: Vec<String>,
 }
 
@@ -107,11 +111,8 @@ impl Info {
                 self.cycles += cycles.len() as u64;
             }
             Entry::Shown(value) => {
-                for key in ["mode", "fault", "suspicion", "alarm"] {
-                    let Some(now) = value.get(key) else { continue };
-                    if self.last.insert(key, now.clone()).as_ref() != Some(now) && !now.is_null() {
-                        self.note(&format!("{key} {}", now.as_str().unwrap_or_default()));
-                    }
+                for change in self.changes.of(&value) {
+                    self.note(&change);
                 }
             }
         }
@@ -120,7 +121,7 @@ impl Info {
 }
 
 /// Time of a message since the first one, s.
-fn since(begin_ns: &mut Option<u64>, message: &Message<'_>) -> f64 {
+pub fn since(begin_ns: &mut Option<u64>, message: &Message<'_>) -> f64 {
     let now_ns = message.log_time;
     now_ns.saturating_sub(*begin_ns.get_or_insert(now_ns)) as f64 * 1e-9
 }
@@ -150,9 +151,9 @@ fn info(path: &Path, json: Option<&Path>) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Good)
 }
 
-fn export(path: &Path, csv: &Path) -> Result<CommandOutcome> {
-    output::check(&[("--csv", Some(csv))], &[path])?;
-    let mut log = record::HEADER.as_bytes().to_vec();
+fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<CommandOutcome> {
+    output::check(&[("--csv", csv), ("--parquet", parquet)], &[path])?;
+    let mut rows = Vec::new();
     let (mut step_mm, mut start_s, mut last_s) = (0.0, None, 0.0);
     let ending = messages(path, &mut |message| {
         match Entry::of(&message)? {
@@ -167,7 +168,7 @@ fn export(path: &Path, csv: &Path) -> Result<CommandOutcome> {
                     let t_s = sample.t.0 - *start_s.get_or_insert(sample.t.0 - record::FIRST_ROW_S);
                     if t_s > last_s {
                         last_s = t_s;
-                        record::row(&mut log, t_s, &sample, cycle, step_mm);
+                        rows.push(record::values(t_s, &sample, cycle, step_mm));
                     }
                 }
             }
@@ -176,7 +177,14 @@ fn export(path: &Path, csv: &Path) -> Result<CommandOutcome> {
         Ok(())
     });
     let ending = ending.map_err(|e| miette!("{e}"))?;
-    output::write(csv, &String::from_utf8_lossy(&log))?;
+    if let Some(csv) = csv {
+        let mut log = record::HEADER.as_bytes().to_vec();
+        rows.iter().for_each(|row| record::write_row(&mut log, row));
+        output::write(csv, log)?;
+    }
+    if let Some(path) = parquet {
+        output::write(path, columns::parquet(record::HEADER, &rows).into_diagnostic()?)?;
+    }
     let ending = ending.map_or_else(String::new, |ending| format!("; {ending}"));
     eprintln!("{last_s:.3} s{ending}");
     Ok(CommandOutcome::Good)

@@ -63,9 +63,9 @@ pub fn table<R: Into<Row>>(header: &[&str], numbers: Range<usize>, rows: impl In
 }
 
 /// Prints on standard output. A reader that has closed its end, such as `head`, is not an error.
-pub fn print(text: &str) {
+pub fn print(text: impl AsRef<[u8]>) {
     let mut out = std::io::stdout();
-    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+    let _ = out.write_all(text.as_ref()).and_then(|()| out.flush());
 }
 
 /// Prints text for people on standard output, or on standard error if `json` occupies standard output.
@@ -118,6 +118,7 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
     let begins: &[u8] = match option {
         "--json" => b"{[",
         "--html" | "--svg" => b"<",
+        "--parquet" => b"P",
         _ => return Ok(()),
     };
     // opening a pipe could block
@@ -163,27 +164,28 @@ pub fn json(path: Option<&Path>, value: &impl Serialize) -> Result<()> {
 ///
 /// # Errors
 /// A report that names the file and the system's reason.
-pub fn write(path: &Path, text: &str) -> Result<()> {
+pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
+    let content = content.as_ref();
     if is_stdout(path) {
-        print(text);
+        print(content);
         return Ok(());
     }
     // pipes and devices are written in place
     if path.exists() && !path.is_file() {
-        return std::fs::write(path, text).map_err(|e| miette!("{}: {e}", path.display()));
+        return std::fs::write(path, content).map_err(|e| miette!("{}: {e}", path.display()));
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let beside = folder_of(path).join(format!(".{name}.{}.part", std::process::id()));
-    replace(path, &beside, text).map_err(|e| {
+    replace(path, &beside, content).map_err(|e| {
         // the temporary file may not exist
         let _ = std::fs::remove_file(&beside);
         miette!("{}: {e}", path.display())
     })
 }
 
-fn replace(path: &Path, beside: &PathBuf, text: &str) -> std::io::Result<()> {
+fn replace(path: &Path, beside: &PathBuf, content: &[u8]) -> std::io::Result<()> {
     let mut file = std::fs::File::create(beside)?;
-    file.write_all(text.as_bytes())?;
+    file.write_all(content)?;
     file.sync_all()?;
     std::fs::rename(beside, path)
 }

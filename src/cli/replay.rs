@@ -6,8 +6,10 @@ use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::config::source;
 use crate::config::supervisor::assemble;
-
+use crate::control::pi::DynamicsPrior;
+use crate::estimation::fusion::estimator::EstimatorName;
 use crate::log::error::why_unreadable;
+use crate::model::described::DescribedMachine;
 use crate::model::transmission::Line;
 use crate::primitives::parameters::Check;
 use crate::service::flight::cycle::Cycle;
@@ -35,6 +37,75 @@ pub struct Args {
     /// As `--gains`, with this calibration file.
     #[arg(long)]
     calib: Option<PathBuf>,
+    /// As `--gains`, with this estimator of the orientation: `bend`, `madgwick`, `vqf`, `vqf-long` or `mekf`.
+    #[arg(long, value_name = "NAME", value_parser = |name: &str| EstimatorName::try_from(name.to_owned()))]
+    filter: Option<EstimatorName>,
+    /// As `--gains`, fed forward through this model of `gap diagnose --save`.
+    #[arg(long, value_name = "MODEL.toml")]
+    feedforward: Option<PathBuf>,
+}
+
+/// The settings of a log.
+#[derive(Clone)]
+struct Settings {
+    board: Board,
+    gains: Gains,
+    calibration: Calibration,
+    /// Lines and dynamics that were in use instead of those of the calibration.
+    learned: Option<([Line; 3], DynamicsPrior)>,
+    feedforward: Option<Arc<DescribedMachine>>,
+}
+
+impl Settings {
+    fn of(header: &Header) -> std::result::Result<Self, String> {
+        if header.log != 2 {
+            return Err(format!("log version {}; this program reads version 2", header.log));
+        }
+        let [board, gains, calibration, model @ ..] = header.texts.as_slice() else { return Err("has no configuration".to_owned()) };
+        let board: Board = text(board)?;
+        let name = "model of the log";
+        let described = model.first().map(|text| {
+            let model = source::parse(name, text).into_diagnostic()?;
+            inputs::described_by(name, model, &board)
+        });
+        let feedforward = described.transpose().map_err(|e| e.to_string())?;
+        let (gains, calibration) = (text(gains)?, text(calibration)?);
+        let learned = Some((header.lines, header.dynamics));
+        Ok(Self { board, gains, calibration, learned, feedforward })
+    }
+
+    fn config(&self, header: &Header) -> SupervisorConfig {
+        let mut config = assemble(&self.board, &self.calibration, &self.gains, &header.machine);
+        if let Some(machine) = &self.feedforward {
+            config.tick = config.tick.fed_forward(Arc::clone(machine));
+        }
+        if let Some(learned) = self.learned {
+            (config.tick.lines, config.tick.dynamics) = learned;
+        }
+        config
+    }
+
+    /// The settings with those of the command line.
+    fn changed(mut self, args: &Args) -> Result<Self> {
+        self.gains = args.gains.as_deref().map_or(Ok(self.gains), source::read)?;
+        self.gains.fuse.filter = args.filter.unwrap_or(self.gains.fuse.filter);
+        if let Some(path) = &args.calib {
+            (self.calibration, self.learned) = (source::read(path)?, None);
+        }
+        if let Some(path) = &args.feedforward {
+            self.feedforward = Some(inputs::described(path, &self.board)?);
+            self.learned = None;
+        }
+        Ok(self)
+    }
+}
+
+/// What the supervisor of a log started from.
+///
+/// # Errors
+/// What is wrong with the configuration in the log.
+pub fn start_of(header: &Header) -> std::result::Result<Start, String> {
+    Ok(Start::of(header, Settings::of(header)?.config(header)))
 }
 
 /// Runs the command.
@@ -43,11 +114,8 @@ pub struct Args {
 /// A report that names the defect of the log.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let path = flight_of(&args.log)?;
-    let mut replay = Replay {
-        gains: args.gains.as_deref().map(source::read).transpose()?,
-        calibration: args.calib.as_deref().map(source::read).transpose()?,
-        ..Replay::default()
-    };
+    let changes = args.gains.is_some() || args.calib.is_some() || args.filter.is_some() || args.feedforward.is_some();
+    let mut replay = Replay { args: changes.then_some(args), ..Replay::default() };
     let mut ending = None;
     for part in parts(&path) {
         let read = messages(&part, &mut |message| replay.take(Entry::of(&message)?));
@@ -117,13 +185,12 @@ fn text<T: DeserializeOwned + Check>(text: &str) -> std::result::Result<T, Strin
 }
 
 #[derive(Default)]
-struct Replay {
+struct Replay<'a> {
     /// Settings to speculate with.
-    gains: Option<Gains>,
-    calibration: Option<Calibration>,
+    args: Option<&'a Args>,
     /// The start of the present supervisor.
     header: Option<Header>,
-    machine: Option<(Board, Calibration, SupervisorConfig)>,
+    machine: Option<(Settings, SupervisorConfig)>,
     /// `None` after a gap.
     supervisor: Option<Supervisor>,
     /// A supervisor with the other settings, and the differences that they make.
@@ -140,7 +207,7 @@ struct Replay {
     first: Option<(u64, f64, Vec<&'static str>)>,
 }
 
-impl Replay {
+impl Replay<'_> {
     fn take(&mut self, entry: Entry) -> std::result::Result<(), String> {
         match entry {
             Entry::Event(event) => match *event {
@@ -164,48 +231,24 @@ impl Replay {
     }
 
     fn start(&mut self, header: Header) -> std::result::Result<(), String> {
-        if header.log != 2 {
-            return Err(format!("log version {}; this program reads version 2", header.log));
-        }
-        let [board, gains, calibration, model @ ..] = header.texts.as_slice() else { return Err("has no configuration".to_owned()) };
-        let (board, gains): (Board, Gains) = (text(board)?, text(gains)?);
-        let calibration: Calibration = text(calibration)?;
-        let name = "model of the log";
-        let described = model.first().map(|text| {
-            let model = source::parse(name, text).into_diagnostic()?;
-            inputs::described_by(name, model, &board)
-        });
-        let described = described.transpose().map_err(|e| e.to_string())?;
-        let configured = |calibration, gains| {
-            let mut config = assemble(&board, calibration, gains, &header.machine);
-            if let Some(machine) = &described {
-                config.tick = config.tick.fed_forward(Arc::clone(machine));
-            }
-            config
-        };
-        let start = Start::of(&header, configured(&calibration, &gains));
-        if self.gains.is_some() || self.calibration.is_some() {
-            let used = self.calibration.as_ref().unwrap_or(&calibration);
-            let mut config = configured(used, self.gains.as_ref().unwrap_or(&gains));
-            if self.calibration.is_none() {
-                let tick = &start.config.tick;
-                (config.tick.lines, config.tick.dynamics) = (tick.lines, tick.dynamics);
-            }
-            let altered = Start { config, ..start.clone() };
-            self.altered = Some(altered.supervisor());
+        let settings = Settings::of(&header)?;
+        let start = Start::of(&header, settings.config(&header));
+        if let Some(args) = self.args {
+            let config = settings.clone().changed(args).map_err(|e| e.to_string())?.config(&header);
+            self.altered = Some(Start { config, ..start.clone() }.supervisor());
         }
         self.next = header.cycle;
         self.header = Some(header);
-        self.machine = Some((board, calibration, start.config.clone()));
+        self.machine = Some((settings, start.config.clone()));
         self.supervisor = Some(start.supervisor());
         Ok(())
     }
 
     fn reload(&mut self, gains: &str, lines: [Line; 3]) -> std::result::Result<(), String> {
-        let (Some(supervisor), Some((board, calibration, config))) = (&mut self.supervisor, &mut self.machine) else { return Ok(()) };
+        let (Some(supervisor), Some((settings, config))) = (&mut self.supervisor, &mut self.machine) else { return Ok(()) };
         let gains: Gains = text(gains)?;
         config.tick.lines = lines;
-        *config = with_gains(config, board, calibration, &gains);
+        *config = with_gains(config, &settings.board, &settings.calibration, &gains);
         supervisor.reload(&mut config.clone());
         Ok(())
     }

@@ -114,7 +114,7 @@ mod tests {
     fn hunting_shrinks_the_share_at_any_period() {
         for period in [4, 18, 40] {
             let mut r = BacklashAdaptation::default();
-            for k in 0..600 {
+            for k in 0..1000 {
                 r.step(if k % period == 0 { REVERSAL } else { QUIET }, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
             }
             assert!(r.share(1) < 0.1, "{period} {}", r.share(1));

@@ -34,7 +34,11 @@ impl Client {
         Self::connect_for(path, TIMEOUT)
     }
 
-    fn connect_for(path: &Path, timeout: Duration) -> Result<Self, Failure> {
+    /// As [`connect`](Self::connect), with this longest wait for each reply.
+    ///
+    /// # Errors
+    /// As for [`connect`](Self::connect).
+    pub fn connect_for(path: &Path, timeout: Duration) -> Result<Self, Failure> {
         let connect = || -> std::io::Result<Self> {
             let writer = UnixStream::connect(path)?;
             writer.set_read_timeout(Some(timeout))?;

@@ -20,9 +20,15 @@ impl Paths {
     #[must_use]
     pub fn of(service: &ServiceSection) -> Self {
         let control = service.socket.clone().unwrap_or_else(|| runtime_folder().join("control.sock"));
-        let status = service.status_socket.clone().unwrap_or_else(|| control.with_file_name("status.sock"));
+        let status = service.status_socket.clone().unwrap_or_else(|| status_socket(&control));
         Self { control, status, state: service.state.clone().unwrap_or_else(state_folder) }
     }
+}
+
+/// The status socket that belongs to a command socket, unless the board file names another.
+#[must_use]
+pub fn status_socket(control: &Path) -> PathBuf {
+    control.with_file_name("status.sock")
 }
 
 /// The socket of `stop` that belongs to a command socket.

@@ -99,6 +99,8 @@ pub enum Request {
         /// Which of the three.
         action: CalibrateAction,
     },
+    /// Report the largest bend in each direction at the rest length, and the dimensions of the bending section.
+    Reach {},
     /// Send frames at a fixed rate until the connection closes.
     Subscribe {
         /// Frames per second, 0.1 to 1000.
@@ -160,7 +162,7 @@ impl Request {
     /// True for requests that the status socket accepts.
     #[must_use]
     pub fn only_reads(&self) -> bool {
-        matches!(self, Self::Status {} | Self::Subscribe { .. })
+        matches!(self, Self::Status {} | Self::Reach {} | Self::Subscribe { .. })
     }
 
     /// Name of the command, for the log.

@@ -155,7 +155,7 @@ impl Recording {
             let t = sample.t.0 - start_s;
             if t > self.last_s {
                 (self.last_s, self.rows) = (t, self.rows + 1);
-                row(&mut self.log, t, &sample, &output.into(), self.step_mm);
+                write_row(&mut self.log, &values(t, &sample, &output.into(), self.step_mm));
             }
         }
         if self.duration_s() > self.most_s {
@@ -204,18 +204,24 @@ impl Recording {
     }
 }
 
-/// Appends a row of a bend log: a sample at `t` s of the log, in this cycle.
-pub fn row(log: &mut Vec<u8>, t: f64, sample: &ImuSample, cycle: &Cycle, step_mm: f64) {
+/// The values of a row of a bend log, in the order of [`HEADER`]: a sample at `t` s of the log, in this cycle. What is missing is not
+/// a number.
+#[must_use]
+pub fn values(t: f64, sample: &ImuSample, cycle: &Cycle, step_mm: f64) -> [f64; 20] {
     let target = &cycle.target;
     let (bend, dir) = (target.bend.beta().to_degrees(), target.bend.delta().to_degrees());
     let [p1, p2, p3] = cycle.sensed.counted.0.map(|n| f64::from(n) * step_mm);
     let (a, g, length) = (sample.acc_m_s2, sample.gyro_rad_s, target.length.0);
-    let (mag, gauges) = (sample.mag_ut.unwrap_or_else(|| [f64::NAN; 3].into()), &cycle.sensed.gauges);
-    let pressure = gauges.pressure_kpa.unwrap_or([f64::NAN; 3]);
+    let (m, gauges) = (sample.mag_ut.unwrap_or_else(|| [f64::NAN; 3].into()), &cycle.sensed.gauges);
+    let ([k1, k2, k3], temp_c) = (gauges.pressure_kpa.unwrap_or([f64::NAN; 3]), gauges.tip_c.unwrap_or(f64::NAN));
+    [t, bend, dir, length, p1, p2, p3, a.x, a.y, a.z, g.x, g.y, g.z, m.x, m.y, m.z, temp_c, k1, k2, k3]
+}
+
+/// Appends the values of a row to a bend log; a field without a number is empty.
+pub fn write_row(log: &mut Vec<u8>, [t, values @ ..]: &[f64; 20]) {
     // writing to memory does not fail
-    let _ = write!(log, "{t:.6},{bend},{dir},{length},{p1},{p2},{p3},{},{},{},{},{},{}", a.x, a.y, a.z, g.x, g.y, g.z);
-    for value in [mag.x, mag.y, mag.z, gauges.tip_c.unwrap_or(f64::NAN)].into_iter().chain(pressure) {
-        // a field without a number is empty
+    let _ = write!(log, "{t:.6}");
+    for value in values {
         let _ = if value.is_finite() { write!(log, ",{value}") } else { write!(log, ",") };
     }
     log.push(b'\n');

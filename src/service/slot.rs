@@ -87,8 +87,9 @@ pub fn parse(text: &[u8]) -> Result<Option<(u64, Memory)>, String> {
     Ok(Some((sequence, memory)))
 }
 
+/// Memories for the tests of the room.
 #[cfg(test)]
-pub(super) mod tests {
+pub mod tests {
     use super::*;
     use crate::control::tick::RestartState;
 

@@ -4,7 +4,7 @@ use crate::control::saturation::Saturation;
 use crate::control::tick::Frame;
 use crate::model::bend::Bend;
 use crate::service::protocol::VERSION;
-use crate::supervisor::cycle::{CycleOutput, Guidance};
+use crate::supervisor::cycle::{CycleOutput, Guidance, SupervisorConfig};
 use crate::supervisor::gate::TripCause;
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
@@ -105,6 +105,8 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
             json!({"state": state, "active": active.iter().map(|c| c.name()).collect::<Vec<_>>()})
         }),
         "latched": output.latched.map(trip_name),
+        "fault": output.latched.map(trip_message),
+        "stopped": output.stopped,
         "suspicion": output.suspicion.map(|s| s.to_string()),
         "sensor": {
             "action": format!("{:?}", f.senses.action),
@@ -135,6 +137,14 @@ pub fn frame_line(output: &CycleOutput, step_mm: f64) -> String {
     value["v"] = json!(VERSION);
     value["event"] = json!("frame");
     value.to_string() + "\n"
+}
+
+/// Travel of the pistons either way, and the least and largest gains that the loop may learn.
+#[must_use]
+pub fn limits(config: &SupervisorConfig) -> Value {
+    let bounds = config.tick.lines.map(|line| config.tick.refine.bounds(&line));
+    let [k_epsilon, k_lambda_mm] = [0, 1].map(|n| bounds.map(|of| of[n].map(round)));
+    json!({"travel_mm": config.tick.limits.travel_mm, "k_epsilon": k_epsilon, "k_lambda_mm": k_lambda_mm})
 }
 
 fn round(x: f64) -> f64 {

@@ -1,6 +1,8 @@
 //! What the tests share: the paper twin as a world, and the loop for it.
 #![allow(dead_code, reason = "every test binary takes its own part of this")]
 
+pub mod flight;
+
 use retroflex::config::assemble;
 use retroflex::config::board::{Board, PlantSection};
 use retroflex::config::calib::Calibration;

@@ -39,15 +39,19 @@ pub(super) fn report(f: Failure) -> Report {
     }
 }
 
-/// Connects to the service. Two services of which none is named are refused.
-pub(super) fn connect(at: &At) -> Result<Connection> {
-    match &at.sockets()[..] {
-        [one, other, ..] => {
-            let (one, other) = (one.display(), other.display());
-            bail!("two services are running, at {one} and {other}: name one with --socket (`retroflex stop` stops both)")
-        }
-        one => Connection::connect(&one[0]).map_err(report),
+/// The socket of the service. Two services of which none is named are refused.
+pub(super) fn socket(at: &At) -> Result<PathBuf> {
+    let sockets = at.sockets();
+    if let [one, other, ..] = &sockets[..] {
+        let (one, other) = (one.display(), other.display());
+        bail!("two services are running, at {one} and {other}: name one with --socket (`retroflex stop` stops both)")
     }
+    Ok(sockets[0].clone())
+}
+
+/// Connects to the service.
+pub(super) fn connect(at: &At) -> Result<Connection> {
+    Connection::connect(&socket(at)?).map_err(report)
 }
 
 /// Stops the tip, that of every service if none is named.
@@ -86,7 +90,7 @@ fn printed(result: Option<Value>) -> CommandOutcome {
         eprintln!("note: {remark}");
     }
     if value.as_object().is_some_and(|map| !map.is_empty()) {
-        print(&words(&value));
+        print(words(&value));
     }
     CommandOutcome::Good
 }

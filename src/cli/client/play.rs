@@ -54,7 +54,7 @@ pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     }
     let outcome = schedule.run(&mut connection);
     if let Some(recorded) = ask(&mut connection, &request(RecordAction::Stop))? {
-        output::print(&words(&recorded));
+        output::print(words(&recorded));
     }
     outcome
 }

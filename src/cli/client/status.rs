@@ -26,9 +26,9 @@ pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
     loop {
         let Some(s) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
         match &args.json {
-            Some(path) => output::write(path, &format!("{s}\n"))?,
-            None if redraw => print(&format!("{CLEAR}{}", readable(&s))),
-            None => print(&readable(&s)),
+            Some(path) => output::write(path, format!("{s}\n"))?,
+            None if redraw => print(format!("{CLEAR}{}", readable(&s))),
+            None => print(readable(&s)),
         }
         if !args.watch {
             return Ok(Good);
@@ -38,6 +38,12 @@ pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
 }
 
 fn readable(s: &Value) -> String {
+    let line = |(name, value): &(&str, String)| format!("{name:<10}{}\n", wrapped(value));
+    rows(s).iter().map(line).collect()
+}
+
+/// What a status says, as name and text. The recorded status of a log lacks some of it.
+pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
     let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
     let degrees = |v: &Value| v.as_f64().unwrap_or(0.0);
@@ -50,16 +56,18 @@ fn readable(s: &Value) -> String {
     let words = |key: &str, text: &'static str| if s[key] == true { text } else { "" };
     let energised = words("energised", ", energised");
     let stopped = words("stopped", ", stopped until `retroflex arm`");
-    let (tip, calibration) = (text(&s["tip"]), text(&s["calibration"]));
     let (estimate, target) = (pose(&s["estimate"]), pose(&s["target"]));
-    let [cycles, late, most, lost] = ["cycles", "late_cycles", "max_lateness_us", "lost_frames"].map(|key| &s[key]);
     let mut rows = vec![
         ("mode", text(&s["mode"]) + energised + stopped),
         ("estimate", format!("{estimate}   target {target}")),
         ("pistons", pistons.join("  ") + " mm"),
-        ("tip", format!("{tip}   calibration {calibration}")),
-        ("loop", format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost")),
     ];
+    if let [tip @ Value::String(_), calibration @ Value::String(_)] = ["tip", "calibration"].map(|key| &s[key]) {
+        rows.push(("tip", format!("{}   calibration {}", text(tip), text(calibration))));
+    }
+    if let [cycles @ Value::Number(_), late, most, lost] = ["cycles", "late_cycles", "max_lateness_us", "lost_frames"].map(|key| &s[key]) {
+        rows.push(("loop", format!("{cycles} cycles, {late} late, at most {most} µs, {lost} frames lost")));
+    }
     let optional = [
         ("fault", &s["fault"]),
         ("limit", &s["shortfall"]),
@@ -87,8 +95,7 @@ fn readable(s: &Value) -> String {
     rows.extend(advice.iter().map(|advice| ("sensor", text(advice))));
     let granted = |g: &Value| format!("{}: {}", text(&g["what"]), text(&g["grant"]));
     rows.extend(list(&s["real_time"]).iter().map(|g| ("real time", granted(g))));
-    let line = |(name, value): &(&str, String)| format!("{name:<10}{}\n", wrapped(value));
-    rows.iter().map(line).collect()
+    rows
 }
 
 /// A text in lines that fit beside a column of names.

@@ -64,7 +64,7 @@ fn run_sweep(request: &Request<'_>, study: &Study) -> Result<CommandOutcome> {
     let result = json!({ "seed": study.seed, "units": study.units, "sweep": rows });
     output::json(request.json, &result)?;
     if let Some(path) = request.svg {
-        output::write(path, &picture::svg(&rows))?;
+        output::write(path, picture::svg(&rows))?;
     }
     let (failed, all) = (rows.iter().filter(|r| !r.ok).count(), rows.len());
     let header = ["condition", "value", "open", "closed", "95 %", "hunting", ""];

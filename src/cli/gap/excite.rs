@@ -65,7 +65,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let request = Request { machine, like, tracker: args.tracker, seed: args.seed, rounds: args.rounds };
     let designed = design(&request, &mut |tried| bar.set_position(tried as u64));
     bar.finish_and_clear();
-    output::write(&args.out, &csv(&designed.rows))?;
+    output::write(&args.out, csv(&designed.rows))?;
     eprintln!("{}", summary(args, &designed));
     Ok(CommandOutcome::Good)
 }

@@ -44,6 +44,15 @@ parameters! {
     }
 }
 
+impl RefineConfig {
+    /// Least and largest k_ε, and k_λ in mm, of a channel with this calibration.
+    #[must_use]
+    pub fn bounds(&self, prior: &Line) -> [[f64; 2]; 2] {
+        let around = |x: f64, range: f64| [(x - range).max(0.0), x + range];
+        [around(prior.k_epsilon, self.range * (1.0 + prior.k_epsilon)), around(prior.k_lambda_mm, LAMBDA_RANGE_MM)]
+    }
+}
+
 /// Largest distance of k_λ from the calibration, mm.
 pub const LAMBDA_RANGE_MM: f64 = 0.8;
 /// Initial standard deviation of a row, mm of piston, and the smallest.
@@ -169,10 +178,9 @@ impl Channel {
 
     /// The gains after a step from `line` towards the estimate, within the bounds.
     fn towards(&self, config: &RefineConfig, line: &Line) -> Line {
-        let range = config.range * (1.0 + self.prior.k_epsilon);
-        let k_epsilon = self.estimate.x.clamp((self.prior.k_epsilon - range).max(0.0), self.prior.k_epsilon + range);
-        let around = self.prior.k_lambda_mm;
-        let k_lambda_mm = self.estimate.y.clamp((around - LAMBDA_RANGE_MM).max(0.0), around + LAMBDA_RANGE_MM);
+        let [[k_least, k_most], [lambda_least, lambda_most]] = config.bounds(&self.prior);
+        let k_epsilon = self.estimate.x.clamp(k_least, k_most);
+        let k_lambda_mm = self.estimate.y.clamp(lambda_least, lambda_most);
         let step = config.step_max * (1.0 + line.k_epsilon);
         Line {
             k_epsilon: line.k_epsilon + (k_epsilon - line.k_epsilon).clamp(-step, step),

@@ -6,7 +6,7 @@
 //! | [`cdev`] | GPIO character device of any Linux board | one ioctl for all lines |
 //! | [`mock`] | none; records every edge with its time | one push |
 //!
-//! The first two are equal: both take the drivers over as they find them, read EN back, and pass one suite of tests.
+//! The first two are equal: both take the drivers over as they find them, read EN back, and pass the same tests.
 //! docs/hardware.md says when to choose which.
 //!
 //! [`hal::HalPins`] makes a backend of any set of `embedded-hal` pins; the `rppal` backend uses it.
@@ -22,7 +22,7 @@ pub mod mock;
 #[cfg(feature = "hw")]
 pub mod rppal;
 #[cfg(test)]
-mod suite;
+mod tests;
 mod uapi;
 
 pub use config::{Backend, ChannelPins, InputPin, PinsConfig, Pull};

@@ -4,6 +4,7 @@ use crate::model::arc::{Geometry, Shape};
 use crate::service::status;
 use crate::supervisor::cycle::CycleOutput;
 use serde_json::{Map, Value, json};
+use std::collections::HashMap;
 
 /// Topics, the names of their schemas, and the fields of the status that they show, at most [`RATE_HZ`] times a second and only
 /// when one has changed.
@@ -31,7 +32,6 @@ impl Channels {
     /// The messages of a cycle as topic, name of the schema and value. `unix_ns` is its time.
     pub fn messages(&mut self, output: &CycleOutput, unix_ns: u64, step_mm: f64) -> Vec<(&'static str, &'static str, Value)> {
         let mut status = status::cycle(output, step_mm);
-        status["fault"] = json!(output.latched.map(status::trip_message));
         // the action changes between two samples
         status["sensor"] = status["sensor"]["active"].take();
         let mut all = Vec::new();
@@ -57,6 +57,29 @@ impl Channels {
         });
         all.extend(pose.map(|pose| ("/tf", "foxglove.FrameTransform", pose)));
         all
+    }
+}
+
+/// The fields of the status whose changes are events.
+const NOTED: &str = "mode stopped fault suspicion alarm base shortfall sensor";
+
+/// The last values of what counts as an event when it changes.
+#[derive(Debug, Default)]
+pub struct Changes(HashMap<&'static str, Value>);
+
+impl Changes {
+    /// The changes that a message of a channel, or a status, brings.
+    pub fn of(&mut self, value: &Value) -> Vec<String> {
+        let mut notes = Vec::new();
+        for key in NOTED.split(' ') {
+            let Some(now) = value.get(key).map(|now| now.get("active").unwrap_or(now)) else { continue };
+            if self.0.insert(key, now.clone()).as_ref() != Some(now) {
+                let all = now.as_array().map_or(std::slice::from_ref(now), Vec::as_slice);
+                let words = all.iter().filter_map(Value::as_str).map(|word| format!("{key} {word}"));
+                notes.extend(words.chain((*now == true).then(|| key.to_owned())));
+            }
+        }
+        notes
     }
 }
 

@@ -184,6 +184,7 @@ impl Hub {
         let more = json!({
             "program": env!("CARGO_PKG_VERSION"),
             "config_hash": self.config.config_hash,
+            "limits": status::limits(&Start::new(&self.config, memory, self.facts.belief).config),
             "tip": self.config.tip,
             "uptime_s": self.started.elapsed().as_secs_f64(),
             "settled": settled,

@@ -5,6 +5,7 @@ use crate::config::gains::Gains;
 use crate::config::source;
 use crate::control::path::Path;
 use crate::control::tick::Command;
+use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::primitives::units::Mm;
 use crate::service::calibrate::{Found, Session};
@@ -14,7 +15,7 @@ use crate::service::protocol::{CalibrateAction, Failure, Frame, PATH_MAX_S, PATH
 use crate::service::rt_loop::Message;
 use crate::service::start::{RunConfig, with_gains};
 use crate::supervisor::cycle::SupervisorConfig;
-use crate::supervisor::cycle::order::Order;
+use crate::supervisor::cycle::order::{BEND_MAX_RAD, Order};
 use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
 use std::time::Instant;
@@ -58,7 +59,11 @@ impl Hub {
     }
 
     fn read_request(&mut self, caller: &Caller, request: &Request) -> Reply {
-        let Request::Subscribe { rate_hz } = *request else { return Some(Ok(self.cached_status())) };
+        let rate_hz = match *request {
+            Request::Subscribe { rate_hz } => rate_hz,
+            Request::Reach {} => return Some(Ok(self.reach())),
+            _ => return Some(Ok(self.cached_status())),
+        };
         if !(0.1..=1000.0).contains(&rate_hz) {
             let why = format!("rate_hz {rate_hz} is outside 0.1 to 1000");
             return Some(Err(Failure::bad(why)));
@@ -73,7 +78,7 @@ impl Hub {
 
     fn command(&mut self, caller: &Caller, request: &Request) -> Reply {
         let order = match *request {
-            Request::Status {} | Request::Subscribe { .. } => return self.read_request(caller, request),
+            Request::Status {} | Request::Reach {} | Request::Subscribe { .. } => return self.read_request(caller, request),
             Request::Record { action, ref name, owned } => return self.record(action, name.as_deref(), owned, caller),
             Request::Reload {} => return self.reload(),
             Request::Calibrate { action } => return self.calibrate(action, caller),
@@ -106,6 +111,17 @@ impl Hub {
             self.order(order, caller.clone());
         }
         None
+    }
+
+    /// The largest bend at the rest length every 5° from direction 0 on, degrees, and the dimensions of the bending section.
+    fn reach(&self) -> Value {
+        let (tick, lines) = (&self.config.supervisor.tick, self.in_use().lines);
+        let largest = |k: u32| {
+            let Command { bend, length } = self.target(BEND_MAX_RAD.to_degrees(), f64::from(k) * 5.0, None);
+            bend.beta().to_degrees() * tick.limits.largest_share(&tick.geometry, &lines, &Shape { bend, length })
+        };
+        let bend_deg: Vec<f64> = (0..72).map(largest).collect();
+        json!({"bend_deg": bend_deg, "r_mm": tick.geometry.r_mm, "rest_length_mm": tick.geometry.rest_length_mm})
     }
 
     fn target(&self, bend_deg: f64, dir_deg: f64, length_mm: Option<f64>) -> Command {

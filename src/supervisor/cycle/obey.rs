@@ -6,7 +6,7 @@ use crate::model::arc::Shape;
 use crate::model::transmission::Line;
 use crate::primitives::units::Steps;
 use crate::supervisor::cycle::guide::Guide;
-use crate::supervisor::cycle::order::{Order, Refusal};
+use crate::supervisor::cycle::order::{BEND_MAX_RAD, Order, Refusal};
 use crate::supervisor::cycle::state::{ModeState, Position, Supervisor};
 use crate::supervisor::machine::Sensed;
 use crate::supervisor::mode::{Event, Mode};
@@ -14,8 +14,6 @@ use std::f64::consts::PI;
 
 /// Time that a machine has to clear its alarm, s.
 const CLEARING_S: f64 = 0.1;
-/// Largest bend that may be ordered, rad (135°).
-const BEND_MAX_RAD: f64 = PI * 0.75;
 /// Range of the speed that may be ordered, rad/s: 0.1 to 720 °/s, with a margin for rounding.
 const SPEED_RAD_S: std::ops::RangeInclusive<f64> = 0.1 * PI / 180.0 - 1e-9..=4.0 * PI + 1e-9;
 

@@ -4,6 +4,9 @@ use crate::control::tick::Command;
 use crate::model::transmission::Line;
 use crate::supervisor::mode::Mode;
 
+/// Largest bend that may be ordered, rad (135°).
+pub const BEND_MAX_RAD: f64 = std::f64::consts::PI * 0.75;
+
 /// An order, small enough for a wait-free ring.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Order {

@@ -1,0 +1,185 @@
+//! `monitor`: the state of the tip on the terminal, of a running service, or of a flight log.
+
+pub mod draw;
+pub mod player;
+pub mod view;
+
+use super::connection::{At, report, socket};
+use crate::cli::CommandOutcome::{self, Good};
+use crate::cli::inputs::within;
+use crate::cli::replay::flight_of;
+use crate::service::client::Client as Connection;
+use crate::service::paths;
+use crate::service::protocol::{Failure, Request};
+use miette::{IntoDiagnostic, Result, bail};
+use player::Player;
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
+use serde_json::Value;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use std::io::{IsTerminal, stdin, stdout};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::{sleep, spawn};
+use std::time::{Duration, Instant};
+use view::View;
+
+/// Time between two frames.
+const PERIOD: Duration = Duration::from_millis(100);
+/// Silence after which a service counts as lost, s.
+const SILENT_S: f64 = 1.0;
+/// Step of the arrow keys in a log, s.
+const SEEK_S: f64 = 5.0;
+
+/// Arguments of `monitor`.
+#[derive(Debug, clap::Args)]
+pub struct MonitorArgs {
+    #[command(flatten)]
+    at: At,
+    /// Flight log to show, or bend log that was recorded with one. Default: the running service.
+    #[arg(conflicts_with = "socket")]
+    log: Option<PathBuf>,
+    /// Pace of a log, in multiples of real time.
+    #[arg(long, default_value_t = 1.0, requires = "log", value_parser = within(0.1..=100.0, "times real time"))]
+    speed: f64,
+}
+
+/// Where the frames come from.
+enum Source {
+    Live(Live),
+    Log(Player),
+}
+
+/// Shows the state until the operator ends it.
+///
+/// # Errors
+/// A report about a log or a terminal that cannot be used, or a service that cannot be reached.
+pub fn monitor(args: &MonitorArgs) -> Result<CommandOutcome> {
+    let open = |log: &PathBuf| Player::open(&flight_of(log)?, args.speed);
+    let log = args.log.as_ref().map(open).transpose()?;
+    if !stdin().is_terminal() || !stdout().is_terminal() {
+        bail!("the monitor needs a terminal; elsewhere, use `retroflex status --watch`");
+    }
+    let mut source = match log {
+        Some(player) => Source::Log(player),
+        None => Source::Live(Live::start(socket(&args.at)?)?),
+    };
+    let ended = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&ended)).into_diagnostic()?;
+    }
+    // this also restores the terminal after a panic
+    let mut terminal = ratatui::try_init().into_diagnostic()?;
+    let mut view = View::default();
+    let mut shown = Ok(true);
+    while matches!(shown, Ok(true)) && !ended.load(Relaxed) {
+        shown = show(&mut terminal, &mut source, &mut view);
+    }
+    ratatui::restore();
+    // a terminal that was closed cannot be drawn on
+    if ended.load(Relaxed) { Ok(Good) } else { shown.into_diagnostic().map(|_| Good) }
+}
+
+/// Draws once and handles the keys until the next frame is due; false if the operator ends the monitor.
+fn show(terminal: &mut DefaultTerminal, source: &mut Source, view: &mut View) -> std::io::Result<bool> {
+    let due = Instant::now() + PERIOD;
+    source.update(view);
+    terminal.draw(|frame| draw::draw(frame, view))?;
+    while event::poll(due.saturating_duration_since(Instant::now()))? {
+        let Event::Key(key) = event::read()? else { continue };
+        let interrupt = key.modifiers == KeyModifiers::CONTROL && key.code == KeyCode::Char('c');
+        if interrupt || key.code == KeyCode::Char('q') {
+            return Ok(false);
+        }
+        source.key(key.code);
+    }
+    Ok(true)
+}
+
+impl Source {
+    fn update(&mut self, view: &mut View) {
+        match self {
+            Self::Live(live) => live.update(view),
+            Self::Log(player) => player.advance(PERIOD.as_secs_f64(), view),
+        }
+    }
+
+    fn key(&mut self, key: KeyCode) {
+        match (self, key) {
+            (Self::Live(live), KeyCode::Char('h')) => live.order(Request::Hold {}),
+            (Self::Live(live), KeyCode::Char('s')) => live.order(Request::Stop {}),
+            (Self::Live(live), KeyCode::Char('r')) => live.order(Request::Relax {}),
+            (Self::Log(player), KeyCode::Char(' ')) => player.paused = !player.paused,
+            (Self::Log(player), KeyCode::Left) => player.seek(-SEEK_S),
+            (Self::Log(player), KeyCode::Right) => player.seek(SEEK_S),
+            _ => {}
+        }
+    }
+}
+
+/// A status, or what became of a command.
+type News = std::result::Result<Value, String>;
+
+/// A running service. A thread of its own reads the status, from the socket that only reads where there is one.
+struct Live {
+    socket: PathBuf,
+    news: Receiver<News>,
+    send: Sender<News>,
+    heard: Instant,
+}
+
+impl Live {
+    fn start(socket: PathBuf) -> Result<Self> {
+        let status = Some(paths::status_socket(&socket)).filter(|status| status.exists());
+        let status = status.unwrap_or(socket.clone());
+        Connection::connect(&status).map_err(report)?;
+        let (send, news) = channel();
+        let to = send.clone();
+        spawn(move || while read(&status, &to).is_err() {});
+        let heard = Instant::now();
+        Ok(Self { socket, news, send, heard })
+    }
+
+    fn update(&mut self, view: &mut View) {
+        view.source = format!("live, {}", self.socket.display());
+        view.keys = "h hold   s stop   r relax   q quit";
+        for news in self.news.try_iter() {
+            match news {
+                Ok(value) => {
+                    self.heard = Instant::now();
+                    view.take(value);
+                }
+                Err(note) => view.note(&note),
+            }
+        }
+        let silent_s = self.heard.elapsed().as_secs_f64();
+        view.silent_s = Some(silent_s).filter(|silent_s| *silent_s > SILENT_S);
+    }
+
+    /// Sends a command from a thread of its own, so that a service that does not answer does not delay the screen.
+    fn order(&self, request: Request) {
+        let (socket, send) = (self.socket.clone(), self.send.clone());
+        spawn(move || {
+            let answer = match request {
+                Request::Stop {} => Connection::stop(&socket),
+                _ => Connection::connect(&socket).and_then(|mut to| to.request(&request)),
+            };
+            let became = answer.map_or_else(|failure| failure.message, |_| "accepted".to_owned());
+            // the monitor may have ended
+            let _ = send.send(Err(format!("{}: {became}", request.name())));
+        });
+    }
+}
+
+/// Sends the status ten times a second, until the service is gone or, without an error, until nobody receives it.
+fn read(socket: &Path, to: &Sender<News>) -> std::result::Result<(), Failure> {
+    // also the time between two attempts to reach a lost service
+    sleep(PERIOD);
+    let mut connection = Connection::connect(socket)?;
+    while to.send(Ok(connection.request(&Request::Status {})?)).is_ok() {
+        sleep(PERIOD);
+    }
+    Ok(())
+}

@@ -1,0 +1,177 @@
+//! Draws the monitor. Every colour comes with a word or a sign of its own.
+
+use super::super::status;
+use super::view::{CHART_S, View};
+use crate::model::arc::{Geometry, Shape};
+use crate::model::bend::Bend;
+use crate::primitives::units::Mm;
+use ratatui::Frame;
+use ratatui::layout::Constraint::{Fill, Length};
+use ratatui::layout::{Layout, Rect};
+use ratatui::style::{Color, Style, Stylize};
+use ratatui::text::{Line, Text};
+use ratatui::widgets::canvas::{Canvas, Context, Points};
+use ratatui::widgets::{Block, Borders, Paragraph, Wrap};
+use serde_json::Value;
+
+const RING: Color = Color::DarkGray;
+const DESIRED: Color = Color::Yellow;
+const ESTIMATE: Color = Color::Cyan;
+/// Places of a piston on its bar.
+const PLACES: usize = 7;
+
+/// Points and words in the units of a picture, within bounds of x and y.
+struct Picture {
+    bounds: [[f64; 2]; 2],
+    dots: Vec<(Color, Vec<(f64, f64)>)>,
+    words: Vec<(f64, f64, &'static str)>,
+}
+
+/// Draws a view on the whole frame.
+pub fn draw(frame: &mut Frame, view: &View) {
+    let area = frame.area();
+    if area.width < 40 || area.height < 12 {
+        let text = Text::from("The monitor needs a terminal of\n40 × 12 characters.");
+        return frame.render_widget(text, area);
+    }
+    let tall = u16::from(area.height > 19);
+    let heights = [Length(1), Fill(4), Fill(2 * tall), Length(5), Fill(tall), Length(1)];
+    let rows = Layout::vertical(heights).split(area);
+    let columns = Layout::horizontal([Fill(1), Fill(1), Fill(2)]).split(rows[1]);
+    draw_picture(frame, columns[0], "Tip", side(view, columns[0]));
+    draw_picture(frame, columns[1], "Bend, ○ to ●", polar(view, columns[1]));
+    draw_text(frame, columns[2], "Health", health(view));
+    let (title, picture) = errors(view);
+    draw_picture(frame, rows[2], &title, picture);
+    let (title, text) = lines(view);
+    draw_text(frame, rows[3], &title, text);
+    let newest: Vec<&str> = view.events.iter().rev().map(String::as_str).collect();
+    draw_text(frame, rows[4], "Events, newest first", newest.join("\n"));
+    let head = match view.silent_s {
+        Some(silent_s) => {
+            frame.buffer_mut().set_style(area, Style::new().dark_gray());
+            format!(" no answer for {silent_s:.1} s ").reversed()
+        }
+        None if view.now["fault"].is_null() => format!(" {} ", view.mode()).reversed(),
+        None => format!(" {} ", view.mode()).red().reversed(),
+    };
+    let source = format!("  {}", view.source);
+    frame.render_widget(Line::from(vec![head, source.into()]), rows[0]);
+    frame.render_widget(Line::raw(view.keys), rows[5]);
+}
+
+fn titled(title: &str) -> Block<'_> {
+    Block::new().borders(Borders::TOP).title(title)
+}
+
+fn draw_text(frame: &mut Frame, area: Rect, title: &str, text: String) {
+    let text = Paragraph::new(text).wrap(Wrap { trim: false });
+    frame.render_widget(text.block(titled(title)), area);
+}
+
+fn draw_picture(frame: &mut Frame, area: Rect, title: &str, picture: Picture) {
+    let paint = |canvas: &mut Context<'_>| {
+        for (color, coords) in &picture.dots {
+            canvas.draw(&Points::new(coords, *color));
+        }
+        for (x, y, word) in &picture.words {
+            canvas.print(*x, *y, *word);
+        }
+    };
+    let [x, y] = picture.bounds;
+    let canvas = Canvas::default().x_bounds(x).y_bounds(y);
+    frame.render_widget(canvas.paint(paint).block(titled(title)), area);
+}
+
+/// Bounds around (0, 0) in which a unit has the same length in both directions; `edge` is the nearest one.
+fn square(area: Rect, edge: f64) -> [[f64; 2]; 2] {
+    // a character is twice as high as wide, and one row holds the title
+    let size = [area.width, 2 * area.height.max(2) - 2].map(f64::from);
+    size.map(|length| edge * length / size[0].min(size[1])).map(|end| [-end, end])
+}
+
+/// The bending section in a cabinet projection: direction 0° to the right, 90° to the back, the tip upwards.
+fn side(view: &View, area: Rect) -> Picture {
+    let length = view.now["length_mm"].as_f64().unwrap_or(20.0);
+    let arc = |bend: Bend, every: usize| {
+        let at = |k: usize| {
+            let s = k as f64 / 200.0;
+            let (bend, length) = (Bend(bend.0 * s), Mm(length * s));
+            let at = Geometry::default().position(&Shape { bend, length });
+            (at.x - 0.43 * at.y, at.z - 0.25 * at.y - 10.0)
+        };
+        (0..=200).step_by(every).map(at).collect()
+    };
+    let desired = view.bend("setpoint").map(|bend| (DESIRED, arc(bend, 10)));
+    let estimate = view.bend("estimate").map(|bend| (ESTIMATE, arc(bend, 1)));
+    let dots = desired.into_iter().chain(estimate).collect();
+    Picture { bounds: square(area, 20.0), dots, words: vec![(15.0, -10.0, "0°"), (6.5, -6.0, "90°")] }
+}
+
+/// Desired and estimated bend, in degrees, within rings of 30°, 60° and 90°.
+fn polar(view: &View, area: Rect) -> Picture {
+    let ring = |k: u32| {
+        let (sin, cos) = (f64::from(k) / 20.0).sin_cos();
+        [30.0, 60.0, 90.0].map(|bend| (bend * cos, bend * sin))
+    };
+    let dots = vec![(RING, (0..126).flat_map(ring).collect())];
+    let mut words = vec![(90.0, 0.0, "0°"), (0.0, 90.0, "90°")];
+    for (key, sign) in [("setpoint", "○"), ("estimate", "●")] {
+        let at = view.bend(key).map(|bend| bend.0.map(f64::to_degrees));
+        words.extend(at.map(|at| (at.x, at.y, sign)));
+    }
+    Picture { bounds: square(area, 105.0), dots, words }
+}
+
+/// The error of the last minute, and its title.
+fn errors(view: &View) -> (String, Picture) {
+    let largest = view.errors.iter().map(|(_, error)| *error).fold(0.0, f64::max);
+    // at least half a degree, so that noise stays small
+    let end = largest.max(0.5);
+    let now = view.errors.back().map_or(f64::NAN, |(_, error)| *error);
+    let title = format!("Error {}°, up to {largest:.2}° in {CHART_S} s; scale 0 to {end:.1}°", shown(now, 2));
+    let now_s = view.t_s();
+    let dots = view.errors.iter().map(|(t_s, error)| (t_s - now_s, *error)).collect();
+    let bounds = [[-CHART_S, 0.0], [0.0, end]];
+    (title, Picture { bounds, dots: vec![(ESTIMATE, dots)], words: vec![] })
+}
+
+fn health(view: &View) -> String {
+    let mut rows = status::rows(&view.now);
+    rows.retain(|(name, _)| !["mode", "pistons"].contains(name));
+    let line = |(name, text)| format!("{name:<10}{text}\n");
+    rows.into_iter().map(line).collect()
+}
+
+/// A figure, or a dash before there is one.
+fn shown(x: f64, digits: usize) -> String {
+    if x.is_nan() { "–".to_owned() } else { format!("{x:.digits$}") }
+}
+
+/// The pistons within their travel, and the gains within what the loop may learn; the title names what it has learned of the lag.
+fn lines(view: &View) -> (String, String) {
+    let (now, limits) = (&view.now, &view.now["limits"]);
+    let number = |value: &Value| value.as_f64().unwrap_or(f64::NAN);
+    let within = |x: f64, least: f64, most: f64| {
+        let mark = if x <= least || x >= most { '!' } else { ' ' };
+        format!("{} in {} to {}{mark}", shown(x, 2), shown(least, 2), shown(most, 2))
+    };
+    let travel = number(&limits["travel_mm"]);
+    let [lag, delay] = ["lag_s", "delay_s"].map(|key| number(&now[key]));
+    let title = format!("Lines, lag {} s, dead time {} s; ! at a limit", shown(lag, 3), shown(delay, 3));
+    let mut text = "  piston, mm                k_epsilon             k_lambda, mm\n".to_owned();
+    for i in 0..3 {
+        let at = number(&now["piston_mm"][i]);
+        let place = ((at / travel + 1.0) / 2.0 * PLACES as f64) as usize;
+        let mut bar = ["·"; PLACES];
+        (bar[PLACES / 2], bar[place.min(PLACES - 1)]) = ("|", "█");
+        let piston = within(at, -travel, travel);
+        let [k_epsilon, k_lambda] = ["k_epsilon", "k_lambda_mm"].map(|key| {
+            let bounds = [0, 1].map(|end| number(&limits[key][i][end]));
+            within(number(&now[key][i]), bounds[0], bounds[1])
+        });
+        text += &format!("{} {piston:25} {k_epsilon:21} {k_lambda:21}", i + 1);
+        text += &format!("{}\n", bar.concat());
+    }
+    (title, text)
+}

@@ -1,0 +1,82 @@
+//! `page`: a page for the browser of a tablet beside the unit.
+//!
+//! The command is a client of the service like any other, and a process of its own, so that the service itself keeps no network. All
+//! pages share one subscription (`source`); `server` bounds the connections, `answer` decides who may enter and what is answered,
+//! and `site` knows the open pages and ends the motion of one that is lost.
+
+mod answer;
+mod server;
+mod site;
+mod source;
+
+use super::connection::{At, socket};
+use crate::cli::CommandOutcome;
+use crate::cli::output::print;
+use crate::log::error::why_unreadable;
+use hyper::body::Bytes;
+use miette::{IntoDiagnostic, Result, bail, miette};
+use site::Site;
+use std::io::Write;
+use std::net::{SocketAddr, TcpListener};
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use tokio::sync::{Mutex, watch};
+
+/// Shortest token, characters.
+const TOKEN_MIN: usize = 16;
+
+/// Arguments of `page`.
+#[derive(Debug, clap::Args)]
+pub struct PageArgs {
+    #[command(flatten)]
+    at: At,
+    /// Address and port of the page. Any but a loopback address needs `--token-file`.
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8088")]
+    listen: SocketAddr,
+    /// File of the token that a browser must show. A file that does not exist is created with a new token.
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// Result of `gap diagnose --json FILE`, which the page shows.
+    #[arg(long, value_name = "FILE")]
+    diagnosis: Option<PathBuf>,
+}
+
+/// Serves the page until the process is ended.
+///
+/// # Errors
+/// A report about the address or the token.
+pub fn page(args: &PageArgs) -> Result<CommandOutcome> {
+    let (listen, socket) = (args.listen, socket(&args.at)?);
+    let token = args.token_file.as_deref().map(token).transpose()?;
+    if token.is_none() && !listen.ip().is_loopback() {
+        bail!("--listen {listen}: others can reach it: name the file of a token with --token-file, which is created if there is none");
+    }
+    let fail = |e: std::io::Error| miette!("--listen {listen}: {}; name an address of this computer and a free port", e.kind());
+    let listener = TcpListener::bind(listen).map_err(fail)?;
+    let address = listener.local_addr().map_err(fail)?;
+    let file = args.token_file.as_ref().map(|file| format!("?token=TOKEN, with the token in {}", file.display()));
+    print(format!("http://{address}/{}\n", file.unwrap_or_default()));
+    let (sender, latest) = watch::channel(Bytes::new());
+    let (pages, diagnosis) = (Mutex::default(), args.diagnosis.clone().unwrap_or_default());
+    let control = socket.clone();
+    std::thread::spawn(move || source::follow(&control, &sender));
+    server::run(listener, Site { socket, token, diagnosis, latest, pages }).into_diagnostic()?;
+    Ok(CommandOutcome::Good)
+}
+
+/// The token of a file, which is created if there is none.
+fn token(path: &Path) -> Result<String> {
+    let fail = |why: String| miette!("--token-file {}: {why}", path.display());
+    if let Ok(mut file) = std::fs::File::options().write(true).create_new(true).mode(0o600).open(path) {
+        writeln!(file, "{:032x}", rand::random::<u128>()).map_err(|e| fail(e.kind().to_string()))?;
+    }
+    let text = std::fs::read_to_string(path).map_err(|e| fail(why_unreadable(path, &e)))?;
+    if path.metadata().is_ok_and(|file| file.permissions().mode() & 0o007 != 0) {
+        return Err(fail("everybody may read it; withdraw that with `chmod o=`".to_owned()));
+    }
+    let token = text.trim();
+    if token.len() < TOKEN_MIN || !token.bytes().all(|b| b.is_ascii_alphanumeric()) {
+        return Err(fail(format!("expected {TOKEN_MIN} or more letters and digits; without the file, a new token is created")));
+    }
+    Ok(token.to_owned())
+}
