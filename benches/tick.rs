@@ -12,15 +12,18 @@ use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
 use retroflex::control::tick::{Command, Frame, Input, LoopConfig, LoopState, tick};
+use retroflex::drill::bench::BenchConfig;
 use retroflex::experiment::arm;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::rig::Rig;
 use retroflex::experiment::schedule::{HOLD_S, paper};
 use retroflex::primitives::units::{Mm, Seconds, Steps};
+use retroflex::service::rt_loop::LoopFrame;
 use retroflex::simulation::lockstep::Lockstep;
 use retroflex::simulation::sim::Sim;
 use retroflex::simulation::world::World;
 use retroflex::supervisor::machine::Machine;
+use rtrb::RingBuffer;
 use std::sync::Arc;
 
 fn main() {
@@ -91,6 +94,22 @@ fn one_tick_fed_forward(bencher: Bencher<'_, '_>) {
             last = Some(tick(&config, &mut state, black_box(input)));
         }
         last
+    });
+}
+
+/// What the flight log, the status and the subscribers cost the loop: the ring that takes each cycle to their threads. One item
+/// is one cycle.
+#[divan::bench(sample_count = 200)]
+fn handing_over_a_cycle(bencher: Bencher<'_, '_>) {
+    const CYCLES: usize = 4000;
+    let config = BenchConfig { board: common::twin(), calibration: Calibration::default(), gains: Gains::default() };
+    let output = config.bench(1, 1).unwrap().turn(None).unwrap();
+    let rings = || (RingBuffer::<LoopFrame>::new(CYCLES), vec![output.clone(); CYCLES]);
+    bencher.counter(ItemsCount::new(CYCLES)).with_inputs(rings).bench_local_values(|((mut ring, hub), outputs)| {
+        for (number, output) in (0..).zip(outputs) {
+            ring.push(black_box(LoopFrame { number, changes: 0, output })).unwrap();
+        }
+        (ring, hub)
     });
 }
 

@@ -12,6 +12,7 @@ use retroflex::drill::bench::{Bench, bend};
 use retroflex::estimation::fusion::health::ReadFault;
 use retroflex::supervisor::cycle::order::Order;
 use retroflex::supervisor::machine::Alarm;
+use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
@@ -58,9 +59,33 @@ fn a_flight_with_faults_replays_bit_for_bit_on_every_filter() {
         assert!(text.contains("mode faulted") && text.contains("mode tracking"), "{filter}: {text}");
         let mb_h = bytes as f64 * 3600.0 / duration_s() * 1e-6;
         eprintln!("{filter}: {mb_h:.0} MB an hour, replayed at {:.0} × real time", duration_s() / elapsed_s);
-        // the goal is 150, which a tip that holds most of the time meets; this one never rests
-        assert!(mb_h < 220.0, "{filter}: {mb_h} MB an hour");
+        // this tip never rests
+        assert!(mb_h < 150.0 * 1.1, "{filter}: {mb_h} MB an hour");
     }
+}
+
+/// What a replay with another filter writes is a flight log of its own: it replays bit for bit, and is shown as a page.
+#[test]
+fn a_replay_with_other_settings_is_a_flight_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let [log, other, html] = ["flight.mcap", "other.mcap", "info.html"].map(|name| folder.path().join(name));
+    fly(&log, Gains::default(), 8.0, script);
+    let retroflex = |args: &[&str], files: &[&Path]| {
+        let out = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(args).args(files).output().unwrap();
+        (out.status.code(), String::from_utf8_lossy(&[out.stdout, out.stderr].concat()).into_owned())
+    };
+    let (code, text) = retroflex(&["replay", "--filter", "mekf", "--out"], &[&other, &log]);
+    assert!(code == Some(0) && text.contains("speculation"), "{text}");
+    let (code, text) = retroflex(&["replay"], &[&other]);
+    assert!(code == Some(0) && text.contains("8000 cycles replayed, 0 differ\n"), "{text}");
+    let (code, text) = retroflex(&["log", "info", "--html"], &[&html, &other]);
+    let page = std::fs::read_to_string(&html).unwrap();
+    assert!(code == Some(0) && page.contains("<svg") && page.contains("mode faulted") && page.contains("gains.toml hash"), "{text}{page}");
+    // an existing file stays
+    let before = std::fs::read(&other).unwrap();
+    let (code, text) = retroflex(&["replay", "--out"], &[&other, &log]);
+    assert!(code == Some(2) && text.contains("--out") && text.contains("exists"), "{text}");
+    assert!(std::fs::read(&other).unwrap() == before);
 }
 
 /// The table that `log export --parquet` writes holds the values of the bend log that `--csv` writes, and nulls where that is empty.

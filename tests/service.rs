@@ -1,6 +1,8 @@
 //! The service as a whole, from outside: real sockets, real time, the built-in plant.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 use retroflex::drill::process::Daemon;
 use retroflex::log::bend_log;
 use retroflex::service::flight::cycle::{Cycle, FIELDS, encode};
@@ -184,31 +186,38 @@ fn flight(folder: &Path) -> PathBuf {
     all.pop().unwrap()
 }
 
-#[test]
-fn a_killed_service_leaves_a_log_to_its_last_second_that_replays() {
-    for kill in 0..6 {
-        let folder = tempfile::tempdir().unwrap();
-        let daemon = Daemon::start(program(), folder.path()).unwrap();
-        let socket = daemon.sockets()[0].clone();
-        if kill >= 3 {
-            daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
-            expect(&socket, &["arm"], 0, "");
-            expect(&socket, &["bend", "40"], 0, "");
+/// Kills a service after a time; its log then ends less than a second before, and replays. The tip moves if there is time for it.
+fn kill_after(after: Duration) {
+    let (folder, began) = (tempfile::tempdir().unwrap(), Instant::now());
+    let daemon = Daemon::start(program(), folder.path()).unwrap();
+    let socket = daemon.sockets()[0].clone();
+    if after > Duration::from_secs(2) {
+        daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
+        expect(&socket, &["arm"], 0, "");
+        expect(&socket, &["bend", "40"], 0, "");
+    }
+    std::thread::sleep(after.saturating_sub(began.elapsed()));
+    let status = daemon.until(2.0, "status", |s| s["t"].is_number()).unwrap();
+    daemon.kill();
+    let mut last_s = 0.0;
+    let ending = messages(&flight(folder.path()), &mut |message| {
+        if let Entry::Cycles(_, cycles) = Entry::of(&message)? {
+            last_s = cycles.last().map_or(last_s, |c| c.sensed.t.0);
         }
-        std::thread::sleep(Duration::from_millis(1300 + 170 * kill));
-        let status = daemon.until(2.0, "status", |s| s["t"].is_number()).unwrap();
-        daemon.kill();
-        let mut last_s = 0.0;
-        let ending = messages(&flight(folder.path()), &mut |message| {
-            if let Entry::Cycles(_, cycles) = Entry::of(&message)? {
-                last_s = cycles.last().map_or(last_s, |c| c.sensed.t.0);
-            }
-            Ok(())
-        });
-        assert!(ending.clone().unwrap().is_some_and(|why| why.contains("last whole chunk")), "{ending:?}");
-        assert!(last_s > status["t"].as_f64().unwrap() - 1.0, "{last_s} s of {}", status["t"]);
-        let (code, text) = offline(&[Path::new("replay"), &flight(folder.path())]);
-        assert!(code == 0 && text.contains(" 0 differ") && text.contains("last whole chunk"), "{text}");
+        Ok(())
+    });
+    assert!(ending.clone().unwrap().is_some_and(|why| why.contains("last whole chunk")), "{after:?}: {ending:?}");
+    assert!(last_s > status["t"].as_f64().unwrap() - 1.0, "{after:?}: {last_s} s of {}", status["t"]);
+    let (code, text) = offline(&[Path::new("replay"), &flight(folder.path())]);
+    assert!(code == 0 && text.contains(" 0 differ") && text.contains("last whole chunk"), "{after:?}: {text}");
+}
+
+#[test]
+fn services_killed_at_random_leave_logs_to_their_last_second_that_replay() {
+    let mut rng = StdRng::seed_from_u64(17);
+    let kills: Vec<Duration> = (0..50).map(|_| Duration::from_secs_f64(rng.random_range(1.0..5.0))).collect();
+    for some in kills.chunks(5) {
+        std::thread::scope(|scope| some.iter().for_each(|after| drop(scope.spawn(|| kill_after(*after)))));
     }
 }
 

@@ -1,9 +1,7 @@
 //! `retroflex bench rt`: timing of the step thread on this machine, compared with `cyclictest` where it is installed.
 
 use crate::cli::inputs::within;
-use crate::cli::{CommandOutcome, Unreachable, manual_motion, output};
-use crate::config::board::Board;
-use crate::config::source;
+use crate::cli::{CommandOutcome, Unreachable, inputs, manual_motion, output};
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
 use crate::hardware::cyclictest;
 use crate::hardware::lock::HardwareLock;
@@ -74,7 +72,7 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
 }
 
 fn on_board(path: &Path, base: RtBenchConfig) -> Result<(RtBench, String)> {
-    let board: Board = source::read(path)?;
+    let board = inputs::board(Some(path))?;
     let file = path.display();
     let Some(wiring) = &board.pins else {
         bail!("{file}: there is no [pins] table, so there is nothing to pulse; omit --board to use the mock");

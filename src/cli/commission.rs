@@ -6,7 +6,7 @@ use crate::config::board::Board;
 use crate::config::{place, source};
 use crate::supervisor::commission::trial::{self, TrialConfig, TrialError};
 use crate::supervisor::commission::wiring::{TURN_SMALL_RAD, Wiring};
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{Result, bail, miette};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
 
@@ -54,7 +54,11 @@ fn write_back(path: &Path, board: &Board, wiring: &Wiring) -> Result<()> {
     if wiring.is_right() {
         return Ok(());
     }
-    let (file, text) = (path.display(), std::fs::read_to_string(path).into_diagnostic()?);
+    let file = path.display();
+    if !path.exists() {
+        bail!("{file} is a board of the program; write it into a file with `retroflex board show {file} >board.toml`, and give that file");
+    }
+    let text = source::text_of(path)?;
     let (new, changes) = rewired(&text, board, wiring).map_err(|key| {
         miette!("{file}: {key} is not written in the file, so it cannot be changed there; copy its table from `retroflex board show` and run again")
     })?;

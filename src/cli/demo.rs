@@ -13,7 +13,7 @@ const PACE: &str = "8";
 /// The line that leaks, from 1, and its rate, 1/s.
 const LEAK: (usize, f64) = (2, 0.03);
 /// Poses that show a leak: bends in three directions, held for some seconds, in rows of `gap excite`.
-const SCHEDULE: &str = "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s
+pub const SCHEDULE: &str = "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s
 0,0,20,5,20
 40,0,20,1,20
 40,120,20,1,20

@@ -6,6 +6,7 @@ use crate::config::pressure_bound::PressureBound;
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::Sensor;
 use crate::hardware::rt::{self, Grant, RtRequest};
+use crate::hardware::supply;
 use crate::service::disk::free_bytes;
 use crate::service::paths::Paths;
 use miette::Result;
@@ -106,7 +107,7 @@ pub fn examine(board: &Board) -> Vec<Finding> {
     findings.extend(real_time(board));
     let paths = Paths::of(&board.service);
     let sockets = folder("socket folder", paths.control.parent());
-    findings.extend([clock(), throttling(), disk(&paths.state), sockets]);
+    findings.extend([clock(), power(), disk(&paths.state), sockets]);
     findings
 }
 
@@ -224,28 +225,18 @@ fn clock() -> Finding {
     Finding::pass_or_warn(good, "clock", source, remedy)
 }
 
-/// Bits of the firmware's status (`vcgencmd get_throttled`): 0 under-voltage, 1 frequency capped, 2 throttled;
-/// 16 to 18 the same since boot.
-fn throttling() -> Finding {
-    let Some(status) = read("/sys/devices/platform/soc/soc:firmware/get_throttled") else {
+fn power() -> Finding {
+    let Some(troubles) = supply::troubles() else {
         return Finding::pass("power", "no firmware status on this computer");
     };
-    let bits = u32::from_str_radix(status.trim_start_matches("0x"), 16).unwrap_or(0);
-    let names = [
-        (0, "under-voltage now"),
-        (1, "frequency capped now"),
-        (2, "throttled now"),
-        (16, "under-voltage since boot"),
-        (18, "throttled since boot"),
-    ];
-    let set = names.iter().filter(|(bit, _)| bits >> bit & 1 == 1);
-    let set: Vec<&str> = set.map(|(_, name)| *name).collect();
-    if set.is_empty() {
-        return Finding::pass("power", "no under-voltage, not throttled");
+    let found = match troubles.is_empty() {
+        true => "no under-voltage, not throttled".to_owned(),
+        false => troubles.join(", "),
+    };
+    match troubles.contains(&"under-voltage now") {
+        true => Finding::fail("power", found, supply::REMEDY),
+        false => Finding::pass_or_warn(troubles.is_empty(), "power", found, supply::REMEDY),
     }
-    let new = if bits & 1 == 1 { Finding::fail } else { Finding::warn };
-    let remedy = "use the official power supply, and a separate one for the motors";
-    new("power", set.join(", "), remedy)
 }
 
 /// Free space for state and recordings: 1 MiB holds the state, 512 MiB about half an hour of recording.

@@ -8,6 +8,7 @@ use crate::drill::process::{self, Harm};
 use crate::drill::row::Row;
 use crate::drill::run::{Allowance, fly};
 use crate::drill::{list, soak};
+use crate::report::page::Page;
 use crate::service::memory::Memory;
 use crate::service::store::Store;
 use comfy_table::{ColumnConstraint, Width};
@@ -21,6 +22,9 @@ pub struct Args {
     /// Write the rows as JSON; `-` is standard output.
     #[arg(long)]
     json: Option<PathBuf>,
+    /// Write the rows as a page.
+    #[arg(long, value_name = "FILE", conflicts_with = "soak")]
+    html: Option<PathBuf>,
     /// Inject only faults whose name contains this text.
     #[arg(long)]
     only: Option<String>,
@@ -66,7 +70,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if let Some(folder) = &args.recall {
         return recall(folder);
     }
-    output::check(&[("--json", args.json.as_deref())], &[])?;
+    output::check(&[("--json", args.json.as_deref()), ("--html", args.html.as_deref())], &[])?;
     if let Some(hours) = args.soak {
         return run_soak(args, &config, hours);
     }
@@ -76,7 +80,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         bail!("--only {only}: no fault has a name that contains this text");
     }
     output::json(args.json.as_deref(), &json!({ "rows": rows }))?;
-    show(&rows, args.json.as_deref());
+    show(&rows, args)?;
     Ok(rows.iter().all(|r| r.ok).into())
 }
 
@@ -130,12 +134,12 @@ fn run_soak(args: &Args, config: &BenchConfig, hours: f64) -> Result<CommandOutc
     Ok(soak.ok.into())
 }
 
-fn show(rows: &[Row], json: Option<&Path>) {
+fn show(rows: &[Row], args: &Args) -> Result<()> {
     let time = |s: f64| match s < 1.0 {
         true => format!("{:.0} ms", s * 1e3),
         false => format!("{s:.1} s"),
     };
-    let cells = rows.iter().map(|r| {
+    let cells = |r: &Row| {
         let (ok, why) = if r.ok { ("yes", "") } else { ("NO", &*r.why) };
         let between = if r.ok { "" } else { " · " };
         [
@@ -148,14 +152,22 @@ fn show(rows: &[Row], json: Option<&Path>) {
             ok.to_owned(),
             format!("{why}{between}{}", r.message),
         ]
-    });
+    };
+    let cells: Vec<_> = rows.iter().map(cells).collect();
     let header = "fault,detected,steps after,state,error during,after,ok,message";
     let header: Vec<&str> = header.split(',').collect();
+    let failed = rows.iter().filter(|r| !r.ok).count();
+    let all = format!("{} faults, {failed} failed", rows.len());
+    if let Some(path) = &args.html {
+        let mut page = Page::new("retroflex drill");
+        page.text(&all);
+        page.table(&header, &cells);
+        output::write(path, page.html())?;
+    }
     let mut table = output::table(&header, 1..6, cells);
     if let Some(column) = table.column_mut(7) {
         column.set_constraint(ColumnConstraint::UpperBoundary(Width::Fixed(80)));
     }
-    let failed = rows.iter().filter(|r| !r.ok).count();
-    let all = rows.len();
-    output::show(&format!("{table}\n{all} faults, {failed} failed\n"), json);
+    output::show(&format!("{table}\n{all}\n"), args.json.as_deref());
+    Ok(())
 }

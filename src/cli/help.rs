@@ -10,7 +10,7 @@ use std::path::PathBuf;
 /// The commands by task, as `--help` lists them.
 pub const GROUPS: [(&str, &str); 7] = [
     ("Move", "run arm bend stream play steer page hold stop relax disarm status monitor subscribe reset-fault reload"),
-    ("Bring up", "board doctor release jog home commission bench"),
+    ("Bring up", "accept board doctor release jog home commission bench"),
     ("Calibrate", "zero calibrate imu"),
     ("Diagnose", "record log replay gap"),
     ("Simulate", "demo evaluate"),

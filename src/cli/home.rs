@@ -1,9 +1,8 @@
 //! `retroflex home`: finds zero with home switches, or with the help of an operator.
 
-use crate::cli::{CommandOutcome, manual_motion, output};
+use crate::cli::{CommandOutcome, inputs, manual_motion, output};
 use crate::config::board::Board;
 use crate::config::sections::HomingMethod;
-use crate::config::source;
 use crate::control::tick::RestartState;
 use crate::primitives::units::Steps;
 use crate::service::memory::Memory;
@@ -34,7 +33,7 @@ pub struct Args {
 /// # Errors
 /// A report: bad input, hardware that does not answer, or the reason why zero was not found.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let board: Board = source::read(&args.board)?;
+    let board = inputs::board(Some(&args.board))?;
     // the lock of the state folder also keeps a service from starting meanwhile
     let memory = board.hardware().map(|_| Store::open(&Paths::of(&board.service).state)).transpose().into_diagnostic()?;
     let text = match board.homing.method {

@@ -4,6 +4,9 @@ use crate::cli::replay::flight_of;
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::estimation::fusion::health::ImuReading;
 use crate::log::columns;
+use crate::report::chart::{Axis, Chart, Series, Stroke};
+use crate::report::page::Page;
+use crate::report::svg::Ink;
 use crate::service::flight::channels::Changes;
 use crate::service::flight::file::{FlightFile, TOPICS};
 use crate::service::flight::read::{Entry, messages};
@@ -26,6 +29,9 @@ pub enum Log {
         /// Write it as JSON; `-` is standard output.
         #[arg(long)]
         json: Option<PathBuf>,
+        /// Write it as a page, with a chart of the bend.
+        #[arg(long, value_name = "FILE")]
+        html: Option<PathBuf>,
     },
     /// Write the samples as a bend log, which `gap diagnose` reads, or as a table for programs that read Parquet.
     Export {
@@ -60,7 +66,7 @@ pub enum Log {
 /// A report that names the file.
 pub fn run(command: &Log) -> Result<CommandOutcome> {
     match command {
-        Log::Info { file, json } => info(&flight_of(file)?, json.as_deref()),
+        Log::Info { file, json, html } => info(&flight_of(file)?, json.as_deref(), html.as_deref()),
         Log::Export { file, csv, parquet } => export(&flight_of(file)?, csv.as_deref(), parquet.as_deref()),
         Log::Cut { file, from, to, out } => cut(&flight_of(file)?, *from, *to, out),
     }
@@ -76,6 +82,8 @@ struct Info {
     next: Option<u64>,
     changes: Changes,
     events: Vec<String>,
+    /// Targets and estimates of the bend, °, with their times, s.
+    bends: [Vec<(f64, f64)>; 2],
 }
 
 impl Info {
@@ -111,6 +119,11 @@ impl Info {
                 self.cycles += cycles.len() as u64;
             }
             Entry::Shown(value) => {
+                for (bends, key) in self.bends.iter_mut().zip(["target", "estimate"]) {
+                    let bend_deg = value[key]["bend_deg"].as_f64();
+                    let new = bends.last().is_none_or(|last| self.duration_s - last.0 >= BEND_EVERY_S);
+                    bends.extend(bend_deg.filter(|_| new).map(|bend_deg| (self.duration_s, bend_deg)));
+                }
                 for change in self.changes.of(&value) {
                     self.note(&change);
                 }
@@ -120,14 +133,35 @@ impl Info {
     }
 }
 
+/// Least time between two points of the chart of the bend, s.
+const BEND_EVERY_S: f64 = 0.1;
+/// Most points of a line of that chart.
+const BENDS_MAX: usize = 2000;
+
+impl Info {
+    fn page(&self, path: &Path, facts: &[[String; 2]]) -> Page {
+        let mut page = Page::new(&format!("Flight log {}", path.display()));
+        let thinned = |all: &Vec<(f64, f64)>| all.iter().copied().step_by(all.len().div_ceil(BENDS_MAX).max(1)).collect();
+        let [target, estimate] = self.bends.each_ref().map(thinned);
+        let series = [("target", Ink::GREY, Stroke::Dashed, target), ("estimate", Ink::GREEN, Stroke::Solid, estimate)];
+        let series = series.map(|(name, ink, stroke, points)| Series::line(name, ink, stroke, points));
+        let (x, y) = (Axis::new("time / s", 0.0, self.duration_s, 8), Axis::new("bend / °", 0.0, 90.0, 6));
+        page.charts(&[(Chart::new("Bend", x, y, series.into()).svg(), "Target and estimate of the bend.".to_owned())]);
+        page.table(&["", ""], facts);
+        page.heading("Events");
+        self.events.iter().for_each(|event| page.text(event));
+        page
+    }
+}
+
 /// Time of a message since the first one, s.
 pub fn since(begin_ns: &mut Option<u64>, message: &Message<'_>) -> f64 {
     let now_ns = message.log_time;
     now_ns.saturating_sub(*begin_ns.get_or_insert(now_ns)) as f64 * 1e-9
 }
 
-fn info(path: &Path, json: Option<&Path>) -> Result<CommandOutcome> {
-    output::check(&[("--json", json)], &[path])?;
+fn info(path: &Path, json: Option<&Path>, html: Option<&Path>) -> Result<CommandOutcome> {
+    output::check(&[("--json", json), ("--html", html)], &[path])?;
     let mut info = Info::default();
     let ending = messages(path, &mut |message| info.take(&message)).map_err(|e| miette!("{e}"))?;
     let begin_s = info.begin_ns.unwrap_or(0) / 1_000_000_000;
@@ -137,16 +171,19 @@ fn info(path: &Path, json: Option<&Path>) -> Result<CommandOutcome> {
     info.fact("cycles", info.cycles);
     info.fact("ending", ending.as_deref().unwrap_or("complete"));
     let mut text = format!("{}\n", path.display());
-    for (name, value) in &info.facts {
-        let shown = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-        text += &format!("  {name}: {shown}\n");
+    let shown = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let facts: Vec<[String; 2]> = info.facts.iter().map(|(name, value)| [name.clone(), shown(value)]).collect();
+    for [name, value] in &facts {
+        text += &format!("  {name}: {value}\n");
     }
     for event in &info.events {
         text += &format!("  at {event}\n");
     }
-    let events = std::mem::take(&mut info.events);
-    info.fact("events", events);
+    info.fact("events", info.events.clone());
     output::json(json, &info.facts)?;
+    if let Some(html) = html {
+        output::write(html, info.page(path, &facts).html())?;
+    }
     output::show(&text, json);
     Ok(CommandOutcome::Good)
 }

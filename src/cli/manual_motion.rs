@@ -1,8 +1,7 @@
 //! Shared by the commands that move a machine manually: opening it, its clock, and its errors.
 
-use crate::cli::Unreachable;
+use crate::cli::{Unreachable, inputs};
 use crate::config::board::Board;
-use crate::config::source;
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
 use crate::hardware::pins::OpenError;
 use crate::hardware::rt;
@@ -22,7 +21,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// # Errors
 /// A report; [`Unreachable`] when the hardware does not answer.
 pub fn open(path: &Path, prepare: impl FnOnce(&mut MachineConfig)) -> Result<(Board, Box<dyn Machine>)> {
-    let board: Board = source::read(path)?;
+    let board = inputs::board(Some(path))?;
     if let Some(mut config) = board.hardware() {
         prepare(&mut config);
         let machine = Hardware::open(&config).map_err(|e| hardware_error(path, e))?;

@@ -3,6 +3,7 @@
 //! 0: done. 1: the run finished and its answer is "not good enough". 2: bad input or usage. 3: hardware or service not
 //! reachable.
 
+pub mod accept;
 pub mod bench;
 pub mod board;
 pub mod calibrate;
@@ -48,6 +49,8 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Show the service, a leak of a simulated tip, its diagnosis and its remedy, in less than two minutes.
     Demo(demo::Args),
+    /// Run every step from a board file to a tip that bends, and bundle what they print into one report.
+    Accept(accept::Args),
     /// Verify the wiring and the tightness of a machine with small guarded moves.
     Commission(commission::Args),
     /// Boards, gains and calibrations.
@@ -115,6 +118,7 @@ pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Demo(args) => demo::run(&args),
+        Command::Accept(args) => accept::run(&args),
         Command::Commission(args) => commission::run(&args),
         Command::Board(command) => board::run(&command),
         Command::Home(args) => home::run(&args),

@@ -1,9 +1,7 @@
 //! `retroflex release`: takes the current away from all drivers. The unit `retroflex-release.service` runs it when the
 //! service has failed for good, because the drivers otherwise stay energised with nobody in control.
 
-use crate::cli::{CommandOutcome, manual_motion, output};
-use crate::config::board::Board;
-use crate::config::source;
+use crate::cli::{CommandOutcome, inputs, manual_motion, output};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::{self, OpenError, PinError};
@@ -28,7 +26,7 @@ pub struct Args {
 /// # Errors
 /// A report: bad input, or lines that cannot be opened or do not follow.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
-    let board: Board = source::read(&args.board)?;
+    let board = inputs::board(Some(&args.board))?;
     let Some(config) = &board.pins else {
         return Err(miette!("{}: there is no [pins] table, so there are no drivers to release", args.board.display()));
     };

@@ -1,27 +1,25 @@
 //! `retroflex replay LOG`: runs a recorded input through the present software and compares every decision bit for bit.
 
-use crate::cli::{CommandOutcome, inputs, output};
-use crate::config::board::Board;
-use crate::config::calib::Calibration;
+pub mod settings;
+
+use crate::cli::{CommandOutcome, output};
 use crate::config::gains::Gains;
-use crate::config::source;
-use crate::config::supervisor::assemble;
-use crate::control::pi::DynamicsPrior;
-use crate::estimation::fusion::estimator::EstimatorName;
+use crate::control::tick::LoopConfig;
 use crate::log::error::why_unreadable;
-use crate::model::described::DescribedMachine;
 use crate::model::transmission::Line;
-use crate::primitives::parameters::Check;
 use crate::service::flight::cycle::Cycle;
+use crate::service::flight::file::{FlightFile, TOPICS};
 use crate::service::flight::log::{part_path, run_and_part};
 use crate::service::flight::read::{Entry, messages};
-use crate::service::flight::start::{Event, Header};
+use crate::service::flight::start::{Event, Header, Logged, hash};
 use crate::service::record::flight_path;
 use crate::service::start::{Start, with_gains};
 use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
-use miette::{IntoDiagnostic, Result, bail, miette};
+use mcap::McapError;
+use miette::{Result, bail, miette};
 use nalgebra::Vector2;
-use serde::de::DeserializeOwned;
+use settings::{Settings, SettingsArgs, text};
+use std::mem::take;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -30,74 +28,11 @@ use std::sync::Arc;
 pub struct Args {
     /// Flight log, or bend log that was recorded with one (`NAME.mcap` beside `NAME.csv.gz`).
     log: PathBuf,
-    /// Also run it with this gains file and show what would have changed; it is speculation, because the recorded machine does
-    /// not answer to it.
-    #[arg(long)]
-    gains: Option<PathBuf>,
-    /// As `--gains`, with this calibration file.
-    #[arg(long)]
-    calib: Option<PathBuf>,
-    /// As `--gains`, with this estimator of the orientation: `bend`, `madgwick`, `vqf`, `vqf-long` or `mekf`.
-    #[arg(long, value_name = "NAME", value_parser = |name: &str| EstimatorName::try_from(name.to_owned()))]
-    filter: Option<EstimatorName>,
-    /// As `--gains`, fed forward through this model of `gap diagnose --save`.
-    #[arg(long, value_name = "MODEL.toml")]
-    feedforward: Option<PathBuf>,
-}
-
-/// The settings of a log.
-#[derive(Clone)]
-struct Settings {
-    board: Board,
-    gains: Gains,
-    calibration: Calibration,
-    /// Lines and dynamics that were in use instead of those of the calibration.
-    learned: Option<([Line; 3], DynamicsPrior)>,
-    feedforward: Option<Arc<DescribedMachine>>,
-}
-
-impl Settings {
-    fn of(header: &Header) -> std::result::Result<Self, String> {
-        if header.log != 2 {
-            return Err(format!("log version {}; this program reads version 2", header.log));
-        }
-        let [board, gains, calibration, model @ ..] = header.texts.as_slice() else { return Err("has no configuration".to_owned()) };
-        let board: Board = text(board)?;
-        let name = "model of the log";
-        let described = model.first().map(|text| {
-            let model = source::parse(name, text).into_diagnostic()?;
-            inputs::described_by(name, model, &board)
-        });
-        let feedforward = described.transpose().map_err(|e| e.to_string())?;
-        let (gains, calibration) = (text(gains)?, text(calibration)?);
-        let learned = Some((header.lines, header.dynamics));
-        Ok(Self { board, gains, calibration, learned, feedforward })
-    }
-
-    fn config(&self, header: &Header) -> SupervisorConfig {
-        let mut config = assemble(&self.board, &self.calibration, &self.gains, &header.machine);
-        if let Some(machine) = &self.feedforward {
-            config.tick = config.tick.fed_forward(Arc::clone(machine));
-        }
-        if let Some(learned) = self.learned {
-            (config.tick.lines, config.tick.dynamics) = learned;
-        }
-        config
-    }
-
-    /// The settings with those of the command line.
-    fn changed(mut self, args: &Args) -> Result<Self> {
-        self.gains = args.gains.as_deref().map_or(Ok(self.gains), source::read)?;
-        self.gains.fuse.filter = args.filter.unwrap_or(self.gains.fuse.filter);
-        if let Some(path) = &args.calib {
-            (self.calibration, self.learned) = (source::read(path)?, None);
-        }
-        if let Some(path) = &args.feedforward {
-            self.feedforward = Some(inputs::described(path, &self.board)?);
-            self.learned = None;
-        }
-        Ok(self)
-    }
+    #[command(flatten)]
+    changes: SettingsArgs,
+    /// Write what is replayed, with the other settings if there are any, as a flight log, which `monitor` shows; it must not exist.
+    #[arg(long, value_name = "FILE.mcap")]
+    out: Option<PathBuf>,
 }
 
 /// What the supervisor of a log started from.
@@ -114,13 +49,13 @@ pub fn start_of(header: &Header) -> std::result::Result<Start, String> {
 /// A report that names the defect of the log.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     let path = flight_of(&args.log)?;
-    let changes = args.gains.is_some() || args.calib.is_some() || args.filter.is_some() || args.feedforward.is_some();
-    let mut replay = Replay { args: changes.then_some(args), ..Replay::default() };
-    let mut ending = None;
-    for part in parts(&path) {
-        let read = messages(&part, &mut |message| replay.take(Entry::of(&message)?));
-        ending = read.map_err(|e| miette!("{e}"))?;
-    }
+    output::check(&[("--out", args.out.as_deref())], &[&path])?;
+    let mut replay = Replay { args: args.changes.any().then_some(&args.changes), ..Replay::default() };
+    let done = match &args.out {
+        None => replay.read(&path),
+        Some(out) => replay.write(&path, out),
+    };
+    let ending = done.map_err(|e| miette!("{e}"))?;
     let Replay { cycles, different, skipped, .. } = replay;
     if cycles == 0 {
         let file = path.display();
@@ -179,15 +114,13 @@ fn parts(path: &Path) -> Vec<PathBuf> {
     all
 }
 
-/// A configuration text of the log.
-fn text<T: DeserializeOwned + Check>(text: &str) -> std::result::Result<T, String> {
-    source::parse("configuration in the log", text).map_err(|e| e.to_string())
-}
+/// Cycles of a chunk of the log to write.
+const CHUNK: u64 = 400;
 
 #[derive(Default)]
 struct Replay<'a> {
     /// Settings to speculate with.
-    args: Option<&'a Args>,
+    args: Option<&'a SettingsArgs>,
     /// The start of the present supervisor.
     header: Option<Header>,
     machine: Option<(Settings, SupervisorConfig)>,
@@ -196,6 +129,9 @@ struct Replay<'a> {
     /// A supervisor with the other settings, and the differences that they make.
     altered: Option<Supervisor>,
     changes: [Change; QUANTITIES.len()],
+    /// The flight log to write, and what happens before its next cycle.
+    out: Option<FlightFile>,
+    events: Vec<Arc<Event>>,
     /// Number of the next cycle.
     next: u64,
     cycles: u64,
@@ -208,24 +144,66 @@ struct Replay<'a> {
 }
 
 impl Replay<'_> {
+    /// Replays a log and the parts before it. Returns how it ends, as [`messages`].
+    fn read(&mut self, path: &Path) -> std::result::Result<Option<String>, String> {
+        let mut ending = None;
+        for part in parts(path) {
+            ending = messages(&part, &mut |message| match TOPICS.contains(&message.channel.topic.as_str()) {
+                true => self.take(Entry::of(&message)?),
+                false => Ok(()),
+            })?;
+        }
+        Ok(ending)
+    }
+
+    /// As [`Self::read`], and writes what is replayed.
+    fn write(&mut self, path: &Path, out: &Path) -> std::result::Result<Option<String>, String> {
+        let failed = |e: McapError| format!("--out {}: {e}", out.display());
+        self.out = Some(FlightFile::create(out, 0).map_err(failed)?);
+        let written = self.read(path).and_then(|ending| {
+            let file = self.out.take();
+            file.map_or(Ok(()), FlightFile::finish).map_err(failed).map(|()| ending)
+        });
+        written.inspect_err(|_| {
+            // it holds nothing of use
+            let _ = std::fs::remove_file(out);
+        })
+    }
+
     fn take(&mut self, entry: Entry) -> std::result::Result<(), String> {
         match entry {
-            Entry::Event(event) => match *event {
-                // repeated at the beginning of a part
-                Event::Start(header) if self.header.as_ref().is_some_and(|known| known.cycle == header.cycle) => {}
-                Event::Start(header) => self.start(header)?,
-                Event::Reload { gains, lines } => self.reload(&gains, lines)?,
-                Event::Path(t_s, rows) => {
-                    let path = crate::control::path::Path::new(t_s, rows).map(Box::new);
-                    for supervisor in self.supervisor.iter_mut().chain(&mut self.altered) {
-                        supervisor.load(&mut path.clone());
-                    }
+            Entry::Event(event) => {
+                let written = match *event {
+                    Event::Start(_) => false,
+                    // the other settings stay
+                    Event::Reload { .. } => self.altered.is_none(),
+                    Event::Path(..) => true,
+                };
+                if written && self.out.is_some() {
+                    self.events.push(Arc::new((*event).clone()));
                 }
-            },
+                self.event(*event)?;
+            }
             Entry::Cycles(first, cycles) => {
-                (first..).zip(&cycles).for_each(|(number, cycle)| self.turn(number, cycle));
+                (first..).zip(&cycles).try_for_each(|(number, cycle)| self.turn(number, cycle))?;
             }
             Entry::Shown(_) => {}
+        }
+        Ok(())
+    }
+
+    fn event(&mut self, event: Event) -> std::result::Result<(), String> {
+        match event {
+            // repeated at the beginning of a part
+            Event::Start(header) if self.header.as_ref().is_some_and(|known| known.cycle == header.cycle) => {}
+            Event::Start(header) => self.start(header)?,
+            Event::Reload { gains, lines } => self.reload(&gains, lines)?,
+            Event::Path(t_s, rows) => {
+                let path = crate::control::path::Path::new(t_s, rows).map(Box::new);
+                for supervisor in self.supervisor.iter_mut().chain(&mut self.altered) {
+                    supervisor.load(&mut path.clone());
+                }
+            }
         }
         Ok(())
     }
@@ -233,15 +211,29 @@ impl Replay<'_> {
     fn start(&mut self, header: Header) -> std::result::Result<(), String> {
         let settings = Settings::of(&header)?;
         let start = Start::of(&header, settings.config(&header));
+        let mut used = (settings.clone(), start.config.clone());
         if let Some(args) = self.args {
-            let config = settings.clone().changed(args).map_err(|e| e.to_string())?.config(&header);
-            self.altered = Some(Start { config, ..start.clone() }.supervisor());
+            let settings = settings.clone().changed(args).map_err(|e| e.to_string())?;
+            let config = settings.config(&header);
+            self.altered = Some(Start { config: config.clone(), ..start.clone() }.supervisor());
+            used = (settings, config);
+        }
+        if self.out.is_some() {
+            self.events.push(Arc::new(Event::Start(self.header_of(&header, &used.0, &used.1)?)));
         }
         self.next = header.cycle;
         self.header = Some(header);
         self.machine = Some((settings, start.config.clone()));
         self.supervisor = Some(start.supervisor());
         Ok(())
+    }
+
+    /// The header of the log to write.
+    fn header_of(&self, read: &Header, settings: &Settings, config: &SupervisorConfig) -> std::result::Result<Header, String> {
+        let texts = settings.texts(read, self.args).map_err(|e| e.to_string())?;
+        let (program, config_hash) = (env!("CARGO_PKG_VERSION").to_owned(), hash(texts.iter().map(String::as_str)));
+        let LoopConfig { lines, dynamics, .. } = config.tick;
+        Ok(Header { program, config_hash, texts, lines, dynamics, ..read.clone() })
     }
 
     fn reload(&mut self, gains: &str, lines: [Line; 3]) -> std::result::Result<(), String> {
@@ -253,7 +245,7 @@ impl Replay<'_> {
         Ok(())
     }
 
-    fn turn(&mut self, number: u64, cycle: &Cycle) {
+    fn turn(&mut self, number: u64, cycle: &Cycle) -> std::result::Result<(), String> {
         let t_s = cycle.sensed.t.0;
         if number != self.next {
             let lost = number.saturating_sub(self.next);
@@ -263,9 +255,9 @@ impl Replay<'_> {
         self.next = number + 1;
         let Some(supervisor) = &mut self.supervisor else {
             self.skipped += 1;
-            return;
+            return Ok(());
         };
-        let output = supervisor.turn(&cycle.sensed, cycle.order);
+        let mut output = supervisor.turn(&cycle.sensed, cycle.order);
         self.cycles += 1;
         if let Some(fields) = cycle.differences(&output) {
             self.different += 1;
@@ -277,7 +269,12 @@ impl Replay<'_> {
         if let Some(altered) = &mut self.altered {
             let other = altered.turn(&cycle.sensed, cycle.order);
             compare(&mut self.changes, t_s, &output, &other);
+            output = other;
         }
+        let Some(file) = &mut self.out else { return Ok(()) };
+        let written = file.write(&Logged { number, events: take(&mut self.events), output });
+        let flushed = written.and_then(|()| if number.is_multiple_of(CHUNK) { file.flush(false) } else { Ok(()) });
+        flushed.map_err(|e| format!("--out: {e}"))
     }
 }
 

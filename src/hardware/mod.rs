@@ -9,3 +9,4 @@ pub mod pins;
 pub mod pressure;
 pub mod rt;
 pub mod stepper;
+pub mod supply;

@@ -90,7 +90,7 @@ impl Start {
         let SupervisorConfig { tick, gate, .. } = &self.config;
         let (name, rest_length_mm) = (machine.to_owned(), tick.geometry.rest_length_mm);
         Header {
-            log: 2,
+            log: 3,
             cycle: 0,
             program: env!("CARGO_PKG_VERSION").to_owned(),
             config_hash: run.config_hash.clone(),

@@ -103,4 +103,7 @@ pub struct TransmissionArgs {
     /// Write the proposed calibration as JSON to this file (`-`: standard output).
     #[arg(long, value_name = "FILE")]
     pub(super) json: Option<PathBuf>,
+    /// Write the proposed calibration as a page.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["accept", "discard"])]
+    pub(super) html: Option<PathBuf>,
 }

@@ -4,6 +4,7 @@ use super::args::{BendArgs, TransmissionArgs};
 use super::connection::{ask, connect};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
+use crate::report::page::Page;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{CalibrateAction, Frame, Request};
 use miette::Result;
@@ -92,7 +93,7 @@ pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
 /// # Errors
 /// A report with the service's message.
 pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
-    output::check(&[("--json", args.json.as_deref())], &[])?;
+    output::check(&[("--json", args.json.as_deref()), ("--html", args.html.as_deref())], &[])?;
     let mut connection = connect(&args.at)?;
     let action = match (args.accept, args.discard, args.short) {
         (true, ..) => CalibrateAction::Accept,
@@ -106,7 +107,7 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
     if args.accept || args.discard {
         return Ok(Good);
     }
-    let (bar, mut said, mut proposed) = (output::bar(0, "{msg}"), Instant::now(), Value::Null);
+    let (bar, mut said, mut last) = (output::bar(0, "{msg}"), Instant::now(), Value::Null);
     let outcome = poll(&mut connection, 200, |s| {
         if let Some(progress) = s["calibrating"].as_str() {
             bar.set_message(progress.to_owned());
@@ -122,28 +123,36 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
             eprintln!("no gains were identified: {why}");
             return Some(NotGoodEnough);
         }
-        output::show(&gains_table(s), args.json.as_deref());
-        proposed = s["proposed"].clone();
-        eprintln!("apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`");
+        last = s.clone();
         Some(Good)
     });
     bar.finish_and_clear();
     let outcome = outcome?;
     if outcome == Good {
-        output::json(args.json.as_deref(), &proposed)?;
+        output::json(args.json.as_deref(), &last["proposed"])?;
+        show_gains(&last, args)?;
+        eprintln!("apply them with `retroflex calibrate transmission --accept`, or discard them with `--discard`");
     }
     Ok(outcome)
 }
 
-/// The proposed gains beside those in use.
-fn gains_table(s: &Value) -> String {
+/// Shows the proposed gains beside those in use.
+fn show_gains(s: &Value, args: &TransmissionArgs) -> Result<()> {
     let pair =
         |key: &str, i: usize| [&s[key][i], &s["proposed"][key][i]].map(|v| v.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}")));
-    let rows = (0..3).map(|i| {
+    let row = |i: usize| {
         let ([k_now, k], [l_now, l]) = (pair("k_epsilon", i), pair("k_lambda_mm", i));
         [(i + 1).to_string(), k_now, k, l_now, l]
-    });
-    let table = output::table(&["line", "k_epsilon in use", "proposed", "k_lambda in use, mm", "proposed, mm"], 1..5, rows);
+    };
+    let (header, rows) = (["line", "k_epsilon in use", "proposed", "k_lambda in use, mm", "proposed, mm"], [0, 1, 2].map(row));
     let number = |key: &str| s["proposed"][key].as_f64().unwrap_or(0.0);
-    format!("{table}\nlag {:.3} s, dead time {:.3} s\n", number("lag_s"), number("delay_s"))
+    let dynamics = format!("lag {:.3} s, dead time {:.3} s", number("lag_s"), number("delay_s"));
+    if let Some(path) = &args.html {
+        let mut page = Page::new("Proposed gains of the transmission");
+        page.table(&header, &rows);
+        page.text(&dynamics);
+        output::write(path, page.html())?;
+    }
+    output::show(&format!("{}\n{dynamics}\n", output::table(&header, 1..5, rows)), args.json.as_deref());
+    Ok(())
 }

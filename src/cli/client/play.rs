@@ -21,6 +21,8 @@ use std::time::Duration;
 
 /// Longest delay of a segment beyond its planned duration, s.
 const LATE_MAX_S: f64 = 10.0;
+/// Time at the beginning of a recording in which the pistons stand, s: a diagnosis takes it for the tip at rest.
+const AT_REST_S: f64 = 2.0;
 /// Time at the first row of a path before it begins, s.
 const AT_FIRST_S: f64 = 1.0;
 /// Rows of a path in one request: at most 16 KiB.
@@ -52,7 +54,10 @@ pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     if let Some(remark) = started["remark"].as_str() {
         eprintln!("note: {remark}; `retroflex zero` first measures against the present attitude");
     }
-    let outcome = schedule.run(&mut connection);
+    // after an earlier motion the straight tip is not quite where the first row is
+    let rest = Row::rest(AT_REST_S, &Geometry::default());
+    let rested = arrive_and_hold(&mut connection, clock_s(&status), 0.0, &rest)?;
+    let outcome = if rested { schedule.run(&mut connection) } else { Ok(NotGoodEnough) };
     if let Some(recorded) = ask(&mut connection, &request(RecordAction::Stop))? {
         output::print(words(&recorded));
     }

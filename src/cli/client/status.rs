@@ -91,6 +91,7 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
         let stated = "stated by the operator; no measurement has confirmed it";
         rows.push(("zero", stated.to_owned()));
     }
+    rows.extend(list(&s["power"]).iter().map(|trouble| ("power", text(trouble))));
     let advice = list(&s["sensor"]["advice"]);
     rows.extend(advice.iter().map(|advice| ("sensor", text(advice))));
     let granted = |g: &Value| format!("{}: {}", text(&g["what"]), text(&g["grant"]));

@@ -6,8 +6,9 @@ use crate::model::arc::Shape;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::machine::Sensed;
+use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::mem::take;
 
 /// One cycle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -18,9 +19,9 @@ pub struct Cycle {
     pub order: Option<Order>,
     /// Target of the tip.
     pub target: Shape,
-    /// Digests of the decisions: one of all, in four bytes, then, in cycles with a sample of the tip IMU, one of each of [`FIELDS`],
+    /// Digests of the decisions: one of all, in two bytes, then, in cycles with a sample of the tip IMU, one of each of [`FIELDS`],
     /// in one byte.
-    pub digests: (u32, Vec<u8>),
+    pub digests: (u16, Vec<u8>),
 }
 
 impl From<&CycleOutput> for Cycle {
@@ -32,7 +33,7 @@ impl From<&CycleOutput> for Cycle {
 
 impl Cycle {
     /// Whether the decisions differ from those of this cycle, and the names of the fields that do: none in a cycle without digests
-    /// of the fields. One byte in 256 is equal by chance.
+    /// of the fields. A difference that lasts one cycle has equal digests by chance once in 65,536 times, a field once in 256.
     #[must_use]
     pub fn differences(&self, output: &CycleOutput) -> Option<Vec<&'static str>> {
         let now = digests(output);
@@ -48,8 +49,42 @@ pub fn fnv(bytes: impl IntoIterator<Item = u8>) -> u64 {
     bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 
+/// The hash of what `postcard` writes: a number at a time, because a replay hashes every frame.
+struct Hash(u64);
+
+impl Hash {
+    #[inline]
+    fn mix(&mut self, word: u64) {
+        let mixed = (self.0 ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 = mixed ^ (mixed >> 32);
+    }
+}
+
+impl Flavor for Hash {
+    type Output = u64;
+
+    #[inline]
+    fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
+        match data.try_into() {
+            Ok(word) => self.mix(u64::from_le_bytes(word)),
+            Err(_) => data.iter().for_each(|byte| self.mix((*byte).into())),
+        }
+        Ok(())
+    }
+
+    #[inline]
+    fn try_push(&mut self, data: u8) -> postcard::Result<()> {
+        self.mix(data.into());
+        Ok(())
+    }
+
+    fn finalize(self) -> postcard::Result<u64> {
+        Ok(self.0)
+    }
+}
+
 fn field(value: impl Serialize) -> u64 {
-    fnv(postcard::to_allocvec(&value).unwrap_or_default())
+    postcard::serialize_with_flavor(&value, Hash(0)).unwrap_or_default()
 }
 
 /// The fields with a digest: all of the frame, taken apart so that none is forgotten, and those of the supervisor.
@@ -58,13 +93,13 @@ macro_rules! fields {
         /// Fields of a cycle with a digest of their own.
         pub const FIELDS: &[&str] = &[$(stringify!($name),)* $(stringify!($own)),*];
 
-        fn digests($output: &CycleOutput) -> (u32, Vec<u8>) {
+        fn digests($output: &CycleOutput) -> (u16, Vec<u8>) {
             // the time is input
             let Frame { t: _, $($name),* } = &$output.frame;
             let all = [$(field($name),)* $(field(&$output.$own)),*];
             let sampled = matches!($output.sensed.imu, ImuReading::Sample(..));
             let each = all.iter().filter(|_| sampled).map(|x| (x >> 56) as u8).collect();
-            ((fnv(all.iter().flat_map(|x| x.to_le_bytes())) >> 32) as u32, each)
+            ((field(all) >> 48) as u16, each)
         }
     };
 }
@@ -76,21 +111,44 @@ fields! {
     base_moved, base_doubted | steps, mode, energise, latched, stopped
 }
 
-/// A message with consecutive cycles: number of the first one, length of each cycle in bytes, and the cycles. Those of equal
-/// length lie together, their first bytes first, then their second bytes and so on: bytes that change little compress well
-/// side by side.
+/// What a message holds: the numbers of all cycles that change all the time and their digests, each kind side by side, because
+/// that compresses well, and the cycles without them.
+#[derive(Serialize, Deserialize)]
+struct Message {
+    /// Number of the first cycle.
+    first: u64,
+    /// Times of the cycles and of the samples: the first bytes of all, then the second bytes of all, and so on.
+    times: [Vec<u8>; 2],
+    /// The other columns of [`visit_numbers`].
+    values: [Vec<f64>; 4],
+    digests: Vec<(u16, Vec<u8>)>,
+    cycles: Vec<Cycle>,
+}
+
+/// Visits the numbers of a cycle that change all the time, each with its column: the times of the cycle and of the sample,
+/// gyroscope, accelerometer, magnetometer, loads.
+fn visit_numbers(cycle: &mut Cycle, visit: &mut dyn FnMut(usize, &mut f64)) {
+    visit(0, &mut cycle.sensed.t.0);
+    let ImuReading::Sample(sample, quality) = &mut cycle.sensed.imu else { return };
+    visit(1, &mut sample.t.0);
+    sample.gyro_rad_s.iter_mut().for_each(|x| visit(2, x));
+    sample.acc_m_s2.iter_mut().for_each(|x| visit(3, x));
+    sample.mag_ut.iter_mut().flatten().for_each(|x| visit(4, x));
+    visit(5, &mut quality.gyro_load);
+    visit(5, &mut quality.acc_load);
+}
+
+/// A message with consecutive cycles from this number on.
 ///
 /// # Errors
 /// Those of `postcard`, in whose format all of it is.
 pub fn encode(first: u64, cycles: &[Cycle]) -> postcard::Result<Vec<u8>> {
-    let rows = cycles.iter().map(postcard::to_allocvec).collect::<postcard::Result<Vec<_>>>()?;
-    let lengths: Vec<usize> = rows.iter().map(Vec::len).collect();
-    let mut planes = Vec::new();
-    for length in lengths.iter().collect::<BTreeSet<_>>() {
-        let equal = || rows.iter().filter(|row| row.len() == *length);
-        (0..*length).for_each(|k| planes.extend(equal().map(|row| row[k])));
-    }
-    postcard::to_allocvec(&(first, lengths, planes))
+    let (mut cycles, mut columns) = (cycles.to_vec(), [const { Vec::new() }; 6]);
+    cycles.iter_mut().for_each(|cycle| visit_numbers(cycle, &mut |n, x| columns[n].push(take(x))));
+    let digests = cycles.iter_mut().map(|cycle| take(&mut cycle.digests)).collect();
+    let [t, sample_t, values @ ..] = columns;
+    let times = [t, sample_t].map(|all: Vec<f64>| (0..8).flat_map(|k| all.iter().map(move |t| t.to_le_bytes()[k])).collect());
+    postcard::to_allocvec(&Message { first, times, values, digests, cycles })
 }
 
 /// The cycles of a message, with the number of the first one.
@@ -98,20 +156,19 @@ pub fn encode(first: u64, cycles: &[Cycle]) -> postcard::Result<Vec<u8>> {
 /// # Errors
 /// Those of `postcard`, for a damaged message.
 pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
-    let (first, lengths, planes): (u64, Vec<usize>, Vec<u8>) = postcard::from_bytes(message)?;
-    if lengths.iter().try_fold(0usize, |sum, n| sum.checked_add(*n)) != Some(planes.len()) {
-        return Err(postcard::Error::DeserializeUnexpectedEnd);
+    let Message { first, times, values, digests, mut cycles } = postcard::from_bytes(message)?;
+    let time = |bytes: &Vec<u8>, n: usize| f64::from_le_bytes(std::array::from_fn(|k| bytes[k * (bytes.len() / 8) + n]));
+    let times = times.map(|bytes| (0..bytes.len() / 8).map(|n| time(&bytes, n)).collect());
+    let [t, sample_t] = times;
+    let [gyro, acc, mag, loads] = values;
+    let mut columns = [t, sample_t, gyro, acc, mag, loads].map(Vec::into_iter);
+    let mut digests = digests.into_iter();
+    let mut whole = true;
+    for cycle in &mut cycles {
+        visit_numbers(cycle, &mut |n, x| columns[n].next().map_or_else(|| whole = false, |next| *x = next));
+        digests.next().map_or_else(|| whole = false, |next| cycle.digests = next);
     }
-    let (mut cycles, mut at) = (vec![None; lengths.len()], 0);
-    for length in lengths.iter().collect::<BTreeSet<_>>() {
-        let equal: Vec<usize> = (0..lengths.len()).filter(|n| lengths[*n] == *length).collect();
-        for (row, n) in equal.iter().enumerate() {
-            let bytes: Vec<u8> = (0..*length).map(|k| planes[at + k * equal.len() + row]).collect();
-            cycles[*n] = Some(postcard::from_bytes(&bytes)?);
-        }
-        at += length * equal.len();
-    }
-    Ok((first, cycles.into_iter().flatten().collect()))
+    whole.then_some((first, cycles)).ok_or(postcard::Error::DeserializeUnexpectedEnd)
 }
 
 #[cfg(test)]
@@ -168,7 +225,7 @@ mod tests {
             },
             order: orders[k % 7],
             target: Shape { bend: Bend([0.1, -0.0].into()), length: Mm(k as f64) },
-            digests: (k as u32, vec![k as u8; FIELDS.len()]),
+            digests: (k as u16, vec![k as u8; FIELDS.len()]),
         };
         (0..200).map(one).collect()
     }

@@ -18,7 +18,7 @@ pub const TEXTS: [&str; 4] = ["board.toml", "gains.toml", "calibration.toml", "f
 /// A freshly reset supervisor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Header {
-    /// Version of the log: 2.
+    /// Version of the log: 3.
     pub log: u32,
     /// Number of the first cycle of this supervisor.
     pub cycle: u64,

@@ -187,6 +187,8 @@ impl Hub {
             "limits": status::limits(&Start::new(&self.config, memory, self.facts.belief).config),
             "tip": self.config.tip,
             "uptime_s": self.started.elapsed().as_secs_f64(),
+            "ready_after_boot_s": self.ready_after_boot_s,
+            "power": self.supply.0,
             "settled": settled,
             "stopped": last.is_some_and(|t| t.stopped),
             "fault": last.and_then(|t| t.latched).map(status::trip_message),

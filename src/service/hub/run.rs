@@ -1,6 +1,7 @@
 //! The rounds of the hub, and the end of the service.
 
 use super::state::{Hub, Mover};
+use crate::hardware::{rt, supply};
 use crate::service::error::ServiceError;
 use crate::service::port::{FromPort, Port};
 use crate::service::shared::Watched;
@@ -17,6 +18,8 @@ const REQUESTS_PER_ROUND: usize = 256;
 const ROUND: Duration = Duration::from_millis(5);
 /// Longest way back to rest when the service ends, s.
 const END_MAX_S: f64 = 30.0;
+/// Time between two questions about the supply.
+const SUPPLY_EVERY: Duration = Duration::from_secs(5);
 /// A faulted or stopped tip is given this long to brake before the service ends.
 const BRAKE_MAX: Duration = Duration::from_secs(1);
 
@@ -35,7 +38,9 @@ impl Hub {
             self.start_recording(&path, true).map_err(ServiceError::system(path.display()))?;
         }
         self.mount_tip();
-        tracing::info!(event = "start", config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
+        self.ready_after_boot_s = rt::monotonic_ns() as f64 * 1e-9;
+        let after_boot_s = self.ready_after_boot_s;
+        tracing::info!(event = "start", after_boot_s, config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
         self.io.notifier.notify("READY=1\nSTATUS=aligning: the tip must be still for 2 s");
         while !self.is_over() {
             self.io.shared.progress(Watched::Hub);
@@ -46,6 +51,7 @@ impl Hub {
             self.follow_recording();
             self.persist();
             self.notify_manager();
+            self.watch_supply();
             if self.io.rings.frames.is_abandoned() {
                 // the loop has ended by itself; its result tells why
                 break;
@@ -63,6 +69,20 @@ impl Hub {
             memory.tip.clone_from(&self.config.tip);
         }
         memory.config_hash.clone_from(&self.config.config_hash);
+    }
+
+    /// Asks the firmware now and then about the supply, and logs what is new.
+    fn watch_supply(&mut self) {
+        let (known, asked) = &mut self.supply;
+        if asked.is_some_and(|asked| asked.elapsed() < SUPPLY_EVERY) {
+            return;
+        }
+        *asked = Some(Instant::now());
+        let troubles = supply::troubles();
+        for new in troubles.iter().flatten().filter(|new| !known.iter().flatten().any(|known| known == *new)) {
+            tracing::warn!(event = "supply", "{new}: {}", supply::REMEDY);
+        }
+        *known = troubles;
     }
 
     /// Requests of both sockets. Those of the status socket come second, so that readers delay no command.

@@ -136,6 +136,10 @@ pub struct Hub {
     pub(super) stops_logged: u64,
     pub(super) last_status: (String, Instant),
     pub(super) ending: Option<Instant>,
+    /// When the service was ready, s since the computer started.
+    pub(super) ready_after_boot_s: f64,
+    /// What the firmware says about the supply, if there is such a firmware, and when it was asked.
+    pub(super) supply: (Option<Vec<&'static str>>, Option<Instant>),
     pub(super) log_limit: LogLimit,
 }
 
@@ -200,6 +204,8 @@ impl Hub {
             stops_logged: 0,
             last_status: (String::new(), now),
             ending: None,
+            ready_after_boot_s: 0.0,
+            supply: (None, None),
             log_limit: LogLimit::default(),
         }
     }
