@@ -36,6 +36,8 @@ fn script(number: u64, bench: &mut Bench) -> Option<Order> {
     match ms {
         3000 | 6200 => Some(Order::Arm),
         6000 => Some(Order::Reset),
+        // the emergency stop takes the current away, and with it the position
+        6050 => Some(Order::AssertStraight),
         n if n % 1000 == 500 && n > 3000 => Some(bend(10.0 + (number % 60_000) as f64 / 1000.0, (number / 100 % 360) as f64)),
         6900 => Some(Order::Relax),
         _ => None,

@@ -108,7 +108,7 @@ fn replays(log: &Path) {
     let rows = again.t_s.len().min(read.t_s.len());
     assert!(rows > 1000 && again.t_s[..rows] == read.t_s[..rows] && again.piston_mm[..rows] == read.piston_mm[..rows]);
 
-    // only a cycle with a sample carries the digests of its fields
+    // not every cycle carries the digests of its fields
     let changed = log.with_file_name("changed.mcap");
     let at = FIELDS.iter().position(|name| *name == "feedback").unwrap();
     let mut altered = 0;

@@ -2,11 +2,14 @@
 //! what they printed.
 
 use crate::cli::{CommandOutcome, demo, inputs, output};
+use crate::config::board::Board;
 use crate::config::sections::HomingMethod;
 use crate::drill::process::daemon::Daemon;
 use crate::report::page::Page;
-use miette::{IntoDiagnostic, Result, bail, miette};
+use miette::{IntoDiagnostic, Result, bail};
+use serde::Deserialize;
 use std::io::{BufRead, BufReader, IsTerminal, stdin};
+use std::mem::take;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
@@ -26,101 +29,27 @@ pub struct Args {
     yes: bool,
 }
 
-struct Step {
-    name: &'static str,
-    /// What the operator confirms first; nothing is asked if it is empty.
-    confirm: &'static str,
-    /// Command lines. BOARD, SCHEDULE and LOG stand for files, PINS for the option of a board with pins, CONFIRMED for that of `home`.
-    commands: &'static [&'static str],
-    /// The commands are for the running service.
-    served: bool,
-    /// Nothing is done after it if it fails.
-    required: bool,
-    remedy: &'static str,
+/// The steps; the file says what each key means.
+const STEPS: &str = include_str!("accept.toml");
+
+#[derive(Deserialize)]
+struct Steps {
+    step: Vec<Step>,
 }
 
-const STEPS: [Step; 10] = [
-    Step {
-        name: "the computer and its devices",
-        confirm: "",
-        commands: &["doctor --board BOARD"],
-        served: false,
-        required: false,
-        remedy: "every FAIL above names its remedy",
-    },
-    Step {
-        name: "the timing of the steps",
-        confirm: "",
-        commands: &["bench rt --alone --seconds 5 PINS"],
-        served: false,
-        required: false,
-        remedy: "see docs/hardware.md: a kernel with PREEMPT_RT, a processor of its own",
-    },
-    Step {
-        name: "every motor turns",
-        confirm: "The tip hangs free, and the emergency stop is at hand. Each piston in turn will move 2 mm towards a longer bellow and back.",
-        commands: &["jog --board BOARD --channel 1 --mm 2", "jog --board BOARD --channel 2 --mm 2", "jog --board BOARD --channel 3 --mm 2"],
-        served: false,
-        required: true,
-        remedy: "check the motor supply, the wiring of that driver and [pins] of the board file",
-    },
-    Step {
-        name: "zero",
-        confirm: "The pistons are at their rest marks; or, with home switches, the tip is removed or its lines are vented.",
-        commands: &["home --board BOARD CONFIRMED"],
-        served: false,
-        required: true,
-        remedy: "check the switches and [homing] of the board file",
-    },
-    Step {
-        name: "wiring and tightness",
-        confirm: "The tip is mounted, its lines are closed, and it hangs free. It will nod on each channel.",
-        commands: &["commission --board BOARD"],
-        served: false,
-        required: true,
-        remedy: "`retroflex commission --write` corrects the board file; seal a line that leaks",
-    },
-    Step {
-        name: "the service",
-        confirm: "The tip is straight and still. The service starts; then the tip bends by up to 60° for some minutes.",
-        commands: &["zero --straight", "arm", "status"],
-        served: true,
-        required: true,
-        remedy: "the status names what is missing",
-    },
-    Step {
-        name: "the gains of this tip",
-        confirm: "",
-        commands: &["calibrate transmission --short", "calibrate transmission --accept"],
-        served: true,
-        required: true,
-        remedy: "look for an obstacle or a leak, then begin again",
-    },
-    Step {
-        name: "a bend",
-        confirm: "",
-        commands: &["bend 45 --toward 90 --wait", "status", "bend 0 --wait", "relax"],
-        served: true,
-        required: true,
-        remedy: "the status names the cause",
-    },
-    Step {
-        name: "a schedule, recorded",
-        confirm: "",
-        commands: &["arm", "play SCHEDULE --record accept", "relax", "status"],
-        served: true,
-        required: true,
-        remedy: "the status names the cause",
-    },
-    Step {
-        name: "the gap between model and machine",
-        confirm: "",
-        commands: &["gap diagnose LOG"],
-        served: false,
-        required: true,
-        remedy: "the recording is damaged",
-    },
-];
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Step {
+    name: String,
+    #[serde(default)]
+    confirm: String,
+    commands: Vec<String>,
+    #[serde(default)]
+    served: bool,
+    #[serde(default)]
+    goes_on: bool,
+    remedy: String,
+}
 
 /// Runs the command.
 ///
@@ -129,80 +58,129 @@ const STEPS: [Step; 10] = [
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::check(&[("--html", Some(&args.html))], &[&args.board])?;
     let board = inputs::board(Some(&args.board))?;
-    let simulated = board.hardware().is_none();
-    let asks = !simulated && !args.yes;
+    let asks = board.hardware().is_some() && !args.yes;
     if asks && !stdin().is_terminal() {
         bail!("`accept` asks before it moves a real machine: run it on a terminal, or confirm everything beforehand with --yes");
     }
     let scratch = output::Scratch::new("accept")?;
-    let folder = &scratch.0;
-    std::fs::write(folder.join("schedule.csv"), demo::SCHEDULE).into_diagnostic()?;
-    let path = |name: &str| folder.join(name).display().to_string();
-    let shown = args.board.display().to_string();
-    let word = |word: &str| match word {
-        "BOARD" => vec![shown.clone()],
-        "PINS" if board.pins.is_some() => vec!["--board".to_owned(), shown.clone()],
-        "PINS" => vec![],
-        "CONFIRMED" => vec![if board.homing.method == HomingMethod::Switches { "--vented" } else { "--at-rest" }.to_owned()],
-        "SCHEDULE" => vec![path("schedule.csv")],
-        "LOG" => vec![path("service/state/recordings/accept.csv.gz")],
-        word => vec![word.to_owned()],
-    };
+    std::fs::write(scratch.0.join("schedule.csv"), demo::SCHEDULE).into_diagnostic()?;
     let program = std::env::current_exe().into_diagnostic()?;
+    let shown = args.board.display().to_string();
+    let mut procedure = Procedure { program, folder: &scratch.0, shown: &shown, board: &board, service: None, text: String::new() };
     let mut page = Page::new(&format!("Acceptance of {shown}"));
-    let (mut rows, mut transcript, mut service) = (Vec::new(), Vec::new(), None);
-    let (mut good, mut goes_on) = (true, true);
-    for step in &STEPS {
+    let version = env!("CARGO_PKG_VERSION");
+    page.text(&format!("retroflex {version}. Nothing of it stays on the machine: its service had a folder of its own."));
+    let (mut rows, mut texts, mut good, mut goes_on) = (Vec::new(), Vec::new(), true, true);
+    for step in toml::from_str::<Steps>(STEPS).into_diagnostic()?.step {
         let began = Instant::now();
-        let mut text = String::new();
-        let agreed = goes_on && (!asks || step.confirm.is_empty() || confirmed(step.confirm));
-        let done = if agreed {
-            output::print(format!("\n{}\n", step.name));
-            if step.served && service.is_none() {
-                let paced = if simulated { &["--fast", "8"][..] } else { &[] };
-                service = Some(serve(&program, &folder.join("service"), &[&["--board", shown.as_str()], paced].concat())?);
-            }
-            if let Some(service) = &service {
-                service.until(60.0, "rest", |s| s["mode"] != "relaxing").into_diagnostic()?;
-            }
-            let socket = service.as_ref().map(|service: &Daemon| service.sockets()[0].as_path());
-            let mut done = true;
-            for line in step.commands {
-                let words: Vec<String> = line.split(' ').flat_map(word).collect();
-                done = done && command(&program, &words, socket, &mut text)?;
-            }
-            done
-        } else {
-            false
-        };
+        let agreed = goes_on && (!asks || step.confirm.is_empty() || confirmed(&step.confirm));
+        let done = agreed && procedure.step(&step);
         let result = match (goes_on, agreed, done) {
             (false, ..) => "not run",
             (_, false, _) => "declined",
             (.., true) => "passed",
             _ => "FAILED",
         };
-        if agreed && !done {
-            text += &format!("→ {}\n", step.remedy);
-            eprintln!("{}: {result}; {}", step.name, step.remedy);
-        }
         good &= done;
-        goes_on &= done || !step.required;
-        rows.push([step.name.to_owned(), result.to_owned(), format!("{:.0} s", began.elapsed().as_secs_f64())]);
-        transcript.push((step.name, text));
+        goes_on &= done || step.goes_on;
+        rows.push([step.name.clone(), result.to_owned(), format!("{:.0} s", began.elapsed().as_secs_f64())]);
+        texts.push((step.name, take(&mut procedure.text)));
     }
-    page.text(&format!(
-        "retroflex {}. Nothing of it stays on the machine: its service had a folder of its own.",
-        env!("CARGO_PKG_VERSION")
-    ));
-    page.table(&["step", "result", "duration"], &rows);
-    for (name, text) in transcript {
-        page.heading(name);
+    let header = ["step", "result", "duration"];
+    page.table(&header, &rows);
+    for (name, text) in texts {
+        page.heading(&name);
         page.output(&text);
     }
     output::write(&args.html, page.html())?;
-    let table = output::table(&["step", "result", "duration"], 2..3, rows);
+    let table = output::table(&header, 2..3, rows);
     output::print(format!("\n{table}\nThe report is {}.\n", args.html.display()));
     Ok(good.into())
+}
+
+/// What the steps have in common.
+struct Procedure<'a> {
+    program: PathBuf,
+    folder: &'a Path,
+    /// The board, and its name as the operator gave it.
+    board: &'a Board,
+    shown: &'a str,
+    service: Option<Daemon>,
+    /// What a step has printed.
+    text: String,
+}
+
+impl Procedure<'_> {
+    /// Runs a step; true if every command succeeds.
+    fn step(&mut self, step: &Step) -> bool {
+        output::print(format!("\n{}\n", step.name));
+        let done = self.run(step);
+        if let Err(problem) = &done {
+            self.say(&problem.to_string());
+        }
+        let done = done.is_ok_and(|done| done);
+        if !done {
+            self.say(&format!("→ {}", step.remedy));
+        }
+        done
+    }
+
+    fn run(&mut self, step: &Step) -> Result<bool> {
+        if step.served && self.service.is_none() {
+            let options = ["--board", self.shown, "--fast", "8"];
+            let options = if self.board.hardware().is_none() { &options[..] } else { &options[..2] };
+            let service = Daemon::start_with(&self.program, &self.folder.join("service"), options).into_diagnostic()?;
+            service.until(30.0, "alignment", |s| s["mode"] == "disarmed" || s["mode"] == "lost").into_diagnostic()?;
+            self.service = Some(service);
+        }
+        for line in &step.commands {
+            if let Some(service) = &self.service {
+                service.until(60.0, "rest", |s| s["mode"] != "relaxing").into_diagnostic()?;
+            }
+            let words: Vec<String> = line.split(' ').flat_map(|word| self.words(word)).collect();
+            if !self.command(&words)? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// What a word of a command line stands for.
+    fn words(&self, word: &str) -> Vec<String> {
+        let file = |name: &str| vec![self.folder.join(name).display().to_string()];
+        let switches = self.board.homing.method == HomingMethod::Switches;
+        match word {
+            "BOARD" => vec![self.shown.to_owned()],
+            "PINS" if self.board.pins.is_some() => vec!["--board".to_owned(), self.shown.to_owned()],
+            "PINS" => vec![],
+            "CONFIRMED" => vec![if switches { "--vented" } else { "--at-rest" }.to_owned()],
+            "SCHEDULE" => file("schedule.csv"),
+            "LOG" => file("service/state/recordings/accept.csv.gz"),
+            word => vec![word.to_owned()],
+        }
+    }
+
+    /// Prints a line and keeps it for the report.
+    fn say(&mut self, line: &str) {
+        output::print(format!("{line}\n"));
+        self.text.extend([line, "\n"]);
+    }
+
+    /// Runs a command of this program, and says what it prints. True if it succeeds.
+    fn command(&mut self, words: &[String]) -> Result<bool> {
+        self.say(&format!("$ retroflex {}", words.join(" ")));
+        let (reader, writer) = std::io::pipe().into_diagnostic()?;
+        let mut command = Command::new(&self.program);
+        command.args(words).stdin(Stdio::null()).stdout(writer.try_clone().into_diagnostic()?).stderr(writer);
+        command.envs(self.service.as_ref().map(|service| ("RETROFLEX_SOCKET", &service.sockets()[0])));
+        let mut child = command.spawn().into_diagnostic()?;
+        // the pipe ends when nobody can write to it any more
+        drop(command);
+        for line in BufReader::new(reader).lines().map_while(std::io::Result::ok) {
+            self.say(&line);
+        }
+        Ok(child.wait().into_diagnostic()?.success())
+    }
 }
 
 /// Asks the operator.
@@ -210,32 +188,4 @@ fn confirmed(what: &str) -> bool {
     eprint!("\n{what}\nType `yes` to go on: ");
     let mut line = String::new();
     stdin().lock().read_line(&mut line).is_ok() && line.trim() == "yes"
-}
-
-fn serve(program: &Path, folder: &Path, options: &[&str]) -> Result<Daemon> {
-    let service = Daemon::start_with(program, folder, options).map_err(|e| miette!("the service: {e}"))?;
-    service
-        .until(30.0, "alignment", |s| s["mode"] == "disarmed" || s["mode"] == "lost")
-        .map_err(|e| miette!("the service: {e}; keep the tip still"))?;
-    Ok(service)
-}
-
-/// Runs a command line, and prints and keeps what it prints. True if it succeeds.
-fn command(program: &Path, words: &[String], socket: Option<&Path>, text: &mut String) -> Result<bool> {
-    let mut say = |line: &str| {
-        output::print(format!("{line}\n"));
-        text.extend([line, "\n"]);
-    };
-    say(&format!("$ retroflex {}", words.join(" ")));
-    let (reader, writer) = std::io::pipe().into_diagnostic()?;
-    let mut command = Command::new(program);
-    command.args(words).stdin(Stdio::null()).stdout(writer.try_clone().into_diagnostic()?).stderr(writer);
-    command.envs(socket.map(|socket| ("RETROFLEX_SOCKET", socket)));
-    let mut child = command.spawn().into_diagnostic()?;
-    // the pipe ends when nobody can write to it any more
-    drop(command);
-    for line in BufReader::new(reader).lines().map_while(std::io::Result::ok) {
-        say(&line);
-    }
-    Ok(child.wait().into_diagnostic()?.success())
 }

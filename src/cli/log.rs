@@ -167,7 +167,7 @@ fn info(path: &Path, json: Option<&Path>, html: Option<&Path>) -> Result<Command
     let begin_s = info.begin_ns.unwrap_or(0) / 1_000_000_000;
     let begins = OffsetDateTime::from_unix_timestamp(begin_s as i64);
     info.fact("begins", begins.map_or_else(|_| String::new(), |t| t.to_string()));
-    info.fact("duration_s", info.duration_s);
+    info.fact("duration_s", (info.duration_s * 1e3).round() / 1e3);
     info.fact("cycles", info.cycles);
     info.fact("ending", ending.as_deref().unwrap_or("complete"));
     let mut text = format!("{}\n", path.display());

@@ -115,7 +115,7 @@ fn parts(path: &Path) -> Vec<PathBuf> {
 }
 
 /// Cycles of a chunk of the log to write.
-const CHUNK: u64 = 400;
+const CHUNK: u64 = 500;
 
 #[derive(Default)]
 struct Replay<'a> {

@@ -12,7 +12,7 @@ table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabula
 th, td { padding: .32rem .8rem; text-align: right; border-bottom: 1px solid #e3e6ea; }
 th { font-weight: 600; border-bottom: 2px solid #8a8f98; } th:first-child, td:first-child { text-align: left; padding-left: 0; }
 pre { font-size: 12px; white-space: pre-wrap; }
-.charts { display: grid; grid-template-columns: repeat(auto-fit, minmax(350px, 1fr)); gap: 1.2rem; }
+.charts { display: grid; grid-template-columns: repeat(auto-fill, minmax(350px, 1fr)); gap: 1.2rem; }
 figure { margin: 0; break-inside: avoid; } figure svg { width: 100%; height: auto; display: block; }
 figcaption { color: #565d66; font-size: .85rem; }
 @media screen and (prefers-color-scheme: dark) { body { color: #e3e6ea; background: #16191d; } .quiet, figcaption { color: #a9afb8; } th, td { border-color: #3a4048; } figure svg { filter: invert(1) hue-rotate(180deg); } }

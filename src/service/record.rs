@@ -155,7 +155,7 @@ impl Recording {
             let t = sample.t.0 - start_s;
             if t > self.last_s {
                 (self.last_s, self.rows) = (t, self.rows + 1);
-                write_row(&mut self.log, &values(t, &sample, &output.into(), self.step_mm));
+                write_row(&mut self.log, &values(t, &sample, &Cycle::new(output, false), self.step_mm));
             }
         }
         if self.duration_s() > self.most_s {

@@ -34,7 +34,7 @@ pub fn fly(path: &Path, gains: Gains, duration_s: f64, mut script: impl FnMut(u6
         let order = script(number, &mut bench);
         let output = bench.turn(order).unwrap();
         file.write(&Logged { number, events: std::mem::take(&mut events), output }).unwrap();
-        if number % 400 == 399 {
+        if number % 500 == 499 {
             file.flush(false).unwrap();
         }
     }

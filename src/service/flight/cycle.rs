@@ -19,24 +19,23 @@ pub struct Cycle {
     pub order: Option<Order>,
     /// Target of the tip.
     pub target: Shape,
-    /// Digests of the decisions: one of all, in two bytes, then, in cycles with a sample of the tip IMU, one of each of [`FIELDS`],
-    /// in one byte.
+    /// Digests of the decisions: one of all, in two bytes, then, in some cycles, one of each of [`FIELDS`], in one byte.
     pub digests: (u16, Vec<u8>),
 }
 
-impl From<&CycleOutput> for Cycle {
-    fn from(output: &CycleOutput) -> Self {
-        let (sensed, target) = (Sensed { truth: None, ..output.sensed }, output.frame.target);
-        Self { sensed, order: output.order, target, digests: digests(output) }
-    }
-}
-
 impl Cycle {
+    /// A cycle with a digest of all decisions, and, if `each`, one of each field.
+    #[must_use]
+    pub fn new(output: &CycleOutput, each: bool) -> Self {
+        let (sensed, target) = (Sensed { truth: None, ..output.sensed }, output.frame.target);
+        Self { sensed, order: output.order, target, digests: digests(output, each) }
+    }
+
     /// Whether the decisions differ from those of this cycle, and the names of the fields that do: none in a cycle without digests
     /// of the fields. A difference that lasts one cycle has equal digests by chance once in 65,536 times, a field once in 256.
     #[must_use]
     pub fn differences(&self, output: &CycleOutput) -> Option<Vec<&'static str>> {
-        let now = digests(output);
+        let now = digests(output, !self.digests.1.is_empty());
         let pairs = now.1.iter().zip(&self.digests.1);
         let named = || FIELDS.iter().zip(pairs).filter(|(_, (a, b))| a != b).map(|(name, _)| *name).collect();
         (now != self.digests).then(named)
@@ -93,12 +92,11 @@ macro_rules! fields {
         /// Fields of a cycle with a digest of their own.
         pub const FIELDS: &[&str] = &[$(stringify!($name),)* $(stringify!($own)),*];
 
-        fn digests($output: &CycleOutput) -> (u16, Vec<u8>) {
+        fn digests($output: &CycleOutput, each: bool) -> (u16, Vec<u8>) {
             // the time is input
             let Frame { t: _, $($name),* } = &$output.frame;
             let all = [$(field($name),)* $(field(&$output.$own)),*];
-            let sampled = matches!($output.sensed.imu, ImuReading::Sample(..));
-            let each = all.iter().filter(|_| sampled).map(|x| (x >> 56) as u8).collect();
+            let each = all.iter().filter(|_| each).map(|x| (x >> 56) as u8).collect();
             ((field(all) >> 48) as u16, each)
         }
     };
@@ -120,9 +118,40 @@ struct Message {
     /// Times of the cycles and of the samples: the first bytes of all, then the second bytes of all, and so on.
     times: [Vec<u8>; 2],
     /// The other columns of [`visit_numbers`].
-    values: [Vec<f64>; 4],
+    values: [Numbers; 4],
     digests: Vec<(u16, Vec<u8>)>,
     cycles: Vec<Cycle>,
+}
+
+/// Numbers that may all be multiples of one, as those of a chip are.
+#[derive(Serialize, Deserialize)]
+enum Numbers {
+    Any(Vec<f64>),
+    Multiples(f64, Vec<i32>),
+}
+
+impl Numbers {
+    fn new(values: Vec<f64>) -> Self {
+        let mut sorted: Vec<f64> = values.iter().map(|x| x.abs()).collect();
+        sorted.sort_by(f64::total_cmp);
+        let largest = sorted.last().copied().unwrap_or(0.0);
+        let gaps = sorted.windows(2).map(|w| w[1] - w[0]).filter(|gap| *gap > 1e-9 * largest);
+        // the smallest gap tells how many multiples the largest number is, and that the unit, but for its last bits
+        let unit = largest / (largest / gaps.fold(largest, f64::min)).round();
+        let multiples = |unit: f64| -> Option<Vec<i32>> {
+            let multiple = |x: &f64| Some((x / unit).round() as i32).filter(|n| (f64::from(*n) * unit).to_bits() == x.to_bits());
+            values.iter().map(multiple).collect()
+        };
+        let units = [unit, unit.next_up(), unit.next_down()];
+        units.into_iter().find_map(|unit| Some(Self::Multiples(unit, multiples(unit)?))).unwrap_or(Self::Any(values))
+    }
+
+    fn values(self) -> Vec<f64> {
+        match self {
+            Self::Any(values) => values,
+            Self::Multiples(unit, counts) => counts.into_iter().map(|n| f64::from(n) * unit).collect(),
+        }
+    }
 }
 
 /// Visits the numbers of a cycle that change all the time, each with its column: the times of the cycle and of the sample,
@@ -148,7 +177,7 @@ pub fn encode(first: u64, cycles: &[Cycle]) -> postcard::Result<Vec<u8>> {
     let digests = cycles.iter_mut().map(|cycle| take(&mut cycle.digests)).collect();
     let [t, sample_t, values @ ..] = columns;
     let times = [t, sample_t].map(|all: Vec<f64>| (0..8).flat_map(|k| all.iter().map(move |t| t.to_le_bytes()[k])).collect());
-    postcard::to_allocvec(&Message { first, times, values, digests, cycles })
+    postcard::to_allocvec(&Message { first, times, values: values.map(Numbers::new), digests, cycles })
 }
 
 /// The cycles of a message, with the number of the first one.
@@ -160,7 +189,7 @@ pub fn decode(message: &[u8]) -> postcard::Result<(u64, Vec<Cycle>)> {
     let time = |bytes: &Vec<u8>, n: usize| f64::from_le_bytes(std::array::from_fn(|k| bytes[k * (bytes.len() / 8) + n]));
     let times = times.map(|bytes| (0..bytes.len() / 8).map(|n| time(&bytes, n)).collect());
     let [t, sample_t] = times;
-    let [gyro, acc, mag, loads] = values;
+    let [gyro, acc, mag, loads] = values.map(Numbers::values);
     let mut columns = [t, sample_t, gyro, acc, mag, loads].map(Vec::into_iter);
     let mut digests = digests.into_iter();
     let mut whole = true;

@@ -16,6 +16,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// Topic of the cycles, and of what a replay starts from or is given later.
 pub const TOPICS: [&str; 2] = ["/cycles", "/events"];
 const LAYOUT: &str = "Cycles in the binary format of the Rust crate postcard; src/service/flight/cycle.rs defines them.";
+/// Cycles from one with digests of its fields to the next.
+const FIELDS_EVERY: u64 = 16;
 /// Most cycles of one message.
 const CYCLES_MAX: usize = 1000;
 
@@ -49,8 +51,9 @@ impl FlightFile {
     pub fn create(path: &Path, zero_unix_ns: u64) -> McapResult<Self> {
         let file = File::create_new(path)?;
         let library = concat!("retroflex ", env!("CARGO_PKG_VERSION"));
-        // a chunk reaches the file as a whole
-        let options = WriteOptions::new().library(library).chunk_size(None).disable_seeking(true).compression_threads(0);
+        // a chunk reaches the file as a whole; a higher level saves little and costs more time
+        let options =
+            WriteOptions::new().library(library).chunk_size(None).disable_seeking(true).compression_level(7).compression_threads(0);
         let writer = options.create(BufWriter::new(file.try_clone()?))?;
         let (channels, shown, cycles) = (HashMap::new(), Channels::default(), Vec::new());
         Ok(Self { writer, file, channels, shown, shown_s: f64::NEG_INFINITY, zero_unix_ns, first: 0, cycles, step_mm: 0.0 })
@@ -87,7 +90,7 @@ impl FlightFile {
                 self.put_json(topic, name, unix_ns, &value)?;
             }
         }
-        self.cycles.push(output.into());
+        self.cycles.push(Cycle::new(output, number.is_multiple_of(FIELDS_EVERY)));
         Ok(())
     }
 

@@ -19,7 +19,7 @@ const BATCH: usize = 64;
 /// Batches that may wait for the disk: 8 s at 1 kHz.
 const BATCHES_MAX: usize = 128;
 /// A chunk is closed this often: what a kill loses.
-const CHUNK: Duration = Duration::from_millis(400);
+const CHUNK: Duration = Duration::from_millis(500);
 /// The disk is asked this often to keep what it has: what a loss of power loses.
 const SYNC: Duration = Duration::from_secs(5);
 
