@@ -11,11 +11,11 @@ parameters! {
     CableStiffness at "effects.cable_stiffness" sized by share {
         /// Share c of the bend that the cable takes back in its own plane, mean of both ways. Default 0
         /// (none); typical 0.05 to 0.4. A larger value bends less in that plane.
-        share: f64 = 0.0, 0.0..=0.48, "0.05 to 0.4 is typical";
+        share: f64 = 0.0, "", 0.0..=0.48, "0.05 to 0.4 is typical";
         /// Bend direction in which the cable is pulled taut, degrees. Default 0.
-        direction_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
+        direction_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
         /// How much stiffer it is pulled taut than buckled, 0 to 1. Default 0.35. A larger value differs more.
-        one_sided: f64 = 0.35, 0.0..=1.0, "0 resists alike both ways";
+        one_sided: f64 = 0.35, "", 0.0..=1.0, "0 resists alike both ways";
     }
 }
 

@@ -11,12 +11,12 @@ parameters! {
     Creep at "effects.creep" sized by share {
         /// Final growth, as a share of the motion. Default 0 (none); typical 0.02 to 0.4.
         /// A larger value creeps further.
-        share: f64 = 0.0, 0.0..=2.0, "0.02 to 0.4 is typical";
+        share: f64 = 0.0, "", 0.0..=2.0, "0.02 to 0.4 is typical";
         /// Exponent α of the spectrum. Default 0.2. A larger value shifts the creep from seconds to
         /// minutes.
-        exponent: f64 = 0.2, -1.0..=1.0, "0.2 is typical";
+        exponent: f64 = 0.2, "", -1.0..=1.0, "0.2 is typical";
         /// Nonlinearity ν of the drive at large strain. Default 0.3. A larger value departs more from proportional.
-        nonlinear: f64 = 0.3, 0.0..=3.0, "0.3 is typical";
+        nonlinear: f64 = 0.3, "", 0.0..=3.0, "0.3 is typical";
     }
 }
 

@@ -10,7 +10,7 @@ parameters! {
     Curvature at "effects.curvature" sized by excess_deg {
         /// Extra bend A at 60°, degrees. Default 0 (none); typical ±1 to 10. A larger value bends more at large
         /// angles only.
-        excess_deg: f64 = 0.0, -25.0..=25.0, "±1 to 10 is typical";
+        excess_deg: f64 = 0.0, "", -25.0..=25.0, "±1 to 10 is typical";
     }
 }
 

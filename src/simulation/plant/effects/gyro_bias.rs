@@ -10,11 +10,11 @@ parameters! {
     GyroBias at "effects.gyro_bias" sized by warm_up_deg_s, wander_deg_s {
         /// Change b of the bias by the end of the warm-up, °/s per axis. Default 0 (none); typical 0.1
         /// to 5. A larger value turns the integrated attitude faster.
-        warm_up_deg_s: [f64; 3] = [0.0; 3], -50.0..=50.0, "0.1 to 5 °/s is typical";
+        warm_up_deg_s: [f64; 3] = [0.0; 3], "", -50.0..=50.0, "0.1 to 5 °/s is typical";
         /// Time constant τ of the warm-up, s. Default 40. A larger value drifts for longer.
-        over_s: f64 = 40.0, 0.1..=1e6, "a minute or so is typical";
+        over_s: f64 = 40.0, "", 0.1..=1e6, "a minute or so is typical";
         /// Standard deviation of the wander, °/s. Default 0. A larger value is less predictable.
-        wander_deg_s: f64 = 0.0, 0.0..=20.0, "tenths of °/s are typical";
+        wander_deg_s: f64 = 0.0, "", 0.0..=20.0, "tenths of °/s are typical";
     }
 }
 

@@ -10,9 +10,9 @@ parameters! {
     HardIron at "effects.hard_iron" sized by offset_ut {
         /// Field b of the parts, µT per axis. Default 0 (none); typical 1 to 50. A larger value turns the heading
         /// more.
-        offset_ut: [f64; 3] = [0.0; 3], -500.0..=500.0, "1 to 50 µT is typical";
+        offset_ut: [f64; 3] = [0.0; 3], "", -500.0..=500.0, "1 to 50 µT is typical";
         /// Share v that follows slowly. Default 0.1. A larger value remembers attitudes more.
-        viscous: f64 = 0.1, 0.0..=1.0, "0.1 is typical";
+        viscous: f64 = 0.1, "", 0.0..=1.0, "0.1 is typical";
     }
 }
 

@@ -13,18 +13,18 @@ parameters! {
     Hysteresis at "effects.hysteresis" sized by share {
         /// Share h of the motion that the plies take up until they yield. Default 0 (none); typical 0.1
         /// to 0.6, which makes loops 5 to 30 % of the range wide. A larger value gives wider loops.
-        share: f64 = 0.0, 0.0..=0.75, "beyond 0.75 the bellow would move backwards";
+        share: f64 = 0.0, "", 0.0..=0.75, "beyond 0.75 the bellow would move backwards";
         /// Typical yield strain, mm of bellow. Default 1. A larger value needs longer reversals to cross the
         /// loop.
-        yield_mm: f64 = 1.0, 0.01..=10.0, "around 1 mm is typical";
+        yield_mm: f64 = 1.0, "", 0.01..=10.0, "around 1 mm is typical";
         /// Spread of the yields, standard deviation of their logarithm. Default 0.7. A larger value rounds the
         /// loop.
-        spread: f64 = 0.7, 0.05..=2.0, "0.7 is typical";
+        spread: f64 = 0.7, "", 0.05..=2.0, "0.7 is typical";
         /// Yield on the way back as a share of that on the way out, κ. Default 0.8. Further from 1
         /// shifts the loop aside.
-        back: f64 = 0.8, 0.1..=2.0, "1 yields alike both ways";
+        back: f64 = 0.8, "", 0.1..=2.0, "1 yields alike both ways";
         /// How much wider loops are on the long side, η. Default 0.25. A larger value differs more.
-        long_side: f64 = 0.25, -0.3..=0.3, "0.25 is typical";
+        long_side: f64 = 0.25, "", -0.3..=0.3, "0.25 is typical";
     }
 }
 

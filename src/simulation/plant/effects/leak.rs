@@ -11,12 +11,12 @@ parameters! {
     Leak at "effects.leak" sized by rate_per_s {
         /// Share of the held displacement that each line loses per second while pressure is small, 1/s.
         /// Default 0 (none); typical 1e-5 to 0.1. A larger value decays faster in holds.
-        rate_per_s: [f64; 3] = [0.0; 3], 0.0..=1000.0, "0.1 empties a line within half a minute";
+        rate_per_s: [f64; 3] = [0.0; 3], "", 0.0..=1000.0, "0.1 empties a line within half a minute";
         /// Pressure p_t at which the flow turns turbulent, kPa. Default 8. A larger value stays closer to
         /// proportional.
-        turbulent_kpa: f64 = 8.0, 0.1..=1e9, "8 is a pinhole";
+        turbulent_kpa: f64 = 8.0, "", 0.1..=1e9, "8 is a pinhole";
         /// Leak under vacuum as a share of the leak under pressure. Default 0.6. A larger value leaks more alike.
-        vacuum: f64 = 0.6, 0.0..=2.0, "1 leaks alike both ways";
+        vacuum: f64 = 0.6, "", 0.0..=2.0, "1 leaks alike both ways";
     }
 }
 

@@ -12,10 +12,10 @@ parameters! {
     LineLag at "effects.line_lag" sized by lag_s {
         /// Time constant τ of each line for slow flow, s. Default 0 (none); typical 0.05 to 1. A larger value is
         /// slower.
-        lag_s: [f64; 3] = [0.0; 3], 0.0..=20.0, "0.05 to 1 s is typical";
+        lag_s: [f64; 3] = [0.0; 3], "", 0.0..=20.0, "0.05 to 1 s is typical";
         /// Port loss at 10 mm/s as a share of the bore's. Default 0.5. A larger value makes fast motion lag more
         /// than slow motion.
-        port: f64 = 0.5, 0.0..=20.0, "a share of the loss in the bore";
+        port: f64 = 0.5, "", 0.0..=20.0, "a share of the loss in the bore";
     }
 }
 

@@ -12,17 +12,17 @@ parameters! {
     MissedSteps at "effects.missed_steps" sized by full_steps {
         /// Full steps lost each time the rotor falls out of step. Default 0 (none); typical 1 to 50.
         /// A larger value leaves a larger offset (0.47 mm of piston each).
-        full_steps: f64 = 0.0, 0.0..=400.0, "1 to 50 is typical";
+        full_steps: f64 = 0.0, "", 0.0..=400.0, "1 to 50 is typical";
         /// Channel that loses them, 1 to 3. Default 1.
-        channel: usize = 1, CHANNELS, "channels are counted from 1 to 3";
+        channel: usize = 1, "", 1..=3, "channels are counted from 1 to 3";
         /// Acceleration of the rack at which torque runs out, mm/s². Default 60. A larger value stalls less.
-        accel_max_mm_s2: f64 = 60.0, 1.0..=1e6, "60 stalls at ordinary starts";
+        accel_max_mm_s2: f64 = 60.0, "", 1.0..=1e6, "60 stalls at ordinary starts";
         /// Speed at which torque runs out, mm/s. Default 80. A larger value stalls less.
-        speed_max_mm_s: f64 = 80.0, 1.0..=1e6, "the rack moves at up to 30 mm/s";
+        speed_max_mm_s: f64 = 80.0, "", 1.0..=1e6, "the rack moves at up to 30 mm/s";
         /// No stall before this time, s. Default 10. A larger value keeps more of the log clean.
-        after_s: f64 = 10.0, 0.0..=1e9, "seconds since the start";
+        after_s: f64 = 10.0, "", 0.0..=1e9, "seconds since the start";
         /// Stalls at most. Default 2. A larger value adds up more jumps.
-        stalls_max: u32 = 2, 0.0..=1e6, "1 or 2 is typical";
+        stalls_max: u32 = 2, "", 0.0..=1e6, "1 or 2 is typical";
     }
 }
 

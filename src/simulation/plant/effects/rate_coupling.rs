@@ -10,7 +10,7 @@ parameters! {
     RateCoupling at "effects.outside.rate_coupling" sized by shift_s {
         /// Shift of the next channel per speed of this one, s. Default 0 (none); plausible ±0.03 to 0.2.
         /// A larger value swings further aside while moving.
-        shift_s: f64 = 0.0, -1.0..=1.0, "tenths of a second are plausible";
+        shift_s: f64 = 0.0, "", -1.0..=1.0, "tenths of a second are plausible";
     }
 }
 

@@ -9,11 +9,11 @@ parameters! {
     /// `[effects.outside.ringing]`
     Ringing at "effects.outside.ringing" sized by share {
         /// Share of the motion that rings. Default 0 (none); plausible 0.3 to 1. A larger value overshoots more.
-        share: f64 = 0.0, 0.0..=1.0, "a share of the motion";
+        share: f64 = 0.0, "", 0.0..=1.0, "a share of the motion";
         /// Frequency, Hz. Default 4. A larger value rings faster.
-        frequency_hz: f64 = 4.0, 0.2..=50.0, "a few Hz are plausible";
+        frequency_hz: f64 = 4.0, "", 0.2..=50.0, "a few Hz are plausible";
         /// Damping ratio ζ. Default 0.08. A larger value dies out sooner.
-        damping: f64 = 0.08, 0.005..=0.95, "above 1 it is a lag";
+        damping: f64 = 0.08, "", 0.005..=0.95, "above 1 it is a lag";
     }
 }
 

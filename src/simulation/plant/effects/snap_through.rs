@@ -10,11 +10,11 @@ parameters! {
     SnapThrough at "effects.outside.snap_through" sized by jump_mm {
         /// Length that the popped fold adds, mm. Default 0 (none); plausible 0.2 to 1. A larger value jumps
         /// further.
-        jump_mm: f64 = 0.0, 0.0..=5.0, "under 1 mm is plausible";
+        jump_mm: f64 = 0.0, "", 0.0..=5.0, "under 1 mm is plausible";
         /// Elongation at which it pops, mm. Default 2. A larger value pops at larger bends only.
-        at_mm: f64 = 2.0, 0.1..=10.0, "a bellow elongates by 5 mm or so";
+        at_mm: f64 = 2.0, "", 0.1..=10.0, "a bellow elongates by 5 mm or so";
         /// Channel of the bellow, 1 to 3. Default 1.
-        channel: usize = 1, CHANNELS, "channels are counted from 1 to 3";
+        channel: usize = 1, "", 1..=3, "channels are counted from 1 to 3";
     }
 }
 

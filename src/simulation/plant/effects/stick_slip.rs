@@ -11,12 +11,12 @@ parameters! {
     StickSlip at "effects.outside.stick_slip" sized by breakaway_mm {
         /// Rod strain at which a plunger breaks away, mm. Default 0 (none); plausible 0.1 to 0.8. A larger value
         /// moves in bigger jumps.
-        breakaway_mm: f64 = 0.0, 0.0..=5.0, "tenths of a mm are plausible";
+        breakaway_mm: f64 = 0.0, "", 0.0..=5.0, "tenths of a mm are plausible";
         /// Share of the breakaway strain that is left after the jump, 0 to 1. Default 0.3. A larger value jumps
         /// less.
-        sliding: f64 = 0.3, 0.0..=1.0, "a share of the breakaway";
+        sliding: f64 = 0.3, "", 0.0..=1.0, "a share of the breakaway";
         /// How much breakaway rises with ln(1 + seconds at standstill). Default 0.1. A larger value ages faster.
-        ageing: f64 = 0.1, 0.0..=2.0, "0.1 is plausible";
+        ageing: f64 = 0.1, "", 0.0..=2.0, "0.1 is plausible";
     }
 }
 

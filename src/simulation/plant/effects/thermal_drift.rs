@@ -10,11 +10,11 @@ parameters! {
     ThermalDrift at "effects.thermal_drift" sized by offset_mm {
         /// Final offset a of each line, mm of piston. Default 0 (none); typical 0.2 to 2.5 on one line
         /// (0.5 to 7° of bend). Equal offsets lengthen the tip and do not bend it. A larger value drifts further.
-        offset_mm: [f64; 3] = [0.0; 3], -20.0..=20.0, "a few mm at most are typical";
+        offset_mm: [f64; 3] = [0.0; 3], "", -20.0..=20.0, "a few mm at most are typical";
         /// Time constant τ₁ of the air, s. Default 20. A larger value starts more softly.
-        air_s: f64 = 20.0, 0.1..=1e5, "tens of seconds are typical";
+        air_s: f64 = 20.0, "", 0.1..=1e5, "tens of seconds are typical";
         /// Time constant τ₂ of the case, s. Default 90. A larger value drifts for longer.
-        case_s: f64 = 90.0, 0.1..=1e5, "minutes are typical";
+        case_s: f64 = 90.0, "", 0.1..=1e5, "minutes are typical";
     }
 }
 
