@@ -28,6 +28,7 @@ pub mod missed_steps;
 pub mod motor_field;
 pub mod mount_misalignment;
 pub mod param;
+mod prelude;
 pub mod sensor_latency;
 pub mod smooth;
 pub mod softening;

@@ -19,9 +19,7 @@
 //! to the body, independent of the motors) and `gear_periodic` (moves the tip). Motors on and off while still separate it.
 
 use crate::model::drive::Drive;
-use crate::model::effects::param::join;
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 use std::f64::consts::TAU;
 
 /// Microsteps of one electrical cycle: four full steps of sixteen.
