@@ -62,18 +62,6 @@ impl Stall {
         Self { config, step_mm, microsteps, quick, slow, to_lose: 0.0, stalls: 0, ready: true }
     }
 
-    /// Removes from `turned` (microsteps of this step) those that a stalled rotor does not follow.
-    pub(crate) fn hold_back(&mut self, turned: &mut Vector3<f64>, t: f64, dt_s: f64) {
-        let sent = &mut turned[self.config.channel - 1];
-        if self.overloaded(*sent * self.step_mm / dt_s, dt_s) && t >= self.config.after_s && self.stalls < self.config.stalls_max {
-            self.stalls += 1;
-            self.to_lose = self.config.full_steps * self.microsteps;
-        }
-        let lost = sent.abs().min(self.to_lose);
-        self.to_lose -= lost;
-        *sent -= lost * sent.signum();
-    }
-
     /// True once each time the required torque exceeds the available torque.
     fn overloaded(&mut self, speed_mm_s: f64, dt_s: f64) -> bool {
         self.quick.1 += (speed_mm_s - self.quick.1) * self.quick.0.share(dt_s);
@@ -88,7 +76,16 @@ impl Stall {
 
 impl Law for Stall {
     fn rotor(&mut self, turned: &mut Vector3<f64>, at: &Moment) {
-        self.hold_back(turned, at.t, at.dt_s);
+        let sent = &mut turned[self.config.channel - 1];
+        let overloaded = self.overloaded(*sent * self.step_mm / at.dt_s, at.dt_s);
+        if overloaded && at.t >= self.config.after_s && self.stalls < self.config.stalls_max {
+            self.stalls += 1;
+            self.to_lose = self.config.full_steps * self.microsteps;
+        }
+        // a stalled rotor does not follow
+        let lost = sent.abs().min(self.to_lose);
+        self.to_lose -= lost;
+        *sent -= lost * sent.signum();
     }
 }
 
@@ -104,11 +101,11 @@ mod tests {
             while sent != leg {
                 let step: f64 = f64::clamp(leg - sent, -rate, rate);
                 let mut v = Vector3::new(step, 0.0, 0.0);
-                stall.hold_back(&mut v, t, 0.001);
+                stall.rotor(&mut v, &Moment { t, dt_s: 0.001 });
                 (sent, turned, t) = (sent + step, turned + v.x, t + 0.001);
             }
             for _ in 0..500 {
-                stall.hold_back(&mut Vector3::zeros(), t, 0.001);
+                stall.rotor(&mut Vector3::zeros(), &Moment { t, dt_s: 0.001 });
                 t += 0.001;
             }
         }
