@@ -129,8 +129,8 @@ pub struct Reference {
     pub acceleration: Vector2<f64>,
 }
 
-/// Input of one tick.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Input of one tick; by default neither sample nor command.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Input {
     /// Time of the tick.
     pub t: Seconds,
@@ -148,22 +148,6 @@ pub struct Input {
     pub steps: Steps,
     /// Requests a new alignment because the base was turned.
     pub realign: bool,
-}
-
-impl Default for Input {
-    /// No sample and no command, at a period of 1 ms.
-    fn default() -> Self {
-        Self {
-            t: Seconds(0.0),
-            dt_s: 1e-3,
-            imu: ImuReading::Nothing,
-            base_imu: None,
-            command: None,
-            reference: None,
-            steps: Steps::default(),
-            realign: false,
-        }
-    }
 }
 
 /// State of the sensors.
