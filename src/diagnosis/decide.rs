@@ -49,7 +49,7 @@ const PREDICTABLE_DEG_S: [f64; 2] = [0.6, 0.1];
 
 named! {
     /// Kind of a verdict.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
     #[serde(rename_all = "lowercase")]
     pub enum VerdictKind {
         /// The nominal model suffices.
@@ -57,6 +57,7 @@ named! {
         /// The named effects explain the log.
         Effects = "effects",
         /// A structured remainder is left that no set explains.
+        #[default]
         Unknown = "unknown",
     }
 }

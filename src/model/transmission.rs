@@ -11,7 +11,7 @@
 //! [`Side::Smooth`].
 
 /// Gains of one channel.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize, Default)]
 pub struct Line {
     /// Extension gain k_ε, dimensionless (Eq. 14): bellow stiffness over air stiffness.
     pub k_epsilon: f64,

@@ -33,7 +33,7 @@ const BIAS_SAMPLES: u32 = 100;
 const SAMPLES_MIN: u32 = 20;
 
 /// Result of a still stretch; vectors in the sensor frame, which is the base frame during alignment.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Alignment {
     /// Mean rate, rad/s.
     pub gyro_bias_rad_s: Vector3<f64>,

@@ -258,7 +258,7 @@ pub fn catalogue() -> Vec<Box<dyn Effect>> {
         Box::new(gyro_bias::GyroBias),
         Box::new(accel_bias::AccelBias),
         Box::new(hard_iron::HardIron),
-        Box::new(motor_field::MotorField::default()),
+        Box::new(motor_field::MotorField),
         Box::new(mount_misalignment::MountMisalignment),
         Box::new(transport_delay::TransportDelay),
         Box::new(sensor_latency::SensorLatency),

@@ -5,6 +5,7 @@
 
 use crate::model::drive::Drive;
 use crate::primitives::frames::{Rotation, World};
+use crate::primitives::parameters::{Setting, Shape};
 use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::effects::{Effects, effect_names};
 use crate::simulation::plant::imu::chip::ImuConfig;
@@ -18,9 +19,12 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 
 /// One plant, fully described. Everything has a default; see each table.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PlantConfig {
+    /// Time of one tick, s. Default 0.001: the loop and the truth go on by a millisecond at a time,
+    /// the IMU answers at its own `imu.period_s`. Larger simulates faster and coarser.
+    pub period_s: f64,
     /// Motor, rack and pinion.
     pub drive: DriveConfig,
     /// Pneumatic transmission.
@@ -37,6 +41,27 @@ pub struct PlantConfig {
     pub effects: Effects,
     /// How units of this make differ.
     pub spread: Spread,
+}
+
+impl Default for PlantConfig {
+    fn default() -> Self {
+        Self {
+            period_s: 0.001,
+            drive: DriveConfig::default(),
+            line: LineConfig::default(),
+            shape: ShapeConfig::default(),
+            base: BaseConfig::default(),
+            field: FieldConfig::default(),
+            imu: ImuConfig::default(),
+            effects: Effects::default(),
+            spread: Spread::default(),
+        }
+    }
+}
+
+/// The plant describes its own tables.
+impl Setting for PlantConfig {
+    const SHAPE: Shape = Shape::Opaque;
 }
 
 parameters! {
@@ -132,6 +157,12 @@ impl FieldConfig {
 }
 
 impl PlantConfig {
+    /// The make of the units that this configuration describes.
+    #[must_use]
+    pub fn make(&self) -> Self {
+        self.clone()
+    }
+
     /// Checks every parameter against the range that the physics supports.
     ///
     /// # Errors
