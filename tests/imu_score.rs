@@ -53,7 +53,7 @@ fn vqf_matches_the_published_filter_in_every_trial() {
     let Some(rows) = rows() else { return };
     for (trial, published) in VQF_PUBLISHED {
         let row = rows.iter().find(|r| r.filter == FilterName::Vqf && r.file.contains(trial)).unwrap();
-        let ours = [row.total_deg, row.heading_deg, row.inclination_deg];
+        let ours = [row.score.total_deg, row.score.heading_deg, row.score.inclination_deg];
         for (ours, published) in ours.iter().zip(published) {
             assert!((ours - published).abs() < 0.02, "{trial}: {row:?}, published {published}");
         }
@@ -80,7 +80,7 @@ fn mekf_keeps_its_accuracy_and_is_never_far_from_vqf() {
     assert!(mean.total_deg <= 2.05 && mean.heading_deg <= 1.85 && mean.inclination_deg <= 0.70, "{mean:?}");
     for (trial, [vqf, ..]) in VQF_PUBLISHED {
         let row = rows.iter().find(|r| r.filter == FilterName::Mekf && r.file.contains(trial)).unwrap();
-        assert!(row.total_deg < vqf + 0.1, "{trial}: {row:?}, VQF {vqf}");
+        assert!(row.score.total_deg < vqf + 0.1, "{trial}: {row:?}, VQF {vqf}");
     }
 }
 

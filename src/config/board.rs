@@ -10,15 +10,9 @@ use crate::hardware::pressure::PressureSection;
 use crate::motion::lines::EmergencyStop;
 use crate::motion::{DriveLimits, MotionConfig, MotionLimits, StepperConfig};
 use crate::parameters;
-use crate::primitives::parameters::{Setting, Shape};
 use crate::simulation::plant::PlantConfig;
-use crate::simulation::plant::config::{BaseConfig, DriveConfig, FieldConfig, LineConfig, ShapeConfig};
-use crate::simulation::plant::effects::Effects;
-use crate::simulation::plant::imu::chip::ImuConfig;
-use crate::simulation::plant::spread::Spread;
 use crate::supervisor::gate::SafeState;
 use crate::supervisor::machine::MachineInfo;
-use serde::{Deserialize, Serialize};
 
 parameters! {
     /// A board: what the machine is. Every key may be left out; its default then applies. A board without `[pins]` has no
@@ -61,51 +55,8 @@ parameters! {
     }
 }
 
-/// The built-in plant: how finely it is simulated, then the plant's own tables.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct PlantSection {
-    /// Time of one tick, s. Default 0.001: the loop and the truth go on by a millisecond at a time,
-    /// the IMU answers at its own `imu.period_s`. Larger simulates faster and coarser.
-    pub period_s: f64,
-    /// Motor, rack and pinion.
-    pub drive: DriveConfig,
-    /// Pneumatic transmission.
-    pub line: LineConfig,
-    /// Bending section as it was really built.
-    pub shape: ShapeConfig,
-    /// Where it stands in the world.
-    pub base: BaseConfig,
-    /// The magnetic field it stands in.
-    pub field: FieldConfig,
-    /// The IMU.
-    pub imu: ImuConfig,
-    /// Causes beyond the nominal model.
-    pub effects: Effects,
-    /// How units differ.
-    pub spread: Spread,
-}
-
-impl Default for PlantSection {
-    fn default() -> Self {
-        let PlantConfig { drive, line, shape, base, field, imu, effects, spread } = PlantConfig::default();
-        Self { period_s: 0.001, drive, line, shape, base, field, imu, effects, spread }
-    }
-}
-
-impl PlantSection {
-    /// The plant that this section describes.
-    #[must_use]
-    pub fn make(&self) -> PlantConfig {
-        let Self { period_s: _, drive, line, shape, base, field, imu, effects, spread } = self.clone();
-        PlantConfig { drive, line, shape, base, field, imu, effects, spread }
-    }
-}
-
-/// The plant describes its own tables.
-impl Setting for PlantSection {
-    const SHAPE: Shape = Shape::Opaque;
-}
+/// `[plant]`: the built-in plant.
+pub type PlantSection = PlantConfig;
 
 impl Board {
     /// Motion of one piston within this board's limits.

@@ -70,8 +70,7 @@ impl Calibration {
     /// The transmission law per channel.
     #[must_use]
     pub fn lines(&self) -> [Line; 3] {
-        let t = &self.transmission;
-        std::array::from_fn(|i| Line { k_epsilon: t.k_epsilon[i], k_lambda_mm: t.k_lambda_mm[i] })
+        Line::each(self.transmission.k_epsilon, self.transmission.k_lambda_mm)
     }
 
     /// As the prior of a new tip's calibration.

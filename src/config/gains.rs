@@ -16,7 +16,7 @@ parameters! {
     /// Gains: how the loop behaves. Every key may be left out; its default then applies.
     pub struct Gains: Copy {
         /// The outer loop.
-        outer as "loop": LoopSection;
+        outer as "loop": FeedbackConfig;
         /// Speed and acceleration of the set-point.
         pace: PaceSection;
         /// Backlash compensation.
@@ -29,29 +29,6 @@ parameters! {
         refine: RefineConfig;
         /// Orientation estimation.
         fuse: FuseConfig;
-    }
-}
-
-parameters! {
-    /// The outer loop: from the bend error to the bend command.
-    pub struct LoopSection: Copy {
-        /// Closed-loop time constant: the error that the feedforward leaves falls to a third within this time. A larger
-        /// value is calmer and slower. A dead time raises it automatically.
-        tau_c_s: f64 = 0.1, "s", 0.01..=10.0, "0.1 is brisk, 0.5 is calm";
-        /// Upper limit of the proportional gain, rad of command per rad of error. A larger value drives a slow line harder
-        /// and passes more of the estimate's noise to the pistons.
-        kp_max: f64 = 2.0, "", 0.0..=10.0, "2 suits an estimate with 0.05° of noise";
-        /// Limit of the integral part, in degrees of bend. A larger value over-drives a lossy line further.
-        integral_max_deg: f64 = 60.0, "deg", 0.0..=180.0, "60 compensates for a line that has lost half of its gain";
-        /// Fraction of the lag by which the feedforward leads. 0 does not lead; more than 1 overshoots.
-        lead: f64 = 1.0, "", 0.0..=1.5, "1 leads by the whole lag";
-        /// Learns lag and dead time during operation.
-        learn_dynamics: bool = true;
-        /// Learns the static error of the model as a function of the bend; without it, every new target starts with the
-        /// feedback of the last.
-        learn_error: bool = true;
-        /// Learns how much of the backlash a reversal by feedback crosses; without it, all of it.
-        learn_backlash: bool = true;
     }
 }
 
@@ -106,21 +83,10 @@ impl Gains {
         }
     }
 
-    /// The outer loop, in radians.
+    /// The outer loop with its detectors.
     #[must_use]
     pub fn feedback(&self) -> FeedbackConfig {
-        let o = &self.outer;
-        FeedbackConfig {
-            tau_c_s: o.tau_c_s,
-            kp_max: o.kp_max,
-            integral_max_rad: o.integral_max_deg.to_radians(),
-            lead: o.lead,
-            learn_dynamics: o.learn_dynamics,
-            learn_error: o.learn_error,
-            learn_backlash: o.learn_backlash,
-            standstill: self.standstill,
-            obstruction: self.obstruction,
-        }
+        FeedbackConfig { standstill: self.standstill, obstruction: self.obstruction, ..self.outer }
     }
 }
 

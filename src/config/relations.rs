@@ -178,15 +178,9 @@ fn header_line(board: &Board, backend: Backend, key: &str, pin: u32, to: &mut Ch
 /// Reports what the built-in plant refuses; it counts channels from 1, keys count from 0.
 fn plant(section: &PlantSection, to: &mut Checker) {
     to.range("plant.period_s", section.period_s, 1e-4..=0.01, "s", "0.001 is a loop at 1 kHz");
-    match section.make().validate() {
+    match section.validate() {
         Ok(()) => {}
-        Err(PlantError::Range { name, value, low, high, mend }) => {
-            let key = match name.strip_suffix(']').and_then(|n| n.split_once('[')) {
-                Some((array, index)) => format!("plant.{array}.{}", index.parse::<usize>().map_or(0, |i| i.saturating_sub(1))),
-                None => format!("plant.{name}"),
-            };
-            to.refuse(&key, format!("{value} is outside {low} to {high}"), mend);
-        }
+        Err(PlantError::Range(Invalid { key, problem, hint })) => to.refuse(&format!("plant.{key}"), problem, &hint),
         Err(other) => to.refuse("plant", other.to_string(), "see the tables of boards/sim.toml"),
     }
 }

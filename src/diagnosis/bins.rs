@@ -45,7 +45,7 @@ pub struct Bin {
 }
 
 /// Pistons row by row.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Rows {
     /// Times, s.
     pub t_s: Vec<f64>,

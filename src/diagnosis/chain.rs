@@ -57,6 +57,24 @@ impl<'a> Model<'a> {
         self.effects.iter().enumerate().map(move |(i, e)| (*e, self.of(theta, i)))
     }
 
+    /// Parameters of this model from those of another one: shared effects keep theirs, a new effect takes those of `fresh`.
+    #[must_use]
+    pub fn extended(&self, from: &Model<'_>, theta: &[f64], fresh: impl Fn(&dyn Effect) -> Vec<f64>) -> Vec<f64> {
+        let mut out = theta[..NOMINAL].to_vec();
+        for e in &self.effects {
+            match from.effects.iter().position(|x| x.name() == e.name()) {
+                Some(i) => out.extend_from_slice(from.of(theta, i)),
+                None => out.extend(fresh(*e)),
+            }
+        }
+        out
+    }
+
+    /// Events of all effects.
+    pub fn all_events(&self) -> impl Iterator<Item = Event> {
+        (0..self.effects.len()).flat_map(|i| self.events(i))
+    }
+
     /// Events of effect `i`, which has one group of parameters per event.
     pub fn events(&self, i: usize) -> impl Iterator<Item = Event> + use<> {
         let (e, first) = (self.effects[i], self.at[i]);
@@ -96,7 +114,7 @@ pub fn parameters<'p>(log: &Observed, segment: &Segment, model: &Model<'_>, thet
         return Cow::Borrowed(theta);
     }
     let mut own = theta.to_vec();
-    for event in (0..model.effects.len()).flat_map(|i| model.events(i)) {
+    for event in model.all_events() {
         let at_s = log.start_s() + theta[event.time];
         let of = log.segments.iter().rev().find(|s| s.start_s <= at_s).unwrap_or(&log.segments[0]);
         if of == segment {

@@ -16,6 +16,7 @@ use crate::diagnosis::holdout::{CLAIM_DEG, HeldOut};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::predictable::predictable_rate_deg_s;
 use crate::diagnosis::search::{Candidate, Candidates};
+use crate::named;
 use serde::Serialize;
 
 /// Share of what the first effect leaves above the noise that a second effect must remove.
@@ -46,16 +47,19 @@ const NONE_WIDTH: f64 = 0.1;
 /// Predictable rate at which the verdict becomes `unknown`, °/s, and the width of the transition.
 const PREDICTABLE_DEG_S: [f64; 2] = [0.6, 0.1];
 
-/// Kind of a verdict.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum VerdictKind {
-    /// The nominal model suffices.
-    None,
-    /// The named effects explain the log.
-    Effects,
-    /// A structured remainder is left that no set explains.
-    Unknown,
+named! {
+    /// Kind of a verdict.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum VerdictKind {
+        /// The nominal model suffices.
+        None = "none",
+        /// The named effects explain the log.
+        Effects = "effects",
+        /// A structured remainder is left that no set explains.
+        #[default]
+        Unknown = "unknown",
+    }
 }
 
 impl VerdictKind {
@@ -66,16 +70,6 @@ impl VerdictKind {
             (true, _) => Self::Unknown,
             (false, true) => Self::None,
             (false, false) => Self::Effects,
-        }
-    }
-
-    /// Name in documents.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Effects => "effects",
-            Self::Unknown => "unknown",
         }
     }
 }

@@ -11,7 +11,7 @@ use crate::diagnosis::fit::fit;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::Problem;
 use crate::diagnosis::search::Candidate;
-use crate::diagnosis::start::{Start, best_start};
+use crate::diagnosis::start::{Start, best_start, vanishing};
 use crate::diagnosis::tangent::{BaseFit, Tangent};
 use crate::model::effects::{Effect, Stage};
 use nalgebra::DVector;
@@ -77,15 +77,7 @@ fn promising<'a>(log: &'a Observed, catalogue: &'a [Box<dyn Effect>], base: &Bas
 
 /// Parameters at which the fit of `effects` starts: those of `from`, and the vanishing point of every other effect.
 fn start(effects: &[&dyn Effect], catalogue: &[Box<dyn Effect>], from: &Candidate) -> Vec<f64> {
-    let before = Model::named(catalogue, &from.names);
-    let mut start = from.fitted.theta[..before.at[0]].to_vec();
-    for e in effects {
-        match before.effects.iter().position(|x| x.name() == e.name()) {
-            Some(i) => start.extend_from_slice(before.of(&from.fitted.theta, i)),
-            None => start.extend(e.params().iter().map(|p| p.start)),
-        }
-    }
-    start
+    Model::new(effects).extended(&Model::named(catalogue, &from.names), &from.fitted.theta, vanishing)
 }
 
 fn fitted<'a>(log: &'a Observed, effects: &[&'a dyn Effect], start: &[f64]) -> BaseFit<'a> {

@@ -50,7 +50,7 @@ pub struct Segment {
 }
 
 /// One or several logs of a machine, prepared for fits. Their times follow each other.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Observed {
     /// The machine.
     pub rig: Rig,
@@ -129,18 +129,7 @@ impl Observed {
         let up_base = mean(bins[..rest].iter().map(|b| b.acc)).map_or(Vector3::z(), |v| v.normalize());
         let field_base_ut = mean(bins[..rest].iter().map(|b| b.mag)).unwrap_or_default();
         let noise_deg = noise(&bins, field_base_ut.norm().max(1.0));
-        let mut o = Self {
-            rig: *rig,
-            t_s: vec![],
-            piston_mm: vec![],
-            idle_s: vec![],
-            middle: vec![],
-            rows,
-            bins,
-            has: PerQuantity::default(),
-            noise_deg,
-            segments: vec![],
-        };
+        let mut o = Self { rig: *rig, rows, bins, noise_deg, ..Self::default() };
         o.place_instants();
         let (rows, instants, bins) = (0..o.rows.t_s.len(), 0..o.t_s.len(), 0..o.bins.len());
         o.segments.push(Segment { file: log.file.clone(), start_s: o.start_s(), rows, instants, bins, up_base, field_base_ut });

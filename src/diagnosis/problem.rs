@@ -3,7 +3,6 @@
 use crate::diagnosis::chain::{LAG_MAX_S, Model, Motion, run};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::sense::{Residuals, every_bin, sense};
-use crate::model::chain::NOMINAL;
 
 /// Slope of the priors, residual per unit of scale. One prior σ is one scale for white residuals; neighbouring bins
 /// are correlated, so a prior counts as much as four bins.
@@ -72,7 +71,7 @@ impl<'a> Problem<'a> {
             bounds.extend(e.params().iter().map(|p| Bound { start: p.start, scale: p.scale, low: p.low, high: p.high }));
         }
         // one of several logs has the event
-        for event in (0..model.effects.len()).flat_map(|i| model.events(i)) {
+        for event in model.all_events() {
             bounds[event.time].scale *= log.segments.len() as f64;
         }
         Self { log, model, bounds }
@@ -113,19 +112,6 @@ impl<'a> Problem<'a> {
     #[must_use]
     pub fn prior(&self, theta: &[f64]) -> f64 {
         theta.iter().zip(&self.bounds).map(|(t, b)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2)).sum()
-    }
-
-    /// Parameters of this model from those of a smaller one: shared effects keep theirs, a new effect takes `fresh`.
-    #[must_use]
-    pub fn extended(&self, from: &Model<'_>, theta: &[f64], fresh: &[f64]) -> Vec<f64> {
-        let mut out = theta[..NOMINAL].to_vec();
-        for e in &self.model.effects {
-            match from.effects.iter().position(|x| x.name() == e.name()) {
-                Some(i) => out.extend_from_slice(from.of(theta, i)),
-                None => out.extend_from_slice(fresh),
-            }
-        }
-        out
     }
 }
 

@@ -1,37 +1,27 @@
 //! The four observed quantities, and values for each of them.
 
+use crate::named;
 use serde::Serialize;
 use std::ops::{Index, IndexMut};
 
-/// A quantity that a log observes. The quantities are predicted and compared separately and never fused.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Quantity {
-    /// Tip orientation from the tracker, compared as an angle.
-    Reference,
-    /// Accelerometer, compared as a direction.
-    Acc,
-    /// Magnetometer, compared as a direction.
-    Mag,
-    /// Gyroscope, compared as a rate.
-    Gyro,
+named! {
+    /// A quantity that a log observes. The quantities are predicted and compared separately and never fused.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Quantity {
+        /// Tip orientation from the tracker, compared as an angle.
+        Reference = "reference",
+        /// Accelerometer, compared as a direction.
+        Acc = "accelerometer",
+        /// Magnetometer, compared as a direction.
+        Mag = "magnetometer",
+        /// Gyroscope, compared as a rate.
+        Gyro = "gyroscope",
+    }
 }
 
 impl Quantity {
-    /// All quantities, in the order of residuals and documents.
-    pub const ALL: [Self; 4] = [Self::Reference, Self::Acc, Self::Mag, Self::Gyro];
     /// Quantities whose residual is an angle.
     pub const ANGLES: [Self; 3] = [Self::Reference, Self::Acc, Self::Mag];
-
-    /// Name in documents and reports.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Reference => "reference",
-            Self::Acc => "accelerometer",
-            Self::Mag => "magnetometer",
-            Self::Gyro => "gyroscope",
-        }
-    }
 }
 
 /// One value per quantity.

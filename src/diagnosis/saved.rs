@@ -113,7 +113,7 @@ impl SavedGains {
     /// The gains as lines.
     #[must_use]
     pub fn lines(&self) -> [Line; 3] {
-        std::array::from_fn(|i| Line { k_epsilon: self.k_epsilon[i], k_lambda_mm: self.k_lambda_mm[i] })
+        Line::each(self.k_epsilon, self.k_lambda_mm)
     }
 }
 

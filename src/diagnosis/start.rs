@@ -47,9 +47,14 @@ pub fn best_start(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> O
     starts.iter().filter_map(|s| predict(base, to, s)).min_by(|a, b| a.predicted.total_cmp(&b.predicted))
 }
 
+/// Parameters at which an effect vanishes.
+pub fn vanishing(effect: &dyn Effect) -> Vec<f64> {
+    effect.params().iter().map(|p| p.start).collect()
+}
+
 /// One Gauss-Newton step from the base fit extended by `fresh`, and the sum of squares that the tangent predicts.
 fn predict(base: &BaseFit<'_>, to: &Problem<'_>, fresh: &[f64]) -> Option<Start> {
-    let point = to.at_clamped(&to.extended(&base.problem.model, &base.point.theta, fresh));
+    let point = to.at_clamped(&to.model.extended(&base.problem.model, &base.point.theta, |_| fresh.to_vec()));
     let sums = Tangent::grown(to, &point, base).sums(to, &point);
     let theta = step(&point.theta, &to.bounds, &sums, DAMPING)?;
     let way = DVector::from_iterator(theta.len(), (0..theta.len()).map(|i| (theta[i] - point.theta[i]) / to.bounds[i].scale));
@@ -99,8 +104,7 @@ impl Dating {
 /// dated again while the others stay.
 fn scan(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Vec<f64>> {
     let effect = to.model.effects.iter().position(|e| e.name() == added.name())?;
-    let fresh: Vec<f64> = added.params().iter().map(|p| p.start).collect();
-    let mut theta = to.extended(&base.problem.model, &base.point.theta, &fresh);
+    let mut theta = to.model.extended(&base.problem.model, &base.point.theta, vanishing);
     let events: Vec<Event> = to.model.events(effect).collect();
     for lasting in events.iter().filter_map(|e| e.lasting) {
         theta[lasting] = SCANNED_S;
@@ -112,14 +116,10 @@ fn scan(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Vec<
     (!events.is_empty()).then(|| to.model.of(&theta, effect).to_vec())
 }
 
-fn events(problem: &Problem<'_>) -> impl Iterator<Item = Event> {
-    (0..problem.model.effects.len()).flat_map(|i| problem.model.events(i))
-}
-
 /// Indices in θ of the times and durations of all events.
 #[must_use]
 pub fn dates(problem: &Problem<'_>) -> Vec<usize> {
-    events(problem).flat_map(|e| [Some(e.time), e.lasting]).flatten().collect()
+    problem.model.all_events().flat_map(|e| [Some(e.time), e.lasting]).flatten().collect()
 }
 
 /// The parameters with every quick event dated again, each while all others stay as fitted; `None` if the model has no
@@ -127,7 +127,7 @@ pub fn dates(problem: &Problem<'_>) -> Vec<usize> {
 #[must_use]
 pub fn dated_again(problem: &Problem<'_>, point: &Point, slow_too: bool) -> Option<Vec<f64>> {
     let is_slow = |e: &Event| e.lasting.is_some_and(|l| point.theta[l] > QUICK_S);
-    if slow_too && !events(problem).any(|e| is_slow(&e)) {
+    if slow_too && !problem.model.all_events().any(|e| is_slow(&e)) {
         return None;
     }
     let (mut theta, mut any) = (point.theta.clone(), false);

@@ -137,7 +137,7 @@ impl BenchConfig {
     /// [`PlantError`].
     pub fn sim(&self, unit: u64, noise: u64) -> Result<Sim, PlantError> {
         let section = self.board.plant.clone().unwrap_or_default();
-        Sim::new(&section.make(), unit, noise, section.period_s)
+        Sim::new(&section, unit, noise, section.period_s)
     }
 
     /// The configuration of its supervisor.

@@ -2,6 +2,7 @@
 
 use crate::drill::bench::Bench;
 use crate::estimation::fusion::health::{HealthCause, ReadFault};
+use crate::named;
 use crate::service::status::trip_message;
 use crate::simulation::plant::InjectedFault;
 use crate::supervisor::cycle::CycleOutput;
@@ -92,30 +93,20 @@ pub enum Detector {
     BaseImu(&'static [HealthCause]),
 }
 
-/// Bound on the microsteps after the detection.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Bound {
-    /// The move continues: what it needs.
-    Continues,
-    /// The pistons are held: what braking needs.
-    Holds,
-    /// The pistons are held or the move continues with a correction.
-    Copes,
-    /// What braking needs, with the sensor in order.
-    Brakes,
-    /// No microstep at all.
-    Freezes,
-}
-
-impl Bound {
-    fn words(self) -> &'static str {
-        match self {
-            Self::Continues => "the move continues",
-            Self::Holds => "the pistons are held",
-            Self::Copes => "the pistons are held or the move is corrected",
-            Self::Brakes => "the pistons brake",
-            Self::Freezes => "the pistons stand",
-        }
+named! {
+    /// Bound on the microsteps after the detection.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Bound {
+        /// The move continues: what it needs.
+        Continues = "the move continues",
+        /// The pistons are held: what braking needs.
+        Holds = "the pistons are held",
+        /// The pistons are held or the move continues with a correction.
+        Copes = "the pistons are held or the move is corrected",
+        /// What braking needs, with the sensor in order.
+        Brakes = "the pistons brake",
+        /// No microstep at all.
+        Freezes = "the pistons stand",
     }
 }
 
@@ -166,7 +157,7 @@ impl Spec {
     #[must_use]
     pub fn words(&self, steps: i64, after_deg: f64) -> String {
         let states = self.states.join(" or ");
-        let (within_s, bound) = (self.within_s, self.bound.words());
+        let (within_s, bound) = (self.within_s, self.bound.name());
         format!("detected within {within_s} s; then {bound}, at most {steps} microsteps; ends {states}; next pose within {after_deg}°")
     }
 

@@ -24,7 +24,7 @@ use std::path::PathBuf;
 pub const DEFAULT_FILTER: FilterName = FilterName::Mekf;
 
 /// Root mean square errors of one filter on one recording, degrees.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Score {
     /// Total error.
     pub total_deg: f64,
@@ -41,12 +41,9 @@ pub struct Row {
     pub file: String,
     /// The filter.
     pub filter: FilterName,
-    /// RMS total error, degrees.
-    pub total_deg: f64,
-    /// RMS heading error, degrees.
-    pub heading_deg: f64,
-    /// RMS inclination error, degrees.
-    pub inclination_deg: f64,
+    /// RMS errors.
+    #[serde(flatten)]
+    pub score: Score,
 }
 
 /// Why a recording has no score.
@@ -127,27 +124,23 @@ pub fn run(files: &[PathBuf], filter: Option<FilterName>, all: bool) -> Result<V
         .iter()
         .map(|file| {
             let recording = recording::read(file)?;
-            filters.iter().map(|&filter| row(&recording, filter)).collect()
+            let file = || recording.name.clone();
+            filters.iter().map(|&filter| Ok(Row { file: file(), filter, score: score(&recording, filter)? })).collect()
         })
         .collect();
     let rows: Vec<Vec<Row>> = scored.into_iter().collect::<Result<_, _>>()?;
     Ok(rows.into_iter().flatten().collect())
 }
 
-fn row(recording: &Recording, filter: FilterName) -> Result<Row, ScoreError> {
-    let Score { total_deg, heading_deg, inclination_deg } = score(recording, filter)?;
-    Ok(Row { file: recording.name.clone(), filter, total_deg, heading_deg, inclination_deg })
-}
-
 /// Mean of one filter over the recordings; `None` if it has no row.
 #[must_use]
 pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
-    let of: Vec<&Row> = rows.iter().filter(|r| r.filter == filter).collect();
-    let over = |value: fn(&Row) -> f64| of.iter().map(|r| value(r)).sum::<f64>() / of.len() as f64;
+    let of: Vec<&Score> = rows.iter().filter(|r| r.filter == filter).map(|r| &r.score).collect();
+    let over = |value: fn(&Score) -> f64| of.iter().map(|s| value(s)).sum::<f64>() / of.len() as f64;
     (!of.is_empty()).then(|| Score {
-        total_deg: over(|r| r.total_deg),
-        heading_deg: over(|r| r.heading_deg),
-        inclination_deg: over(|r| r.inclination_deg),
+        total_deg: over(|s| s.total_deg),
+        heading_deg: over(|s| s.heading_deg),
+        inclination_deg: over(|s| s.inclination_deg),
     })
 }
 
@@ -267,7 +260,8 @@ mod tests {
 
     #[test]
     fn rows_match_the_json_contract_and_the_table_ends_in_means() {
-        let row = |file: &str, filter, total_deg| Row { file: file.into(), filter, total_deg, heading_deg: 1.0, inclination_deg: 0.5 };
+        let score = |total_deg| Score { total_deg, heading_deg: 1.0, inclination_deg: 0.5 };
+        let row = |file: &str, filter, total_deg| Row { file: file.into(), filter, score: score(total_deg) };
         let rows = [row("a", FilterName::VqfLong, 1.0), row("b", FilterName::VqfLong, 4.0)];
         assert_eq!(
             serde_json::to_string(&rows[0]).unwrap(),

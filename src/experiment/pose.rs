@@ -45,7 +45,7 @@ struct PoseProgress {
 }
 
 /// One round of poses.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Round {
     geometry: Geometry,
     poses: Vec<Pose>,
@@ -61,15 +61,7 @@ impl Round {
     /// A round before its first command.
     #[must_use]
     pub fn new(geometry: Geometry, poses: Vec<Pose>) -> Self {
-        Self {
-            geometry,
-            data: Vec::with_capacity(poses.len()),
-            poses,
-            at: 0,
-            pose: PoseProgress::default(),
-            sides: Sides::default(),
-            bank: DynamicsBank::default(),
-        }
+        Self { geometry, data: Vec::with_capacity(poses.len()), poses, ..Self::default() }
     }
     /// Starts again at the first pose. The sides of the pistons stay known.
     pub fn again(&mut self) {

@@ -11,7 +11,7 @@
 //! [`Side::Smooth`].
 
 /// Gains of one channel.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize, Default)]
 pub struct Line {
     /// Extension gain k_ε, dimensionless (Eq. 14): bellow stiffness over air stiffness.
     pub k_epsilon: f64,
@@ -20,6 +20,12 @@ pub struct Line {
 }
 
 impl Line {
+    /// Three lines from their gains.
+    #[must_use]
+    pub fn each(k_epsilon: [f64; 3], k_lambda_mm: [f64; 3]) -> [Self; 3] {
+        std::array::from_fn(|i| Self { k_epsilon: k_epsilon[i], k_lambda_mm: k_lambda_mm[i] })
+    }
+
     /// Play operator: the output `w` after the piston moves to `piston_mm`.
     #[must_use]
     #[inline]

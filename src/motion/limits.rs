@@ -15,7 +15,7 @@ pub const TOLERANCE: f64 = 1e-9;
 pub const POSITION_TOLERANCE_MM: f64 = 1e-7;
 
 /// Limits of motion of one channel, from a valid [`MotionConfig`].
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MotionLimits {
     /// Largest speed, mm/s.
     pub speed_max_mm_s: f64,

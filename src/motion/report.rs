@@ -32,9 +32,10 @@ pub enum StepperFault {
 }
 
 /// Mode of the step core.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum StepperMode {
     /// At rest, waiting for segments.
+    #[default]
     Resting,
     /// Following segments.
     Following,

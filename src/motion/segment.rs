@@ -8,7 +8,7 @@ use crate::motion::state::MotionState;
 pub const PIECES_MAX: usize = 10;
 
 /// One channel's part of a segment.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ChannelSegment {
     /// State at the start.
     pub start: MotionState,

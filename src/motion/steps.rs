@@ -30,7 +30,7 @@ pub fn count(position_mm: f64, step_mm: f64) -> i32 {
 }
 
 /// Produces the steps of one channel, segment after segment.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct ChannelSteps {
     step_mm: f64,
     /// Steps produced since zero, signed.
@@ -145,7 +145,7 @@ fn crossing_s(at: &MotionState, jerk: f64, part: (f64, f64), position_mm: f64) -
 }
 
 /// The steps of all three channels of a segment that starts at an absolute time.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct StepStream {
     step_mm: f64,
     channels: [ChannelSteps; 3],

@@ -324,9 +324,9 @@ macro_rules! choices {
 /// Declares an enumeration whose values have names: `Variant = "name"`.
 #[macro_export]
 macro_rules! named {
-    ($(#[$about:meta])+ pub enum $kind:ident { $($(#[$doc:meta])+ $variant:ident = $name:literal,)+ }) => {
+    ($(#[$about:meta])+ $vis:vis enum $kind:ident { $($(#[$doc:meta])+ $variant:ident = $name:literal,)+ }) => {
         $(#[$about])+
-        pub enum $kind { $($(#[$doc])+ $variant,)+ }
+        $vis enum $kind { $($(#[$doc])+ $variant,)+ }
 
         impl $kind {
             /// Every value, in the order of the declaration.
@@ -336,6 +336,12 @@ macro_rules! named {
             #[must_use]
             pub const fn name(self) -> &'static str {
                 [$($name),+][self as usize]
+            }
+        }
+
+        impl std::fmt::Display for $kind {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.pad(self.name())
             }
         }
     };

@@ -22,7 +22,7 @@ use crate::primitives::units::{Seconds, Steps};
 use thiserror::Error;
 
 /// What the machine reports in one cycle.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Sensed {
     /// Time of the cycle on the loop's clock.
     pub t: Seconds,
@@ -71,18 +71,7 @@ impl Sensed {
             _ => drive.starved.then_some(Alarm::Underrun),
         };
         let energised = drive.generator().is_energised();
-        Self {
-            t,
-            imu: ImuReading::Nothing,
-            base_imu: None,
-            counted,
-            counted_age_s,
-            energised,
-            inputs,
-            alarm,
-            gauges: Gauges::default(),
-            truth: None,
-        }
+        Self { t, counted, counted_age_s, energised, inputs, alarm, ..Self::default() }
     }
 }
 
@@ -98,36 +87,48 @@ pub struct Gauges {
 }
 
 /// An alarm of the machine.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Error, serde::Serialize, serde::Deserialize)]
 pub enum Alarm {
     /// A step was later than permitted.
+    #[error("a step was {:.1} ms late", .late_s * 1e3)]
     Late {
         /// Delay, s.
         late_s: f64,
     },
     /// The motion queue ran empty during a motion, and the step generator braked.
+    #[error("the step thread ran out of motion and braked")]
     Underrun,
     /// The queued motion is discontinuous.
+    #[error("the motion handed to the step thread jumps by {jump_mm:.3} mm")]
     Discontinuity {
         /// Size of the jump, mm.
         jump_mm: f64,
     },
     /// The pins cannot be written or read.
+    #[error("the pins cannot be written or read")]
     Pins,
     /// The step thread has ended.
+    #[error("the step thread has ended")]
     Dead,
     /// The step thread does not report.
+    #[error("the step thread does not report: a pin or the processor that it waits for hangs")]
     Silent,
     /// A pressure sensor measures too much.
+    #[error("{}", pressure(*.kpa))]
     Pressure {
         /// Gauge pressure, kPa; NaN if the sensor does not answer.
         kpa: f64,
     },
     /// The tip is too hot.
+    #[error("the tip is at {temp_c:.1} °C")]
     Hot {
         /// Temperature, °C.
         temp_c: f64,
     },
+}
+
+fn pressure(kpa: f64) -> String {
+    if kpa.is_nan() { "a pressure sensor does not answer".to_owned() } else { format!("a line is at {kpa:.1} kPa") }
 }
 
 impl Alarm {
@@ -135,22 +136,6 @@ impl Alarm {
     #[must_use]
     pub fn is_of_steps(&self) -> bool {
         !matches!(self, Self::Pressure { .. } | Self::Hot { .. })
-    }
-}
-
-impl std::fmt::Display for Alarm {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Late { late_s } => write!(f, "a step was {:.1} ms late", late_s * 1e3),
-            Self::Underrun => f.write_str("the step thread ran out of motion and braked"),
-            Self::Discontinuity { jump_mm } => write!(f, "the motion handed to the step thread jumps by {jump_mm:.3} mm"),
-            Self::Pins => f.write_str("the pins cannot be written or read"),
-            Self::Dead => f.write_str("the step thread has ended"),
-            Self::Silent => f.write_str("the step thread does not report: a pin or the processor that it waits for hangs"),
-            Self::Pressure { kpa } if kpa.is_nan() => f.write_str("a pressure sensor does not answer"),
-            Self::Pressure { kpa } => write!(f, "a line is at {kpa:.1} kPa"),
-            Self::Hot { temp_c } => write!(f, "the tip is at {temp_c:.1} °C"),
-        }
     }
 }
 

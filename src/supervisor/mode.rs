@@ -3,52 +3,36 @@
 //! ARCHITECTURE.md shows [`TABLE`] as a state diagram; `tests/modes.rs` compares the two. The supervisor changes its mode
 //! only through [`Mode::after`].
 
+use crate::named;
 use serde::{Deserialize, Serialize};
 
-/// What the service is doing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Mode {
-    /// The devices are being opened.
-    Boot,
-    /// Waits for a still tip to find the rest pose; the pistons stand.
-    Aligning,
-    /// Aligned; the drivers accept no motion.
-    Disarmed,
-    /// Energised; the set-point rests.
-    Holding,
-    /// Energised; the set-point moves.
-    Tracking,
-    /// Returns to rest, slowly and in open loop.
-    Relaxing,
-    /// A calibration moves the set-point in open loop.
-    Calibrating,
-    /// The gate has tripped. It holds, relaxes or has released the drivers, as the board file states for the cause.
-    Faulted,
-    /// The position of the pistons is unknown; only `zero` ends it. `relax` returns by the remembered counts.
-    Lost,
+named! {
+    /// What the service is doing.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Mode {
+        /// The devices are being opened.
+        Boot = "boot",
+        /// Waits for a still tip to find the rest pose; the pistons stand.
+        Aligning = "aligning",
+        /// Aligned; the drivers accept no motion.
+        Disarmed = "disarmed",
+        /// Energised; the set-point rests.
+        Holding = "holding",
+        /// Energised; the set-point moves.
+        Tracking = "tracking",
+        /// Returns to rest, slowly and in open loop.
+        Relaxing = "relaxing",
+        /// A calibration moves the set-point in open loop.
+        Calibrating = "calibrating",
+        /// The gate has tripped. It holds, relaxes or has released the drivers, as the board file states for the cause.
+        Faulted = "faulted",
+        /// The position of the pistons is unknown; only `zero` ends it. `relax` returns by the remembered counts.
+        Lost = "lost",
+    }
 }
 
 impl Mode {
-    /// All modes with their names in status lines and files.
-    pub const NAMES: [(Self, &'static str); 9] = [
-        (Self::Boot, "boot"),
-        (Self::Aligning, "aligning"),
-        (Self::Disarmed, "disarmed"),
-        (Self::Holding, "holding"),
-        (Self::Tracking, "tracking"),
-        (Self::Relaxing, "relaxing"),
-        (Self::Calibrating, "calibrating"),
-        (Self::Faulted, "faulted"),
-        (Self::Lost, "lost"),
-    ];
-
-    /// Name in status lines and files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        Self::NAMES.iter().find(|(mode, _)| *mode == self).map_or("", |(_, name)| name)
-    }
-
     /// True if the controller may move the pistons.
     #[must_use]
     pub fn moves(self) -> bool {
@@ -62,70 +46,44 @@ impl Mode {
     }
 }
 
-impl std::fmt::Display for Mode {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
+named! {
+    /// What can change the mode.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+    pub enum Event {
+        /// All devices respond.
+        Opened = "opened",
+        /// The rest pose was found, and the remembered pose, if any, agrees with it.
+        Aligned = "aligned",
+        /// The position of the pistons is unknown: the measured pose contradicts the remembered one, the drivers were released
+        /// under pressure, or a return without a known rest pose was stopped.
+        Doubted = "doubted",
+        /// Command `arm`.
+        Arm = "arm",
+        /// Command `disarm`.
+        Disarm = "disarm",
+        /// Command `bend`, or a set-point of a stream.
+        Bend = "bend",
+        /// The set-point has arrived, or a calibration has ended.
+        Settled = "settled",
+        /// Command `stop`, or a stream that has fallen silent.
+        Stop = "stop",
+        /// Command `relax`, or the end of the service.
+        Relax = "relax",
+        /// The pistons are back at zero.
+        Rested = "rested",
+        /// The pistons are back at zero, and the rest pose is no longer known.
+        RestedUnaligned = "rested unaligned",
+        /// Command `calibrate transmission`.
+        Calibrate = "calibrate",
+        /// Command `zero`.
+        Zero = "zero",
+        /// The gate has tripped.
+        Trip = "trip",
+        /// Command `reset-fault` with a known rest pose.
+        Reset = "reset",
+        /// Command `reset-fault` without a known rest pose.
+        ResetUnaligned = "reset unaligned",
     }
-}
-
-/// What can change the mode.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Event {
-    /// All devices respond.
-    Opened,
-    /// The rest pose was found, and the remembered pose, if any, agrees with it.
-    Aligned,
-    /// The position of the pistons is unknown: the measured pose contradicts the remembered one, the drivers were released
-    /// under pressure, or a return without a known rest pose was stopped.
-    Doubted,
-    /// Command `arm`.
-    Arm,
-    /// Command `disarm`.
-    Disarm,
-    /// Command `bend`, or a set-point of a stream.
-    Bend,
-    /// The set-point has arrived, or a calibration has ended.
-    Settled,
-    /// Command `stop`, or a stream that has fallen silent.
-    Stop,
-    /// Command `relax`, or the end of the service.
-    Relax,
-    /// The pistons are back at zero.
-    Rested,
-    /// The pistons are back at zero, and the rest pose is no longer known.
-    RestedUnaligned,
-    /// Command `calibrate transmission`.
-    Calibrate,
-    /// Command `zero`.
-    Zero,
-    /// The gate has tripped.
-    Trip,
-    /// Command `reset-fault` with a known rest pose.
-    Reset,
-    /// Command `reset-fault` without a known rest pose.
-    ResetUnaligned,
-}
-
-impl Event {
-    /// All events with their names in the state diagram.
-    pub const NAMES: [(Self, &'static str); 16] = [
-        (Self::Opened, "opened"),
-        (Self::Aligned, "aligned"),
-        (Self::Doubted, "doubted"),
-        (Self::Arm, "arm"),
-        (Self::Disarm, "disarm"),
-        (Self::Bend, "bend"),
-        (Self::Settled, "settled"),
-        (Self::Stop, "stop"),
-        (Self::Relax, "relax"),
-        (Self::Rested, "rested"),
-        (Self::RestedUnaligned, "rested unaligned"),
-        (Self::Calibrate, "calibrate"),
-        (Self::Zero, "zero"),
-        (Self::Trip, "trip"),
-        (Self::Reset, "reset"),
-        (Self::ResetUnaligned, "reset unaligned"),
-    ];
 }
 
 /// All transitions: mode, event, next mode.

@@ -20,7 +20,7 @@ pub use crate::supervisor::suspicion::{Suspicion, SuspicionKind};
 
 use crate::model::arc::Geometry;
 use crate::parameters;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 
 parameters! {
     /// Residual monitor: when a difference between predicted and estimated bend is reported.
@@ -141,7 +141,7 @@ struct Verdict {
 }
 
 /// The monitor.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ResidualMonitor {
     config: ResidualConfig,
     r_mm: f64,
@@ -169,23 +169,7 @@ impl ResidualMonitor {
     /// A monitor without history, for a tip whose bellows lie at the radius `r_mm`.
     #[must_use]
     pub fn new(config: &ResidualConfig, r_mm: f64) -> Self {
-        let zero = Vector2::zeros();
-        Self {
-            config: *config,
-            r_mm,
-            model: None,
-            baseline: (zero, zero),
-            rested_s: 0.0,
-            settled: false,
-            path_rad: 0.0,
-            last_given: zero,
-            last_gapless: None,
-            smooth: zero,
-            jump: JumpDetector::default(),
-            beyond_s: 0.0,
-            rising_s: 0.0,
-            verdict: None,
-        }
+        Self { config: *config, r_mm, ..Self::default() }
     }
 
     /// The present suspicion.
@@ -322,10 +306,4 @@ impl ResidualMonitor {
 /// Time for which a condition has held, s, after a cycle of `dt_s`.
 fn lasting(holds: bool, since_s: f64, dt_s: f64) -> f64 {
     if holds { since_s + dt_s } else { 0.0 }
-}
-
-/// Bellow length changes at a bend (rad) and an elongation of the centre line, mm.
-#[must_use]
-pub fn bellows(geometry: &Geometry, bend: &Vector2<f64>, stretch_mm: f64) -> Vector3<f64> {
-    Vector3::from_fn(|i, _| stretch_mm - geometry.r_mm * Geometry::spoke(i).dot(bend))
 }

@@ -110,7 +110,8 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
         outer.integral_s = gains.integral_s;
         let before = outer.pi;
         let unexplained = (observed.unexplained - outer.error_near(estimate, state.setpoint.bend.at)) * state.base.watch.share_of_tip();
-        outer.integral_full = outer.pi.step(unexplained, timing_s * observed.predicted_rate, &gains, f.integral_max_rad, dt_s);
+        let (timing, integral_max) = (timing_s * observed.predicted_rate, f.integral_max_deg.to_radians());
+        outer.integral_full = outer.pi.step(unexplained, timing, &gains, integral_max, dt_s);
         if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
             outer.pi = before;
         }

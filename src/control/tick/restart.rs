@@ -85,8 +85,7 @@ impl LoopState {
 
     /// Restores the position of the pistons and the learned values, before an alignment.
     pub fn take_up(&mut self, config: &LoopConfig, remembered: &RestartState) {
-        let line = |i: usize| Line { k_epsilon: remembered.k_epsilon[i], k_lambda_mm: remembered.k_lambda_mm[i] };
-        self.transmission.lines = [line(0), line(1), line(2)];
+        self.transmission.lines = Line::each(remembered.k_epsilon, remembered.k_lambda_mm);
         let expected = Dynamics { lag_s: remembered.lag_s, delay_s: remembered.delay_s };
         self.learning.before = DynamicsPrior { expected, uncertainty_s: remembered.dynamics_uncertainty_s };
         self.dynamics = self.learning.before.range();

@@ -77,7 +77,7 @@ impl SetPoint {
 }
 
 /// The transmission lines.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Transmission {
     pub(super) lines: [Line; 3],
     /// Sides of the backlash as the inverse has commanded them.
@@ -191,11 +191,8 @@ impl LoopState {
             setpoint: SetPoint::resting(Shape { bend: Bend::STRAIGHT, length: Mm(config.geometry.rest_length_mm) }),
             transmission: Transmission {
                 lines: config.lines,
-                sides: [SideState::default(); 3],
-                play_output_mm: Vector3::zeros(),
-                intended_mm: Vector3::zeros(),
-                pushes: Sides::default(),
                 described: config.feedforward.as_deref().map(FeedforwardState::new),
+                ..Transmission::default()
             },
             dynamics: config.dynamics.range(),
             feedback: Feedback::default(),

@@ -18,6 +18,7 @@ use crate::model::described::DescribedMachine;
 use crate::model::drive::Drive;
 use crate::model::transmission::{Line, Side};
 use crate::motion::DriveLimits;
+use crate::parameters;
 use crate::primitives::sample::ImuSample;
 use crate::primitives::units::{Mm, Seconds, Steps};
 use nalgebra::{Vector2, Vector3};
@@ -79,27 +80,33 @@ impl LoopConfig {
     }
 }
 
-/// Settings of the outer loop.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FeedbackConfig {
-    /// Closed-loop time constant τ_c, s.
-    pub tau_c_s: f64,
-    /// Upper bound of K_p.
-    pub kp_max: f64,
-    /// Bound of the integral part, rad.
-    pub integral_max_rad: f64,
-    /// Share of the lag that the feedforward compensates, 0..=1.
-    pub lead: f64,
-    /// Learn lag and dead time online.
-    pub learn_dynamics: bool,
-    /// Learn the static error of the model as a function of the bend.
-    pub learn_error: bool,
-    /// Learn how much of the backlash a reversal by feedback crosses.
-    pub learn_backlash: bool,
-    /// The standstill latch.
-    pub standstill: StandstillConfig,
-    /// The obstruction detector.
-    pub obstruction: ObstructionConfig,
+parameters! {
+    /// The outer loop: from the bend error to the bend command.
+    pub struct FeedbackConfig: Copy {
+        /// Closed-loop time constant: the error that the feedforward leaves falls to a third within this time. A larger
+        /// value is calmer and slower. A dead time raises it automatically.
+        tau_c_s: f64 = 0.1, "s", 0.01..=10.0, "0.1 is brisk, 0.5 is calm";
+        /// Upper limit of the proportional gain, rad of command per rad of error. A larger value drives a slow line harder
+        /// and passes more of the estimate's noise to the pistons.
+        kp_max: f64 = 2.0, "", 0.0..=10.0, "2 suits an estimate with 0.05° of noise";
+        /// Limit of the integral part, in degrees of bend. A larger value over-drives a lossy line further.
+        integral_max_deg: f64 = 60.0, "deg", 0.0..=180.0, "60 compensates for a line that has lost half of its gain";
+        /// Fraction of the lag by which the feedforward leads. 0 does not lead; more than 1 overshoots.
+        lead: f64 = 1.0, "", 0.0..=1.5, "1 leads by the whole lag";
+        /// Learns lag and dead time during operation.
+        learn_dynamics: bool = true;
+        /// Learns the static error of the model as a function of the bend; without it, every new target starts with the
+        /// feedback of the last.
+        learn_error: bool = true;
+        /// Learns how much of the backlash a reversal by feedback crosses; without it, all of it.
+        learn_backlash: bool = true;
+    }
+    set in code {
+        /// The standstill latch.
+        standstill: StandstillConfig = StandstillConfig::default();
+        /// The obstruction detector.
+        obstruction: ObstructionConfig = ObstructionConfig::default();
+    }
 }
 
 /// A target for the tip.
@@ -122,8 +129,8 @@ pub struct Reference {
     pub acceleration: Vector2<f64>,
 }
 
-/// Input of one tick.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Input of one tick; by default neither sample nor command.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Input {
     /// Time of the tick.
     pub t: Seconds,
@@ -141,22 +148,6 @@ pub struct Input {
     pub steps: Steps,
     /// Requests a new alignment because the base was turned.
     pub realign: bool,
-}
-
-impl Default for Input {
-    /// No sample and no command, at a period of 1 ms.
-    fn default() -> Self {
-        Self {
-            t: Seconds(0.0),
-            dt_s: 1e-3,
-            imu: ImuReading::Nothing,
-            base_imu: None,
-            command: None,
-            reference: None,
-            steps: Steps::default(),
-            realign: false,
-        }
-    }
 }
 
 /// State of the sensors.

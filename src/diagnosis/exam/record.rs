@@ -49,10 +49,7 @@ pub fn record(plant: &PlantConfig, lines: &[Line; 3], seed: u64, lab: bool) -> R
         command,
         piston_mm,
         imu: Some(imu),
-        base: None,
         reference: lab.then_some(reference),
-        pressure_kpa: None,
-        temp_c: None,
-        ignored: vec![],
+        ..BendLog::default()
     })
 }

@@ -4,7 +4,7 @@
 //! with a return to rest between them, and quick moves. The pistons follow Eq. 16 with the calibration on straight lines
 //! at the speed of the fastest piston, with rounded corners.
 
-use crate::diagnosis::excite::rows::Row;
+use crate::diagnosis::excite::rows::{Row, rounded};
 use crate::model::arc::Geometry;
 use crate::model::transmission::Line;
 use nalgebra::Vector3;
@@ -76,15 +76,4 @@ pub fn drive(rows: &[Row], lines: &[Line; 3], rounding: usize) -> (Vec<Vector3<f
         at = to;
     }
     (rounded(&path, rounding), command)
-}
-
-/// Moving average over a window of rows: corners become ramps of speed.
-fn rounded(path: &[Vector3<f64>], window: usize) -> Vec<Vector3<f64>> {
-    let mut sum = path[0] * window as f64;
-    (0..path.len())
-        .map(|k| {
-            sum += path[k] - path[k.saturating_sub(window)];
-            sum / window as f64
-        })
-        .collect()
 }

@@ -153,15 +153,20 @@ impl Driven {
     /// The same with a moving average over `window` instants: corners become ramps of speed.
     #[must_use]
     pub fn rounded(mut self, window: usize) -> Self {
-        let at = |k: usize| self.piston_mm.get(k).copied().unwrap_or_default();
-        let mut sum = at(0) * window as f64;
-        let mean = |k: usize| {
-            sum += at(k) - at(k.saturating_sub(window));
-            sum / window as f64
-        };
-        self.piston_mm = (0..self.piston_mm.len()).map(mean).collect();
+        self.piston_mm = rounded(&self.piston_mm, window);
         self
     }
+}
+
+/// The moving average of a path over the last `window` instants.
+#[must_use]
+pub fn rounded(path: &[Vector3<f64>], window: usize) -> Vec<Vector3<f64>> {
+    let mut sum = path.first().copied().unwrap_or_default() * window as f64;
+    let mean = |k: usize| {
+        sum += path[k] - path[k.saturating_sub(window)];
+        sum / window as f64
+    };
+    (0..path.len()).map(mean).collect()
 }
 
 /// A schedule as CSV text.

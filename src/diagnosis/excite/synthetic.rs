@@ -37,16 +37,12 @@ pub fn observed(machine: &Machine, driven: &Driven, tracker: bool, seed: u64) ->
         reference.push(Some(r * UnitQuaternion::from_scaled_axis(noise(NOISE[3]))));
     }
     let log = BendLog {
-        file: String::new(),
         t_s: driven.t_s.clone(),
         command: vec![Vector3::repeat(f64::NAN); driven.t_s.len()],
         piston_mm: driven.piston_mm.clone(),
         imu: Some(imu),
-        base: None,
         reference: tracker.then_some(reference),
-        pressure_kpa: None,
-        temp_c: None,
-        ignored: vec![],
+        ..BendLog::default()
     };
     Observed::new(&log, &machine.rig)
 }

@@ -5,7 +5,7 @@ use crate::diagnosis::map::file::MapFile;
 use serde::Serialize;
 
 /// RMSE in the unit of the output.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Default)]
 pub struct Figures {
     /// Nominal model, on held-out blocks.
     pub recalibrated: f64,
@@ -44,7 +44,7 @@ pub struct Entry {
 }
 
 /// The verdict.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Default)]
 pub struct MapVerdict {
     /// Kind.
     pub kind: VerdictKind,
@@ -66,7 +66,7 @@ pub struct Fresh {
 }
 
 /// The whole diagnosis.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Default)]
 pub struct Document {
     /// Version of this document.
     pub schema: u32,
@@ -89,21 +89,17 @@ pub struct Document {
 }
 
 impl Document {
-    /// The document of a log that does not determine the nominal model.
+    /// The document of a log that does not determine the nominal model: its verdict is `unknown`.
     #[must_use]
     pub fn empty(map: &MapFile) -> Self {
         Self {
             schema: 1,
             rig: "map",
             unit: map.output_unit.clone(),
-            gap: Figures { recalibrated: 0.0, explained: 0.0, noise_floor: 0.0 },
-            set: vec![],
-            effects: vec![],
-            verdict: MapVerdict { kind: VerdictKind::Unknown, names: vec![], equivalent: vec![] },
             notes: vec![
                 "the inputs do not determine the nominal model: they move together or not at all. Record them one by one".to_owned(),
             ],
-            fresh: vec![],
+            ..Self::default()
         }
     }
 }

@@ -33,7 +33,7 @@ const BIAS_SAMPLES: u32 = 100;
 const SAMPLES_MIN: u32 = 20;
 
 /// Result of a still stretch; vectors in the sensor frame, which is the base frame during alignment.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Alignment {
     /// Mean rate, rad/s.
     pub gyro_bias_rad_s: Vector3<f64>,
@@ -72,24 +72,17 @@ impl Alignment {
 }
 
 /// Why the window was restarted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum NotStill {
     /// The rate left its band.
+    #[error("the gyroscope measures rotation")]
     Turning,
     /// The specific force left its band.
+    #[error("the accelerometer measures vibration")]
     Shaking,
     /// The mean rate is too large to be bias.
+    #[error("the mean rate is too large for a gyroscope bias")]
     BiasTooLarge,
-}
-
-impl std::fmt::Display for NotStill {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Turning => "the gyroscope measures rotation",
-            Self::Shaking => "the accelerometer measures vibration",
-            Self::BiasTooLarge => "the mean rate is too large for a gyroscope bias",
-        })
-    }
 }
 
 /// Running mean and spread of a vector (Welford 1962).

@@ -69,7 +69,7 @@ pub enum BaseTracker {
 }
 
 /// Attitude since alignment.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Follow {
     rest: Alignment,
     q_rest_now: UnitQuaternion<f64>,
@@ -180,15 +180,11 @@ impl Follow {
         let level = UnitQuaternion::rotation_between(&(mount * rest.acc_rest_m_s2), tip_up).unwrap_or_default();
         Self {
             rest: *rest,
-            q_rest_now: UnitQuaternion::identity(),
             bias_rad_s: rest.gyro_bias_rad_s,
-            rate_rad_s: Vector3::zeros(),
             to_tip: level * mount,
             last_t_s: t_s,
-            slow_rate: Vector3::zeros(),
-            window: Window::default(),
-            before: None,
             mount_variance: MOUNT_SIGMA_RAD * MOUNT_SIGMA_RAD,
+            ..Self::default()
         }
     }
 

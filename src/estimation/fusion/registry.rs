@@ -15,7 +15,6 @@ use crate::estimation::fusion::mekf::{Mekf, MekfConfig};
 use crate::estimation::fusion::vqf::{Vqf, VqfConfig};
 use crate::named;
 use serde::{Deserialize, Serialize};
-use std::fmt;
 use std::ops::{Deref, DerefMut};
 use std::str::FromStr;
 
@@ -87,12 +86,6 @@ impl DerefMut for Filter {
 pub struct UnknownFilter {
     /// The name as given.
     pub name: String,
-}
-
-impl fmt::Display for FilterName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
 }
 
 impl FromStr for FilterName {

@@ -1,26 +1,19 @@
 //! The supported chips, and what a driver found on the bus.
 
-/// A chip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
-    /// TDK InvenSense ICM-20948: gyroscope and accelerometer.
-    Icm20948,
-    /// Asahi Kasei AK09916: the magnetometer inside the ICM-20948.
-    Ak09916,
-    /// ST LSM6DSO: gyroscope and accelerometer.
-    Lsm6dso,
-    /// ST LIS2MDL: magnetometer.
-    Lis2mdl,
-}
+use crate::named;
 
-impl std::fmt::Display for Part {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Icm20948 => "ICM-20948",
-            Self::Ak09916 => "AK09916",
-            Self::Lsm6dso => "LSM6DSO",
-            Self::Lis2mdl => "LIS2MDL",
-        })
+named! {
+    /// A chip.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Part {
+        /// TDK InvenSense ICM-20948: gyroscope and accelerometer.
+        Icm20948 = "ICM-20948",
+        /// Asahi Kasei AK09916: the magnetometer inside the ICM-20948.
+        Ak09916 = "AK09916",
+        /// ST LSM6DSO: gyroscope and accelerometer.
+        Lsm6dso = "LSM6DSO",
+        /// ST LIS2MDL: magnetometer.
+        Lis2mdl = "LIS2MDL",
     }
 }
 

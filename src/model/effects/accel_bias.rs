@@ -13,8 +13,7 @@
 //! `gravity` (the tip really sags), a tilted base and `mount_misalignment` (turns the other sensors
 //! too). Many attitudes separate it.
 
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Offset of the specific force.
 pub struct AccelBias;

@@ -15,9 +15,7 @@
 //! all channels) and, in orientation alone, `crosstalk` to both neighbours. Amplitudes of both signs and an
 //! offset of length, which shifts the corner, separate it.
 
-use crate::model::effects::smooth::magnitude;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Rounding of the corner, mm.
 const EDGE_MM: f64 = 0.3;

@@ -17,10 +17,7 @@
 //!
 //! Away from the event the error surface is flat in its time, so a fit has to search for the times.
 
-use crate::model::effects::param::join;
-use crate::model::effects::smooth::smoothstep;
-use crate::model::effects::{Effect, EffectInfo, Moment, Param, Stage, Starts};
-use nalgebra::{UnitQuaternion, Vector3};
+use crate::model::effects::prelude::*;
 
 /// Turns of the base at up to three times.
 pub struct BaseMotion;

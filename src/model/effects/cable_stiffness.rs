@@ -17,8 +17,7 @@
 //! Signature: two-fold in the direction δ. Similar to unequal k_ε (whose common-mode length
 //! leaks into bend), `crosstalk` and `clocking`. Length changes separate it.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
-use nalgebra::Matrix2;
+use crate::model::effects::prelude::*;
 
 /// Bend at which x is 1: 75°, rad.
 const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;

@@ -13,8 +13,8 @@
 //! base frame is refitted. Also similar to `crosstalk`. A full circle of δ separates it; a reference
 //! separates the common turn.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
-use nalgebra::{Matrix2x3, Matrix3, Vector3};
+use crate::model::effects::prelude::*;
+use nalgebra::{Matrix2x3, Matrix3};
 use std::f64::consts::TAU;
 
 /// Angular places of the bellows.

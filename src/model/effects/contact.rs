@@ -21,9 +21,7 @@
 //! `missed_steps` (which stays when the wall is left) and `cable_stiffness` (both sides alike). Approaching
 //! the same bend from another side separates it.
 
-use crate::model::effects::smooth::overshoot;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage, Starts};
-use nalgebra::Vector2;
+use crate::model::effects::prelude::*;
 use std::f64::consts::{FRAC_PI_4, TAU};
 
 /// Rounding of the corner, rad.

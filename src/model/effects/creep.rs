@@ -16,9 +16,7 @@
 //! with `leak` (drifts the other way and does not recover), `line_lag` (ends within a second or two),
 //! `thermal_drift` (follows the clock) and `hysteresis`. Hold, return, hold separates it.
 
-use crate::model::effects::smooth::share;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Time constant of the slow element over that of the fast one.
 const DECADE: f64 = 12.0;

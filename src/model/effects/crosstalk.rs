@@ -15,9 +15,7 @@
 //! orientation cannot tell the two apart. Also similar to `clocking`, `cable_stiffness` (both
 //! signs of pressure alike). Single-channel moves and the common-mode length separate it.
 
-use crate::model::effects::smooth::positive;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Play output over which the wall begins to bulge, mm.
 const EDGE_MM: f64 = 0.2;

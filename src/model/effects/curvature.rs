@@ -16,7 +16,7 @@
 //! Signature: an isotropic function of β. Similar to `stiffening` (depends on the length of
 //! each bellow, too) and `gravity`. Length changes or a shape sensor separate it.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
+use crate::model::effects::prelude::*;
 
 /// Bend at which x is 1: 75°, rad.
 const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;

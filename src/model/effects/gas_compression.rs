@@ -17,8 +17,7 @@
 //! three channels, without a corner. Similar to `asymmetry` (a corner at zero, different for each
 //! bellow) and `stiffening` (odd). A pressure signal or common-mode length changes separate it.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Boyle's law in place of a linear air spring.
 pub struct GasCompression;

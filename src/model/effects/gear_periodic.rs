@@ -16,9 +16,7 @@
 //! disturbance periodic in time, `hysteresis` of small loops and `motor_field` (which follows the
 //! motors too, but in the magnetometer alone). Two speeds separate it.
 
-use crate::model::effects::param::join;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 use std::f64::consts::{PI, TAU};
 
 /// Periodic transmission error of the three racks.

@@ -21,9 +21,8 @@
 
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
+use crate::model::effects::prelude::*;
 use crate::primitives::units::Mm;
-use nalgebra::{Vector2, Vector3};
 
 /// Sag under the tip's weight.
 pub struct Gravity;

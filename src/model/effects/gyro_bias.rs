@@ -14,8 +14,7 @@
 //! Signature: in the gyroscope only; the other sensors measure no motion. Similar to
 //! `thermal_drift` and `base_motion`, which the accelerometer measures. Still holds separate it.
 
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Times of the knots after the first, s.
 const KNOTS_S: [f64; 13] = [12.0, 30.0, 50.0, 75.0, 100.0, 125.0, 150.0, 175.0, 200.0, 225.0, 250.0, 275.0, 300.0];

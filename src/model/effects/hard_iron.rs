@@ -12,8 +12,7 @@
 //! Signature: in the magnetometer only, fixed to the body. Similar to `motor_field` (fixed
 //! in the world, follows the motors) and `torsion`. A tumble with the motors off separates it.
 
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Field of magnetised parts on the tip.
 pub struct HardIron;

@@ -22,9 +22,7 @@
 //! Similar to a wrong k_λ (one radius only), `creep` and `line_lag` (both depend on
 //! speed). Nested loops, slow and fast, separate it.
 
-use crate::model::effects::param::join;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Half-widths of the plays, mm of bellow length; two share a weight.
 const RADII_MM: [f64; 6] = [0.15, 0.4, 0.8, 1.4, 2.4, 4.0];

@@ -17,10 +17,7 @@
 //! `creep` (opposite sign, recovers) and `thermal_drift` (follows the clock). Long holds
 //! at two pressures and a return to zero separate it.
 
-use crate::model::effects::param::join;
-use crate::model::effects::smooth::{share, sign};
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Play output over which pressure turns into vacuum, mm.
 const EDGE_MM: f64 = 0.5;

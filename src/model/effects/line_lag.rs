@@ -15,10 +15,7 @@
 //! Signature: error in proportion to speed, gone in holds within seconds. Similar to
 //! `transport_delay` (no rounding), play and `creep` (slower). Steps and a chirp separate it.
 
-use crate::model::effects::param::join;
-use crate::model::effects::smooth::sign;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Gap over which filling turns into draining, mm.
 const EDGE_MM: f64 = 0.05;

@@ -20,10 +20,7 @@
 //! Orientation does not depend on the part that lengthens all bellows alike; of all parameters with the same
 //! orientations, those with the fewest channels are reported.
 
-use crate::model::effects::param::join;
-use crate::model::effects::smooth::onset;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// How long an event takes, 10 to 90 %, s.
 const RISE_S: f64 = 0.05;

@@ -28,6 +28,7 @@ pub mod missed_steps;
 pub mod motor_field;
 pub mod mount_misalignment;
 pub mod param;
+mod prelude;
 pub mod sensor_latency;
 pub mod smooth;
 pub mod softening;
@@ -257,7 +258,7 @@ pub fn catalogue() -> Vec<Box<dyn Effect>> {
         Box::new(gyro_bias::GyroBias),
         Box::new(accel_bias::AccelBias),
         Box::new(hard_iron::HardIron),
-        Box::new(motor_field::MotorField::default()),
+        Box::new(motor_field::MotorField),
         Box::new(mount_misalignment::MountMisalignment),
         Box::new(transport_delay::TransportDelay),
         Box::new(sensor_latency::SensorLatency),

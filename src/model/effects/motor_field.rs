@@ -19,9 +19,7 @@
 //! to the body, independent of the motors) and `gear_periodic` (moves the tip). Motors on and off while still separate it.
 
 use crate::model::drive::Drive;
-use crate::model::effects::param::join;
-use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Stage, Starts};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 use std::f64::consts::TAU;
 
 /// Microsteps of one electrical cycle: four full steps of sixteen.
@@ -31,16 +29,7 @@ const NAMES: [&str; 6] = ["cos_x", "cos_y", "cos_z", "sin_x", "sin_y", "sin_z"];
 
 /// Coil fields of three motors.
 #[derive(Debug, Clone, Copy)]
-pub struct MotorField {
-    /// Piston travel per microstep, mm.
-    pub step_mm: f64,
-}
-
-impl Default for MotorField {
-    fn default() -> Self {
-        Self { step_mm: Drive::default().step_mm }
-    }
-}
+pub struct MotorField;
 
 /// One component of a coil's field.
 const COIL: Param = Param::new("", "µT", 0.0, 3.0, (-40.0, 40.0));
@@ -77,7 +66,7 @@ impl Effect for MotorField {
     fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut ImuPrediction) {
         let mut field = Vector3::zeros();
         for (motor, u_mm) in p.chunks_exact(6).zip(at.counted_mm.iter()) {
-            let (sin, cos) = (TAU * u_mm / (CYCLE * self.step_mm)).sin_cos();
+            let (sin, cos) = (TAU * u_mm / (CYCLE * Drive::default().step_mm)).sin_cos();
             field += Vector3::new(motor[0], motor[1], motor[2]) * cos + Vector3::new(motor[3], motor[4], motor[5]) * sin;
         }
         reading.mag_ut += reading.r_base_sensor.inverse() * (field * current(p[18], p[19], at.idle_s));
@@ -99,18 +88,18 @@ mod tests {
 
     #[test]
     fn is_consistent() {
-        proof::is_consistent(&MotorField::default());
+        proof::is_consistent(&MotorField);
     }
 
     #[test]
     fn a_fit_recovers_it() {
         let mut truth: Vec<f64> = (0..18).map(|k| 6.0 * (1.7 * f64::from(k)).sin()).collect();
         truth.extend([0.3, 0.8]);
-        proof::is_recovered(&MotorField::default(), &truth);
+        proof::is_recovered(&MotorField, &truth);
     }
 
     fn field(u_mm: f64, idle_s: f64, r_base_sensor: UnitQuaternion<f64>) -> Vector3<f64> {
-        let e = MotorField::default();
+        let e = MotorField;
         let mut p = proof::with(&e, &[("idle", 0.4)]);
         p[6..12].copy_from_slice(&[5.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
         let zero = Vector3::zeros();

@@ -13,8 +13,7 @@
 //! `clocking` (in the IMU alone a turn of all bellows is the turn about z), a tilted base and `accel_bias`. A known
 //! rotation of the base separates it.
 
-use crate::model::effects::{Effect, EffectInfo, Param, Stage};
-use nalgebra::{UnitQuaternion, Vector3};
+use crate::model::effects::prelude::*;
 
 /// Constant turn from sensor to tip.
 pub struct MountMisalignment;

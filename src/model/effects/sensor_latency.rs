@@ -11,7 +11,7 @@
 //! Signature: all sensors are late by the same time; the tip itself is on time. Similar to
 //! `transport_delay` (tip and sensors late) and `line_lag` (rounds off). An outside reference separates it.
 
-use crate::model::effects::{Effect, EffectInfo, Param, Stage};
+use crate::model::effects::prelude::*;
 
 /// Dead time after the tip.
 pub struct SensorLatency;

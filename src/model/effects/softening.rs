@@ -24,9 +24,7 @@
 //! `stiffening` (does not depend on the past), `thermal_drift` and `creep` (continue inside the past
 //! maximum). A rising amplitude that is then repeated separates it.
 
-use crate::model::effects::param::join;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage, Starts};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Damage by the largest stretch so far, the same law for each bellow.
 pub struct Softening;

@@ -16,8 +16,7 @@
 //! `curvature` of third order. Also similar to `gas_compression` (even). An amplitude ladder at two
 //! lengths separates it.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Length change at which `extra` is the extra stiffness, mm.
 const REACH_MM: f64 = 5.0;

@@ -16,9 +16,7 @@
 //! `base_motion`. An idle hold and a repeated pose separate it. Orientation does not depend on the part that
 //! lengthens all bellows alike, sizes in proportion to 1 + k_ε: the prior determines it.
 
-use crate::model::effects::param::join;
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Stage};
-use nalgebra::Vector3;
+use crate::model::effects::prelude::*;
 
 /// Warming of the three lines towards a steady state.
 pub struct ThermalDrift;

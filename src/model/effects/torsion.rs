@@ -15,7 +15,7 @@
 //! the magnetometer, `hard_iron` and `mount_misalignment` (whose turn does not grow). A reference or a clean field
 //! separates it; in the accelerometer it shows as a turn of the in-plane part.
 
-use crate::model::effects::{Effect, EffectInfo, Memory, Moment, Param, Pose, Stage};
+use crate::model::effects::prelude::*;
 
 /// Turn about the tip's axis that grows with bend.
 pub struct Torsion;

@@ -11,7 +11,7 @@
 //! `sensor_latency` (differs only in the reference and in body-fixed disturbances) and
 //! `line_lag` (rounds off). A chirp separates it from the lag; an outside reference from the latency.
 
-use crate::model::effects::{Effect, EffectInfo, Param, Stage};
+use crate::model::effects::prelude::*;
 
 /// Dead time before the pistons.
 pub struct TransportDelay;

@@ -37,7 +37,7 @@ pub enum PulseAction {
 }
 
 /// The state machine.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct StepCore {
     timing: PulseTiming,
     limits: MotionLimits,
@@ -75,8 +75,9 @@ pub struct StepCore {
 }
 
 /// What follows a completed stop.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 enum AfterStop {
+    #[default]
     Rest,
     Fault(StepperFault),
     Finish,
@@ -91,32 +92,7 @@ impl StepCore {
     /// At rest at zero with the drivers released.
     #[must_use]
     pub fn new(timing: PulseTiming, limits: &MotionLimits, step_mm: f64) -> Self {
-        Self {
-            timing,
-            limits: *limits,
-            step_mm,
-            mode: StepperMode::Resting,
-            current: None,
-            stream: StepStream::new(step_mm, [0; 3]),
-            lines: [OutputLine::default(); 3],
-            levels: Levels::default(),
-            written: Levels::default(),
-            enable: false,
-            rewrite: false,
-            awake_ns: 0,
-            moved_ns: 0,
-            at: [MotionState::rest(0.0); 3],
-            counted: [0; 3],
-            epoch: 0,
-            after_stop: AfterStop::Rest,
-            inputs: Inputs::default(),
-            pressed: 0,
-            underruns: 0,
-            refused: 0,
-            lateness: Histogram::default(),
-            interval_error: Histogram::default(),
-            last_step_ns: [(0, 0); 3],
-        }
+        Self { timing, limits: *limits, step_mm, stream: StepStream::new(step_mm, [0; 3]), ..Self::default() }
     }
 
     /// The same with drivers that are already energised at `now_ns` and stay so until an order.

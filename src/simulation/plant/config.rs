@@ -5,6 +5,7 @@
 
 use crate::model::drive::Drive;
 use crate::primitives::frames::{Rotation, World};
+use crate::primitives::parameters::{Setting, Shape};
 use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::effects::{Effects, effect_names};
 use crate::simulation::plant::imu::chip::ImuConfig;
@@ -18,9 +19,12 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 
 /// One plant, fully described. Everything has a default; see each table.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PlantConfig {
+    /// Time of one tick, s. Default 0.001: the loop and the truth go on by a millisecond at a time,
+    /// the IMU answers at its own `imu.period_s`. Larger simulates faster and coarser.
+    pub period_s: f64,
     /// Motor, rack and pinion.
     pub drive: DriveConfig,
     /// Pneumatic transmission.
@@ -39,15 +43,36 @@ pub struct PlantConfig {
     pub spread: Spread,
 }
 
+impl Default for PlantConfig {
+    fn default() -> Self {
+        Self {
+            period_s: 0.001,
+            drive: DriveConfig::default(),
+            line: LineConfig::default(),
+            shape: ShapeConfig::default(),
+            base: BaseConfig::default(),
+            field: FieldConfig::default(),
+            imu: ImuConfig::default(),
+            effects: Effects::default(),
+            spread: Spread::default(),
+        }
+    }
+}
+
+/// The plant describes its own tables.
+impl Setting for PlantConfig {
+    const SHAPE: Shape = Shape::Opaque;
+}
+
 parameters! {
     /// Motor, rack and pinion.
     DriveConfig at "drive" {
         /// Piston travel per microstep, mm. Default 0.029452 (30 mm pinion, 200 full steps, 16
         /// microsteps). A larger value moves the piston further per step.
-        step_mm: f64 = Drive::default().step_mm, 1e-4..=1.0, "0.0295 is the paper's rack and pinion";
+        step_mm: f64 = Drive::default().step_mm, "", 1e-4..=1.0, "0.0295 is the paper's rack and pinion";
         /// Microsteps per full step of the motor. Default 16. Four full steps are one cycle of the coil
         /// currents, so a larger value makes the motors' field turn more slowly with the piston.
-        microsteps: f64 = 16.0, 1.0..=256.0, "16 is the paper's driver";
+        microsteps: f64 = 16.0, "", 1.0..=256.0, "16 is the paper's driver";
     }
 }
 
@@ -56,16 +81,16 @@ parameters! {
     LineConfig at "line" {
         /// Extension gain of each line for small signals, dimensionless: piston travel lost in the air
         /// per bellow travel. Default the paper's [2.22, 2.53, 2.21]. A larger value bends less.
-        k_epsilon: [f64; 3] = [2.22, 2.53, 2.21], 0.0..=20.0, "the paper found 2.2 to 2.5";
+        k_epsilon: [f64; 3] = [2.22, 2.53, 2.21], "", 0.0..=20.0, "the paper found 2.2 to 2.5";
         /// Half-width of each channel's play, mm of piston. Default the paper's [0.87, 0.92, 0.81].
         /// A larger value loses more at every reversal.
-        k_lambda_mm: [f64; 3] = [0.87, 0.92, 0.81], 0.0..=5.0, "the paper found 0.8 to 0.9 mm";
+        k_lambda_mm: [f64; 3] = [0.87, 0.92, 0.81], "", 0.0..=5.0, "the paper found 0.8 to 0.9 mm";
         /// Gauge pressure per mm of bellow elongation, kPa/mm. Default 3.2, which is 17 kPa at 75° of
         /// bend. A larger value makes every effect that depends on pressure act more.
-        kpa_per_mm: f64 = 3.2, 0.01..=50.0, "a nitrile bellow is near 3";
+        kpa_per_mm: f64 = 3.2, "", 0.01..=50.0, "a nitrile bellow is near 3";
         /// First-order lag from line to motion, s. Default 0.025; the nominal model allows 0.01 to 0.05.
         /// A larger value is slower.
-        lag_s: f64 = 0.025, 0.0..=1.0, "a lag above 0.05 s belongs to effects.line_lag";
+        lag_s: f64 = 0.025, "", 0.0..=1.0, "a lag above 0.05 s belongs to effects.line_lag";
     }
 }
 
@@ -74,12 +99,12 @@ parameters! {
     ShapeConfig at "shape" {
         /// Distance of each bellow from the centre line, mm. Default 4.0415 (triangle of side 7 mm).
         /// A larger value gives less bend for the same stroke.
-        r_mm: [f64; 3] = [7.0 / 3f64.sqrt(); 3], 1.0..=20.0, "side of the triangle / √3";
+        r_mm: [f64; 3] = [7.0 / 3f64.sqrt(); 3], "", 1.0..=20.0, "side of the triangle / √3";
         /// How far each bellow sits from its place at 0, 120 and 240°, degrees. Default 0. A larger value turns
         /// and skews the bend; what a whole batch is off by belongs to `effects.clocking` instead.
-        angle_deg: [f64; 3] = [0.0; 3], -40.0..=40.0, "a bellow cannot pass its neighbour";
+        angle_deg: [f64; 3] = [0.0; 3], "", -40.0..=40.0, "a bellow cannot pass its neighbour";
         /// Bellow length at atmospheric pressure, mm. Default 20. A larger value moves the tip further.
-        rest_length_mm: f64 = 20.0, 5.0..=100.0, "the paper's bellow is 14 to 29 mm";
+        rest_length_mm: f64 = 20.0, "", 5.0..=100.0, "the paper's bellow is 14 to 29 mm";
     }
 }
 
@@ -88,17 +113,17 @@ parameters! {
     BaseConfig at "base" {
         /// Heading of the base, degrees from magnetic north, left positive. Default 0. Only the
         /// magnetometer depends on it.
-        yaw_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
+        yaw_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
         /// Tilt from upright about the base's y axis, degrees. Default 0: the straight tip points up; 90
         /// holds it level, 180 hangs it down.
-        pitch_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
+        pitch_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
         /// Turn about the base's x axis before the tilt, degrees. Default 0.
-        roll_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
+        roll_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
         /// Whether the base carries an IMU of its own, built like the tip's. Default false.
-        imu: bool = false, 0.0..=1.0, "true or false";
+        imu: bool = false;
         /// How the axes of the IMU on the base are turned against those of the tip's at rest, a rotation vector in degrees.
         /// Default 0. The controller does not know it: what it takes for a turn of the base is turned by as much.
-        imu_mount_deg: [f64; 3] = [0.0; 3], -10.0..=10.0, "within 3° is the plant link's rule";
+        imu_mount_deg: [f64; 3] = [0.0; 3], "", -10.0..=10.0, "within 3° is the plant link's rule";
     }
 }
 
@@ -107,10 +132,10 @@ parameters! {
     FieldConfig at "field" {
         /// Strength, µT. Default 48. A larger value makes every disturbance of the magnetometer smaller in
         /// comparison.
-        strength_ut: f64 = 48.0, 0.0..=1000.0, "the Earth's is 25 to 65 µT";
+        strength_ut: f64 = 48.0, "", 0.0..=1000.0, "the Earth's is 25 to 65 µT";
         /// Dip below the horizon, degrees. Default 65 (central Europe). A larger value leaves less of the field
         /// for the heading.
-        dip_deg: f64 = 65.0, -90.0..=90.0, "straight down is 90";
+        dip_deg: f64 = 65.0, "", -90.0..=90.0, "straight down is 90";
     }
 }
 
@@ -132,6 +157,12 @@ impl FieldConfig {
 }
 
 impl PlantConfig {
+    /// The make of the units that this configuration describes.
+    #[must_use]
+    pub fn make(&self) -> Self {
+        self.clone()
+    }
+
     /// Checks every parameter against the range that the physics supports.
     ///
     /// # Errors

@@ -30,14 +30,12 @@ pub(crate) struct LineFaults {
 impl LineFaults {
     /// Opens a leak on a channel (from 0) in addition to others.
     pub(crate) fn leak(&mut self, channel: usize, rate_per_s: f64) {
-        self.leaking.get_or_insert_with(|| Leaking::new(Leak::plain([0.0; 3]))).set_rate(channel, rate_per_s);
+        self.leaking.get_or_insert_with(|| Leaking::new(Leak::CLOSED)).config.rate_per_s[channel] = rate_per_s;
     }
     /// Ends all faults; air that has escaped does not return.
     pub(crate) fn clear(&mut self) {
         self.blocked = [false; 3];
-        if let Some(leaking) = &mut self.leaking {
-            (0..3).for_each(|channel| leaking.set_rate(channel, 0.0));
-        }
+        self.leaking.iter_mut().for_each(|leaking| leaking.config = Leak::CLOSED);
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::control::tick::{Frame, Input, TickPhase, tick};
 use crate::estimation::fusion::health::CauseSet;
+use crate::model::arc::Shape;
 use crate::model::bend::Bend;
 use crate::primitives::units::{Seconds, Steps};
 use crate::supervisor::cycle::order::Order;
@@ -11,7 +12,7 @@ use crate::supervisor::cycle::types::CycleOutput;
 use crate::supervisor::gate::{Following, GateInput, SafeState, TripCause};
 use crate::supervisor::machine::{Alarm, Sensed};
 use crate::supervisor::mode::{Event, Mode};
-use crate::supervisor::residual_monitor::{ResidualInput, bellows};
+use crate::supervisor::residual_monitor::ResidualInput;
 use nalgebra::{Vector2, Vector3};
 
 impl Supervisor {
@@ -146,7 +147,7 @@ impl Supervisor {
         let open_loop = matches!(self.mode, ModeState::Calibrating { feedback: Some(_) });
         let must_follow = armed && !open_loop && !frame.senses.held;
         let geometry = &self.config.tick.geometry;
-        let stretch_mm = frame.setpoint.length.0 - geometry.rest_length_mm;
+        let bellow_mm = |bend| geometry.lengths(&Shape { bend, length: frame.setpoint.length }).into();
         let setpoint = frame.setpoint.bend.0.into();
         GateInput {
             dt_s,
@@ -154,7 +155,7 @@ impl Supervisor {
             counted: sensed.counted,
             counted_age_s: sensed.counted_age_s,
             armed,
-            estimated_bellow_mm: frame.estimate.map(|e| bellows(geometry, &e.bend.0, stretch_mm).into()),
+            estimated_bellow_mm: frame.estimate.map(|e| bellow_mm(e.bend)),
             following: frame.estimate.filter(|_| must_follow).map(|e| Following { setpoint, estimate: e.bend.0.into() }),
             stale_s: self.sensors.blind_s,
             disagree: frame.senses.disagrees,

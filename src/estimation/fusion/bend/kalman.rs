@@ -40,7 +40,7 @@ impl Innovation {
 pub(super) type StateVector = SMatrix<f64, N, 1>;
 
 /// Estimate and covariance. The first three entries are an error that is zero between corrections.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct KalmanState {
     /// Estimate.
     pub x: StateVector,

@@ -40,7 +40,7 @@ pub(super) struct Reacquisition {
 }
 
 /// The filter: estimate, covariance and averaged innovations.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct BendFilter {
     pub(super) config: BendFilterConfig,
     pub(super) alignment: Alignment,
@@ -83,20 +83,11 @@ impl BendFilter {
         Self {
             config: *config,
             alignment: *alignment,
-            s: UnitQuaternion::identity(),
             kalman,
-            acc: Innovation::default(),
-            mag: Innovation::default(),
-            rate: Innovation::default(),
-            since_correction_s: 0.0,
-            rate_rad_s: 0.0,
             gravity_nis: 1.0,
             field_nis: 1.0,
             field_error_ut2: (config.field_error * alignment.mag_rest_ut.map_or(0.0, |m| m.norm())).powi(2),
-            twist_nis: 0.0,
-            velocity_m_s: [Vector3::zeros(); 2],
-            correction: Vector2::zeros(),
-            reacquisition: Reacquisition::default(),
+            ..Self::default()
         }
     }
 

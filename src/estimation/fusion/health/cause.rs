@@ -72,12 +72,6 @@ impl HealthCause {
     }
 }
 
-impl std::fmt::Display for HealthCause {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
 /// A set of causes in one machine word.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct CauseSet(u16);

@@ -123,19 +123,7 @@ impl SensorMonitor {
         if gyro {
             self.used_s = Some(now);
         }
-        let (raised, confirmed, recovered) = (CauseSet::EMPTY, false, None);
-        HealthVerdict {
-            gyro,
-            acc: acc && gyro,
-            mag: mag && gyro,
-            hold: hold || blind,
-            blind,
-            faults,
-            in_force,
-            raised,
-            confirmed,
-            recovered,
-        }
+        HealthVerdict { gyro, acc: acc && gyro, mag: mag && gyro, hold: hold || blind, blind, faults, in_force, ..HealthVerdict::default() }
     }
 }
 

@@ -39,13 +39,14 @@ impl Default for Quality {
 }
 
 /// What the sensor delivered in one tick.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub enum ImuReading {
     /// A sample, in the sensor frame.
     Sample(ImuSample, Quality),
     /// The transfer failed.
     Failed(ReadFault),
     /// No sample was due, or none arrived.
+    #[default]
     Nothing,
 }
 

@@ -27,7 +27,7 @@ pub struct Recovered {
 }
 
 /// What may be done with one reading.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct HealthVerdict {
     /// The filter may integrate the gyroscope.
     pub gyro: bool,

@@ -50,7 +50,7 @@ pub struct Flow {
 }
 
 /// A symmetric 20 x 20 covariance.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct Covariance(SMatrix<f64, DIM, DIM>);
 
 impl Covariance {

@@ -71,7 +71,7 @@ struct Estimate {
 }
 
 /// The filter and its state.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Mekf {
     config: MekfConfig,
     estimate: Estimate,
@@ -91,18 +91,8 @@ impl Mekf {
     #[must_use]
     pub fn new(config: MekfConfig) -> Self {
         let estimate = Estimate { latency_s: config.latency_ms * 1e-3, ..Estimate::default() };
-        Self {
-            config,
-            estimate,
-            covariance: Covariance::from_sigmas(&first_sigmas(&config)),
-            block: Block::default(),
-            standstill: StandstillDetector::default(),
-            rate: Vector3::zeros(),
-            last_mag: None,
-            misfit_ut2: 0.0,
-            levelled: false,
-            disturbed: false,
-        }
+        let covariance = Covariance::from_sigmas(&first_sigmas(&config));
+        Self { config, estimate, covariance, ..Self::default() }
     }
 
     /// Estimated hard iron in sensor axes, µT.

@@ -7,7 +7,7 @@ parameters! {
     AccScale at "effects.outside.acc_scale" sized by share {
         /// Excess of each axis, as a share. Default 0; the data sheet allows ±0.005, plausible up to
         /// ±0.15. A larger value tilts the vertical more between attitudes.
-        share: [f64; 3] = [0.0; 3], -0.5..=0.5, "up to ±0.15 is plausible";
+        share: [f64; 3] = [0.0; 3], "", -0.5..=0.5, "up to ±0.15 is plausible";
     }
 }
 

@@ -8,7 +8,7 @@ parameters! {
     /// `[effects.accel_bias]`
     AccelBias at "effects.accel_bias" sized by bias_mg {
         /// Offset b of each axis, mg. Default 0 (none); typical 10 to 100. 17 mg tilt the vertical by 1°.
-        bias_mg: [f64; 3] = [0.0; 3], -500.0..=500.0, "10 to 100 mg is typical";
+        bias_mg: [f64; 3] = [0.0; 3], "", -500.0..=500.0, "10 to 100 mg is typical";
     }
 }
 

@@ -11,9 +11,9 @@ parameters! {
         /// Half the difference of the two stiffnesses over their mean, a. Positive: elongation is
         /// stiffer. Default 0 (none); typical ±0.03 to 0.25 (5 to 40 % between the two sides). A larger value
         /// differs more.
-        share: f64 = 0.0, -0.8..=0.8, "±0.25 is a lot";
+        share: f64 = 0.0, "", -0.8..=0.8, "±0.25 is a lot";
         /// Length change s over which one turns into the other, mm. Default 0.6. A larger value is smoother.
-        knee_mm: f64 = 0.6, 0.01..=10.0, "0.6 is typical";
+        knee_mm: f64 = 0.6, "", 0.01..=10.0, "0.6 is typical";
     }
 }
 

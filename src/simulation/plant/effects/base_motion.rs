@@ -13,17 +13,17 @@ parameters! {
     BaseMotion at "effects.base_motion" sized by angle_deg, sway_deg {
         /// Angle that the base turns by, degrees. Default 0 (none); typical 1 to 10. A larger value turns
         /// further.
-        angle_deg: f64 = 0.0, -180.0..=180.0, "1 to 10 is typical";
+        angle_deg: f64 = 0.0, "", -180.0..=180.0, "1 to 10 is typical";
         /// Axis of the turn in the world, any length. Default [0, 1, 0].
-        axis: [f64; 3] = [0.0, 1.0, 0.0], -1e3..=1e3, "a direction";
+        axis: [f64; 3] = [0.0, 1.0, 0.0], "", -1e3..=1e3, "a direction";
         /// When the turn begins, s. Default 15.
-        at_s: f64 = 15.0, 0.0..=1e9, "seconds since the start";
+        at_s: f64 = 15.0, "", 0.0..=1e9, "seconds since the start";
         /// How long it takes, s. Default 6. A larger value is slower.
-        over_s: f64 = 6.0, 0.05..=1e6, "some seconds are typical";
+        over_s: f64 = 6.0, "", 0.05..=1e6, "some seconds are typical";
         /// Sway about the same axis, degrees. Default 0; typical 0 to 2. A larger value moves more.
-        sway_deg: f64 = 0.0, -30.0..=30.0, "a degree or two is typical";
+        sway_deg: f64 = 0.0, "", -30.0..=30.0, "a degree or two is typical";
         /// Period of the sway, s. Default 7. There is no sway during the first 3 s.
-        sway_period_s: f64 = 7.0, 0.2..=1e6, "some seconds are typical";
+        sway_period_s: f64 = 7.0, "", 0.2..=1e6, "some seconds are typical";
     }
 }
 
@@ -40,7 +40,7 @@ impl PlantEffect for BaseMotion {
         }
     }
     fn consistent(&self) -> Result<(), PlantError> {
-        range("effects.base_motion.axis length", Vector3::from(self.axis).norm(), &(1e-3..=1e4), "a direction has a length")
+        range("effects.base_motion.axis length", Vector3::from(self.axis).norm(), 1e-3..=1e4, "a direction has a length")
     }
 }
 

@@ -9,13 +9,13 @@ parameters! {
     BubbleJump at "effects.outside.bubble_jump" sized by change {
         /// Change of the line's compliance, as a share of it. Default 0 (none); plausible ±0.2 to 0.6.
         /// A larger value jumps further.
-        change: f64 = 0.0, -0.95..=5.0, "a share of k_ε";
+        change: f64 = 0.0, "", -0.95..=5.0, "a share of k_ε";
         /// Channel of the line, 1 to 3. Default 1.
-        channel: usize = 1, CHANNELS, "channels are counted from 1 to 3";
+        channel: usize = 1, "", 1..=3, "channels are counted from 1 to 3";
         /// When it happens, s. Default 20.
-        at_s: f64 = 20.0, 0.0..=1e9, "seconds since the start";
+        at_s: f64 = 20.0, "", 0.0..=1e9, "seconds since the start";
         /// When it goes back, s. Default 1e9 (never).
-        until_s: f64 = 1e9, 0.0..=1e12, "seconds since the start";
+        until_s: f64 = 1e9, "", 0.0..=1e12, "seconds since the start";
     }
 }
 

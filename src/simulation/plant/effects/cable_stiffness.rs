@@ -11,11 +11,11 @@ parameters! {
     CableStiffness at "effects.cable_stiffness" sized by share {
         /// Share c of the bend that the cable takes back in its own plane, mean of both ways. Default 0
         /// (none); typical 0.05 to 0.4. A larger value bends less in that plane.
-        share: f64 = 0.0, 0.0..=0.48, "0.05 to 0.4 is typical";
+        share: f64 = 0.0, "", 0.0..=0.48, "0.05 to 0.4 is typical";
         /// Bend direction in which the cable is pulled taut, degrees. Default 0.
-        direction_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
+        direction_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
         /// How much stiffer it is pulled taut than buckled, 0 to 1. Default 0.35. A larger value differs more.
-        one_sided: f64 = 0.35, 0.0..=1.0, "0 resists alike both ways";
+        one_sided: f64 = 0.35, "", 0.0..=1.0, "0 resists alike both ways";
     }
 }
 
@@ -44,28 +44,31 @@ impl Cable {
         let (sin, cos) = config.direction_deg.to_radians().sin_cos();
         Self { side: Vector2::new(cos, sin), share: config.share, one_sided: config.one_sided }
     }
-    /// Bend that the cable takes back, rad.
-    pub(crate) fn held_back(&self, bend: &Vector2<f64>) -> Vector2<f64> {
-        let x = bend.dot(&self.side);
-        let y = x / KNEE;
-        self.side * (self.share * x * (1.0 + self.one_sided * y / (1.0 + y * y).sqrt()))
-    }
 }
 
 impl Law for Cable {
     fn bend(&mut self, bend: &mut Vector2<f64>, _section: &SectionState) {
-        *bend -= self.held_back(bend);
+        let x = bend.dot(&self.side);
+        let y = x / KNEE;
+        *bend -= self.side * (self.share * x * (1.0 + self.one_sided * y / (1.0 + y * y).sqrt()));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::primitives::frames::Rotation;
 
     #[test]
     fn the_cable_acts_both_ways_and_more_when_taut() {
-        let c = Cable::new(&CableStiffness { share: 0.2, direction_deg: 30.0, one_sided: 0.3 });
-        let along = |deg: f64| c.held_back(&Vector2::new(deg.to_radians().cos(), deg.to_radians().sin())).norm();
+        let section = SectionState { t: 0.0, length_mm: 20.0, longer_mm: 0.0, r_world_plate: Rotation::identity() };
+        let mut c = Cable::new(&CableStiffness { share: 0.2, direction_deg: 30.0, one_sided: 0.3 });
+        let mut along = |deg: f64| {
+            let free = Vector2::new(deg.to_radians().cos(), deg.to_radians().sin());
+            let mut bend = free;
+            c.bend(&mut bend, &section);
+            (free - bend).norm()
+        };
         assert!(along(120.0) < 1e-12 && along(300.0) < 1e-12);
         assert!(along(30.0) > along(210.0) && along(210.0) > 0.13);
     }

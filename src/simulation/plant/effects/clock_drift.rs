@@ -7,7 +7,7 @@ parameters! {
     ClockDrift at "effects.outside.clock_drift" sized by per_mille {
         /// How much faster the sensor's clock runs, parts per thousand. Default 0; plausible ±3 to 30.
         /// A larger value makes the time stamps run away, and the angles that are integrated by them.
-        per_mille: f64 = 0.0, -200.0..=200.0, "tens at most are plausible";
+        per_mille: f64 = 0.0, "", -200.0..=200.0, "tens at most are plausible";
     }
 }
 

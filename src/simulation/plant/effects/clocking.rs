@@ -9,9 +9,9 @@ parameters! {
     Clocking at "effects.clocking" sized by offset_deg {
         /// How far each bellow is turned about the axis, ζ, degrees. Default 0; typical 1 to 20 on one or
         /// on all alike. All alike turn the bend's direction; one alone skews it as well.
-        offset_deg: [f64; 3] = [0.0; 3], -40.0..=40.0, "a bellow cannot pass its neighbour";
+        offset_deg: [f64; 3] = [0.0; 3], "", -40.0..=40.0, "a bellow cannot pass its neighbour";
         /// Share w that a stretch by 5 mm adds. Default 0.08. A larger value wanders more.
-        wander: f64 = 0.08, -1.0..=1.0, "a share of the offset";
+        wander: f64 = 0.08, "", -1.0..=1.0, "a share of the offset";
     }
 }
 

@@ -11,17 +11,17 @@ parameters! {
     Contact at "effects.contact" sized by block {
         /// How much of the wall there is, 0 to 1. Default 0 (none); 1 is tissue against the whole tip.
         /// A larger value holds back more.
-        block: f64 = 0.0, 0.0..=1.0, "1 is the whole wall";
+        block: f64 = 0.0, "", 0.0..=1.0, "1 is the whole wall";
         /// Bend direction in which the wall lies, degrees. Default 0.
-        direction_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
+        direction_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
         /// Bend at which the tip meets it, degrees. Default 30. A larger value is met later.
-        at_deg: f64 = 30.0, 1.0..=180.0, "the wall stands off the resting tip";
+        at_deg: f64 = 30.0, "", 1.0..=180.0, "the wall stands off the resting tip";
         /// Give g of the wall, degrees of bend. Default 6. A larger value is softer.
-        give_deg: f64 = 6.0, 0.1..=90.0, "6 is soft tissue";
+        give_deg: f64 = 6.0, "", 0.1..=90.0, "6 is soft tissue";
         /// Friction μ along the wall. Default 0.3. A larger value sticks more.
-        friction: f64 = 0.3, 0.0..=2.0, "0.3 is wet tissue";
+        friction: f64 = 0.3, "", 0.0..=2.0, "0.3 is wet tissue";
         /// When the wall goes away, s. Default never. A larger value leaves it for longer.
-        until_s: f64 = 1e9, 0.0..=1e9, "seconds since the start";
+        until_s: f64 = 1e9, "", 0.0..=1e9, "seconds since the start";
     }
 }
 

@@ -10,10 +10,10 @@ parameters! {
     Crosstalk at "effects.crosstalk" sized by share {
         /// Elongation given to each neighbour per elongation, c. Default 0 (none); typical 0.01 to 0.3.
         /// A larger value bends less and lengthens more.
-        share: f64 = 0.0, -0.4..=0.4, "more than that and the lines feed each other";
+        share: f64 = 0.0, "", -0.4..=0.4, "more than that and the lines feed each other";
         /// How much nearer a lumen lies to the next channel than to the one before, −1 to 1. Default
         /// 0.25. A larger value turns the bend more to one side.
-        lopsided: f64 = 0.25, -1.0..=1.0, "1 reaches one neighbour only";
+        lopsided: f64 = 0.25, "", -1.0..=1.0, "1 reaches one neighbour only";
     }
 }
 

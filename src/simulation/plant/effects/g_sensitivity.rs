@@ -7,7 +7,7 @@ parameters! {
     GSensitivity at "effects.outside.g_sensitivity" sized by deg_s_per_g {
         /// Rate that each axis of the gyroscope reads under 1 g along it, °/s. Default 0; plausible ±0.1
         /// to 3. A larger value makes the bias depend on attitude.
-        deg_s_per_g: [f64; 3] = [0.0; 3], -50.0..=50.0, "a few °/s are plausible";
+        deg_s_per_g: [f64; 3] = [0.0; 3], "", -50.0..=50.0, "a few °/s are plausible";
     }
 }
 

@@ -11,15 +11,15 @@ parameters! {
     GearPeriodic at "effects.gear_periodic" sized by amplitude_mm {
         /// Amplitude A of the rack's position error, mm. Default 0 (none); typical 0.02 to 0.3. A larger value
         /// ripples more.
-        amplitude_mm: f64 = 0.0, 0.0..=2.0, "tenths of a mm at most are typical";
+        amplitude_mm: f64 = 0.0, "", 0.0..=2.0, "tenths of a mm at most are typical";
         /// Pitch p, mm of rack per tooth. Default π (module 1). A larger value gives a longer ripple.
-        pitch_mm: f64 = PI, 0.1..=100.0, "π times the module";
+        pitch_mm: f64 = PI, "", 0.1..=100.0, "π times the module";
         /// Where each pinion stands in its tooth at rest, degrees. Default [0, 120, 240].
-        phase_deg: [f64; 3] = [0.0, 120.0, 240.0], -360.0..=360.0, "one tooth is 360°";
+        phase_deg: [f64; 3] = [0.0, 120.0, 240.0], "", -360.0..=360.0, "one tooth is 360°";
         /// Skew s of the flank, 0 to 1. Default 0.4. A larger value is further from a sine.
-        skew: f64 = 0.4, 0.0..=1.0, "beyond 1 the flank folds over";
+        skew: f64 = 0.4, "", 0.0..=1.0, "beyond 1 the flank folds over";
         /// Variation v from tooth to tooth, 0 to 1. Default 0.2. A larger value repeats less exactly.
-        variation: f64 = 0.2, 0.0..=1.0, "a share of the amplitude";
+        variation: f64 = 0.2, "", 0.0..=1.0, "a share of the amplitude";
     }
 }
 

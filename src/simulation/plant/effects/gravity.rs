@@ -13,10 +13,10 @@ parameters! {
     Gravity at "effects.gravity" sized by sag_deg {
         /// Sag of the straight tip when the base is held level, degrees. Default 0 (none); typical 1 to
         /// 10 (the paper's tip weighs 2.6 g). A larger value follows the vertical more.
-        sag_deg: f64 = 0.0, 0.0..=25.0, "1 to 10 is typical";
+        sag_deg: f64 = 0.0, "", 0.0..=25.0, "1 to 10 is typical";
         /// Where the weight sits beyond the tip plate, mm. Default 5. A larger value makes a bent tip heavier
         /// compared with a straight one.
-        com_mm: f64 = 5.0, 0.0..=50.0, "half the length of the rigid tip";
+        com_mm: f64 = 5.0, "", 0.0..=50.0, "half the length of the rigid tip";
     }
 }
 

@@ -10,11 +10,11 @@ parameters! {
     GyroBias at "effects.gyro_bias" sized by warm_up_deg_s, wander_deg_s {
         /// Change b of the bias by the end of the warm-up, °/s per axis. Default 0 (none); typical 0.1
         /// to 5. A larger value turns the integrated attitude faster.
-        warm_up_deg_s: [f64; 3] = [0.0; 3], -50.0..=50.0, "0.1 to 5 °/s is typical";
+        warm_up_deg_s: [f64; 3] = [0.0; 3], "", -50.0..=50.0, "0.1 to 5 °/s is typical";
         /// Time constant τ of the warm-up, s. Default 40. A larger value drifts for longer.
-        over_s: f64 = 40.0, 0.1..=1e6, "a minute or so is typical";
+        over_s: f64 = 40.0, "", 0.1..=1e6, "a minute or so is typical";
         /// Standard deviation of the wander, °/s. Default 0. A larger value is less predictable.
-        wander_deg_s: f64 = 0.0, 0.0..=20.0, "tenths of °/s are typical";
+        wander_deg_s: f64 = 0.0, "", 0.0..=20.0, "tenths of °/s are typical";
     }
 }
 
@@ -42,17 +42,13 @@ impl Drifting {
         let start = wander.step(0.0, &mut rng);
         Self { config, wander, rng, start }
     }
-    /// Bias at time `t`, `dt_s` after the last, rad/s.
-    pub(crate) fn rate(&mut self, t: f64, dt_s: f64) -> Vector3<f64> {
-        let warm = -(-(t / self.config.over_s).powf(0.7)).exp_m1();
-        let drift = Vector3::from(self.config.warm_up_deg_s).map(f64::to_radians) * warm;
-        drift + self.wander.step(dt_s, &mut self.rng) - self.start
-    }
 }
 
 impl Law for Drifting {
     fn sensor(&mut self, stimulus: &mut Stimulus, at: &Moment) {
-        stimulus.rate += self.rate(at.t, at.dt_s);
+        let warm = -(-(at.t / self.config.over_s).powf(0.7)).exp_m1();
+        let drift = Vector3::from(self.config.warm_up_deg_s).map(f64::to_radians) * warm;
+        stimulus.rate += drift + self.wander.step(at.dt_s, &mut self.rng) - self.start;
     }
 }
 
@@ -63,8 +59,13 @@ mod tests {
     #[test]
     fn the_drift_starts_at_zero_and_ends_at_its_size() {
         let mut d = Drifting::new(GyroBias { warm_up_deg_s: [1.0, 0.0, -2.0], ..GyroBias::default() }, 1);
-        assert_eq!(d.rate(0.0, 0.0).norm(), 0.0);
-        let end = d.rate(5000.0, 1.0).map(f64::to_degrees);
+        let mut rate = |t: f64, dt_s: f64| {
+            let mut stimulus = Stimulus::default();
+            d.sensor(&mut stimulus, &Moment { t, dt_s });
+            stimulus.rate
+        };
+        assert_eq!(rate(0.0, 0.0).norm(), 0.0);
+        let end = rate(5000.0, 1.0).map(f64::to_degrees);
         assert!((end - Vector3::new(1.0, 0.0, -2.0)).norm() < 1e-9);
     }
 }

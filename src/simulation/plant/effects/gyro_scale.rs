@@ -7,7 +7,7 @@ parameters! {
     GyroScale at "effects.outside.gyro_scale" sized by share {
         /// Excess of each axis, as a share. Default 0; the data sheet allows ±0.015, plausible up to
         /// ±0.15. A larger value integrates to wronger angles.
-        share: [f64; 3] = [0.0; 3], -0.5..=0.5, "up to ±0.15 is plausible";
+        share: [f64; 3] = [0.0; 3], "", -0.5..=0.5, "up to ±0.15 is plausible";
     }
 }
 

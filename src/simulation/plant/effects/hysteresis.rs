@@ -13,18 +13,18 @@ parameters! {
     Hysteresis at "effects.hysteresis" sized by share {
         /// Share h of the motion that the plies take up until they yield. Default 0 (none); typical 0.1
         /// to 0.6, which makes loops 5 to 30 % of the range wide. A larger value gives wider loops.
-        share: f64 = 0.0, 0.0..=0.75, "beyond 0.75 the bellow would move backwards";
+        share: f64 = 0.0, "", 0.0..=0.75, "beyond 0.75 the bellow would move backwards";
         /// Typical yield strain, mm of bellow. Default 1. A larger value needs longer reversals to cross the
         /// loop.
-        yield_mm: f64 = 1.0, 0.01..=10.0, "around 1 mm is typical";
+        yield_mm: f64 = 1.0, "", 0.01..=10.0, "around 1 mm is typical";
         /// Spread of the yields, standard deviation of their logarithm. Default 0.7. A larger value rounds the
         /// loop.
-        spread: f64 = 0.7, 0.05..=2.0, "0.7 is typical";
+        spread: f64 = 0.7, "", 0.05..=2.0, "0.7 is typical";
         /// Yield on the way back as a share of that on the way out, κ. Default 0.8. Further from 1
         /// shifts the loop aside.
-        back: f64 = 0.8, 0.1..=2.0, "1 yields alike both ways";
+        back: f64 = 0.8, "", 0.1..=2.0, "1 yields alike both ways";
         /// How much wider loops are on the long side, η. Default 0.25. A larger value differs more.
-        long_side: f64 = 0.25, -0.3..=0.3, "0.25 is typical";
+        long_side: f64 = 0.25, "", -0.3..=0.3, "0.25 is typical";
     }
 }
 
@@ -73,12 +73,13 @@ impl Plies {
             config,
         }
     }
+}
 
-    /// What is left of the elongations `q_mm` after the plies took theirs.
-    pub(crate) fn step(&mut self, q_mm: &Vector3<f64>) -> Vector3<f64> {
-        let moved = q_mm - self.last_mm;
+impl Law for Plies {
+    fn bellows(&mut self, q_mm: &mut Vector3<f64>, _at: &Moment) {
+        let moved = *q_mm - self.last_mm;
         self.last_mm = *q_mm;
-        Vector3::from_fn(|i, _| {
+        for i in 0..3 {
             let mut taken = 0.0;
             for j in 0..PLIES {
                 let e = (self.strain_mm[i][j] + moved[i]).clamp(-self.config.back * self.yield_mm[j], self.yield_mm[j]);
@@ -86,14 +87,8 @@ impl Plies {
                 taken += self.weight[j] * e;
             }
             let x = q_mm[i] / LONG_MM;
-            q_mm[i] - self.config.share * (1.0 + self.config.long_side * x / (1.0 + x * x).sqrt()) * taken
-        })
-    }
-}
-
-impl Law for Plies {
-    fn bellows(&mut self, q_mm: &mut Vector3<f64>, _at: &Moment) {
-        *q_mm = self.step(q_mm);
+            q_mm[i] -= self.config.share * (1.0 + self.config.long_side * x / (1.0 + x * x).sqrt()) * taken;
+        }
     }
 }
 
@@ -108,7 +103,12 @@ mod tests {
                 let n = 400;
                 let from = at;
                 at = to;
-                (1..=n).map(|k| plies.step(&Vector3::repeat(from + (to - from) * f64::from(k) / f64::from(n))).x).last().unwrap()
+                let mut left = |mm: f64| {
+                    let mut q_mm = Vector3::repeat(mm);
+                    plies.bellows(&mut q_mm, &Moment { t: 0.0, dt_s: 0.001 });
+                    q_mm.x
+                };
+                (1..=n).map(|k| left(from + (to - from) * f64::from(k) / f64::from(n))).last().unwrap()
             })
             .collect()
     }

@@ -11,12 +11,12 @@ parameters! {
     Leak at "effects.leak" sized by rate_per_s {
         /// Share of the held displacement that each line loses per second while pressure is small, 1/s.
         /// Default 0 (none); typical 1e-5 to 0.1. A larger value decays faster in holds.
-        rate_per_s: [f64; 3] = [0.0; 3], 0.0..=1000.0, "0.1 empties a line within half a minute";
+        rate_per_s: [f64; 3] = [0.0; 3], "", 0.0..=1000.0, "0.1 empties a line within half a minute";
         /// Pressure p_t at which the flow turns turbulent, kPa. Default 8. A larger value stays closer to
         /// proportional.
-        turbulent_kpa: f64 = 8.0, 0.1..=1e9, "8 is a pinhole";
+        turbulent_kpa: f64 = 8.0, "", 0.1..=1e9, "8 is a pinhole";
         /// Leak under vacuum as a share of the leak under pressure. Default 0.6. A larger value leaks more alike.
-        vacuum: f64 = 0.6, 0.0..=2.0, "1 leaks alike both ways";
+        vacuum: f64 = 0.6, "", 0.0..=2.0, "1 leaks alike both ways";
     }
 }
 
@@ -31,32 +31,26 @@ impl PlantEffect for Leak {
 }
 
 impl Leak {
-    /// A hole: proportional to pressure and the same under vacuum.
-    pub(crate) fn plain(rate_per_s: [f64; 3]) -> Self {
-        Self { rate_per_s, turbulent_kpa: 1e6, vacuum: 1.0 }
-    }
+    /// No holes yet; what they leak is proportional to pressure and the same under vacuum.
+    pub(crate) const CLOSED: Self = Self { rate_per_s: [0.0; 3], turbulent_kpa: 1e6, vacuum: 1.0 };
 }
 
 /// Three lines that leak, with what they lost so far.
 #[derive(Debug, Clone)]
 pub(crate) struct Leaking {
-    leak: Leak,
+    pub(crate) config: Leak,
     lost_mm: Vector3<f64>,
 }
 
 impl Leaking {
-    pub(crate) fn new(leak: Leak) -> Self {
-        Self { leak, lost_mm: Vector3::zeros() }
-    }
-    /// Changes the rate of a channel (from 0).
-    pub(crate) fn set_rate(&mut self, channel: usize, rate_per_s: f64) {
-        self.leak.rate_per_s[channel] = rate_per_s;
+    pub(crate) fn new(config: Leak) -> Self {
+        Self { config, lost_mm: Vector3::zeros() }
     }
     /// What has leaked by the end of `dt_s`, mm of piston.
     pub(crate) fn step(&mut self, pushed_mm: &Vector3<f64>, pressure_kpa: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
         for i in 0..3 {
-            if self.leak.rate_per_s[i] > 0.0 {
-                let x = self.leak.rate_per_s[i] * self.opening(pressure_kpa[i]) * dt_s;
+            if self.config.rate_per_s[i] > 0.0 {
+                let x = self.config.rate_per_s[i] * self.opening(pressure_kpa[i]) * dt_s;
                 // 1 − e^(−x), for slow leaks by its first terms (error below x³)
                 let share = if x < 1e-4 { x * (1.0 - 0.5 * x) } else { -(-x).exp_m1() };
                 self.lost_mm[i] += (pushed_mm[i] - self.lost_mm[i]) * share;
@@ -65,8 +59,8 @@ impl Leaking {
         self.lost_mm
     }
     fn opening(&self, pressure_kpa: f64) -> f64 {
-        let side = if pressure_kpa < 0.0 { self.leak.vacuum } else { 1.0 };
-        side * 2.0 / (1.0 + (1.0 + pressure_kpa.abs() / self.leak.turbulent_kpa).sqrt())
+        let side = if pressure_kpa < 0.0 { self.config.vacuum } else { 1.0 };
+        side * 2.0 / (1.0 + (1.0 + pressure_kpa.abs() / self.config.turbulent_kpa).sqrt())
     }
 }
 

@@ -9,7 +9,7 @@ parameters! {
     LengthGain at "effects.outside.length_gain" sized by share {
         /// Change g of the bend for 5 mm of centre length. Default 0 (none); plausible ±0.1 to 0.5.
         /// A larger value couples more. At the resting length nothing is to be seen.
-        share: f64 = 0.0, -1.0..=1.0, "tenths are plausible";
+        share: f64 = 0.0, "", -1.0..=1.0, "tenths are plausible";
     }
 }
 

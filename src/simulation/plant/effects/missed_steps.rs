@@ -12,17 +12,17 @@ parameters! {
     MissedSteps at "effects.missed_steps" sized by full_steps {
         /// Full steps lost each time the rotor falls out of step. Default 0 (none); typical 1 to 50.
         /// A larger value leaves a larger offset (0.47 mm of piston each).
-        full_steps: f64 = 0.0, 0.0..=400.0, "1 to 50 is typical";
+        full_steps: f64 = 0.0, "", 0.0..=400.0, "1 to 50 is typical";
         /// Channel that loses them, 1 to 3. Default 1.
-        channel: usize = 1, CHANNELS, "channels are counted from 1 to 3";
+        channel: usize = 1, "", 1..=3, "channels are counted from 1 to 3";
         /// Acceleration of the rack at which torque runs out, mm/s². Default 60. A larger value stalls less.
-        accel_max_mm_s2: f64 = 60.0, 1.0..=1e6, "60 stalls at ordinary starts";
+        accel_max_mm_s2: f64 = 60.0, "", 1.0..=1e6, "60 stalls at ordinary starts";
         /// Speed at which torque runs out, mm/s. Default 80. A larger value stalls less.
-        speed_max_mm_s: f64 = 80.0, 1.0..=1e6, "the rack moves at up to 30 mm/s";
+        speed_max_mm_s: f64 = 80.0, "", 1.0..=1e6, "the rack moves at up to 30 mm/s";
         /// No stall before this time, s. Default 10. A larger value keeps more of the log clean.
-        after_s: f64 = 10.0, 0.0..=1e9, "seconds since the start";
+        after_s: f64 = 10.0, "", 0.0..=1e9, "seconds since the start";
         /// Stalls at most. Default 2. A larger value adds up more jumps.
-        stalls_max: u32 = 2, 0.0..=1e6, "1 or 2 is typical";
+        stalls_max: u32 = 2, "", 0.0..=1e6, "1 or 2 is typical";
     }
 }
 
@@ -62,18 +62,6 @@ impl Stall {
         Self { config, step_mm, microsteps, quick, slow, to_lose: 0.0, stalls: 0, ready: true }
     }
 
-    /// Removes from `turned` (microsteps of this step) those that a stalled rotor does not follow.
-    pub(crate) fn hold_back(&mut self, turned: &mut Vector3<f64>, t: f64, dt_s: f64) {
-        let sent = &mut turned[self.config.channel - 1];
-        if self.overloaded(*sent * self.step_mm / dt_s, dt_s) && t >= self.config.after_s && self.stalls < self.config.stalls_max {
-            self.stalls += 1;
-            self.to_lose = self.config.full_steps * self.microsteps;
-        }
-        let lost = sent.abs().min(self.to_lose);
-        self.to_lose -= lost;
-        *sent -= lost * sent.signum();
-    }
-
     /// True once each time the required torque exceeds the available torque.
     fn overloaded(&mut self, speed_mm_s: f64, dt_s: f64) -> bool {
         self.quick.1 += (speed_mm_s - self.quick.1) * self.quick.0.share(dt_s);
@@ -88,7 +76,16 @@ impl Stall {
 
 impl Law for Stall {
     fn rotor(&mut self, turned: &mut Vector3<f64>, at: &Moment) {
-        self.hold_back(turned, at.t, at.dt_s);
+        let sent = &mut turned[self.config.channel - 1];
+        let overloaded = self.overloaded(*sent * self.step_mm / at.dt_s, at.dt_s);
+        if overloaded && at.t >= self.config.after_s && self.stalls < self.config.stalls_max {
+            self.stalls += 1;
+            self.to_lose = self.config.full_steps * self.microsteps;
+        }
+        // a stalled rotor does not follow
+        let lost = sent.abs().min(self.to_lose);
+        self.to_lose -= lost;
+        *sent -= lost * sent.signum();
     }
 }
 
@@ -104,11 +101,11 @@ mod tests {
             while sent != leg {
                 let step: f64 = f64::clamp(leg - sent, -rate, rate);
                 let mut v = Vector3::new(step, 0.0, 0.0);
-                stall.hold_back(&mut v, t, 0.001);
+                stall.rotor(&mut v, &Moment { t, dt_s: 0.001 });
                 (sent, turned, t) = (sent + step, turned + v.x, t + 0.001);
             }
             for _ in 0..500 {
-                stall.hold_back(&mut Vector3::zeros(), t, 0.001);
+                stall.rotor(&mut Vector3::zeros(), &Moment { t, dt_s: 0.001 });
                 t += 0.001;
             }
         }

@@ -13,15 +13,15 @@ parameters! {
     MotorField at "effects.motor_field" sized by amplitude_ut {
         /// Amplitude A of each motor's field where the tip is, µT. Default 0 (none); typical 0.1 to 20.
         /// A larger value disturbs the heading more.
-        amplitude_ut: [f64; 3] = [0.0; 3], -500.0..=500.0, "0.1 to 20 µT is typical";
+        amplitude_ut: [f64; 3] = [0.0; 3], "", -500.0..=500.0, "0.1 to 20 µT is typical";
         /// Direction in which each motor's first coil points, degrees about the world's vertical.
         /// Default [0, 60, 120].
-        azimuth_deg: [f64; 3] = [0.0, 60.0, 120.0], -360.0..=360.0, "one turn is enough";
+        azimuth_deg: [f64; 3] = [0.0, 60.0, 120.0], "", -360.0..=360.0, "one turn is enough";
         /// Share h of the third harmonic. Default 0.12. A larger value is further from a circle.
-        saturation: f64 = 0.12, 0.0..=1.0, "0.12 is typical";
+        saturation: f64 = 0.12, "", 0.0..=1.0, "0.12 is typical";
         /// Current at standstill as a share of the current in motion. Default 0.5. A smaller value gives a
         /// larger difference between motion and standstill.
-        idle: f64 = 0.5, 0.0..=1.0, "0.5 is a common driver setting";
+        idle: f64 = 0.5, "", 0.0..=1.0, "0.5 is a common driver setting";
     }
 }
 

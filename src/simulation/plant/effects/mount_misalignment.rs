@@ -9,10 +9,10 @@ parameters! {
     MountMisalignment at "effects.mount_misalignment" sized by tilt_deg {
         /// Tilt m of the chip in the tip, a rotation vector in degrees. Default 0 (none); typical 1 to
         /// 15. A larger value mixes the axes more.
-        tilt_deg: [f64; 3] = [0.0; 3], -180.0..=180.0, "1 to 15 is typical";
+        tilt_deg: [f64; 3] = [0.0; 3], "", -180.0..=180.0, "1 to 15 is typical";
         /// Give w of the board, as a share of the tilt's angle per g. Default 0.03. A larger value depends more
         /// on attitude.
-        give: f64 = 0.03, 0.0..=0.5, "0.03 is typical";
+        give: f64 = 0.03, "", 0.0..=0.5, "0.03 is typical";
     }
 }
 

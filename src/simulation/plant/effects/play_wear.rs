@@ -9,9 +9,9 @@ parameters! {
     PlayWear at "effects.outside.play_wear" sized by growth {
         /// Final growth g of the half-width, as a share of it. Default 0 (none); plausible 0.2 to 2.
         /// A larger value ends with more play.
-        growth: f64 = 0.0, -1.0..=10.0, "a share of the half-width";
+        growth: f64 = 0.0, "", -1.0..=10.0, "a share of the half-width";
         /// Travel S over which it wears, mm of piston. Default 300. A larger value wears more slowly.
-        over_mm: f64 = 300.0, 1.0..=1e6, "mm of piston travel";
+        over_mm: f64 = 300.0, "", 1.0..=1e6, "mm of piston travel";
     }
 }
 

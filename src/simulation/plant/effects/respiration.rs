@@ -9,11 +9,11 @@ parameters! {
     /// `[effects.outside.respiration]`
     Respiration at "effects.outside.respiration" sized by amplitude_deg {
         /// Amplitude A of the push, degrees of bend. Default 0 (none); plausible 1 to 5. A larger value pushes further.
-        amplitude_deg: f64 = 0.0, 0.0..=30.0, "1 to 5 is plausible";
+        amplitude_deg: f64 = 0.0, "", 0.0..=30.0, "1 to 5 is plausible";
         /// Period of a breath, s. Default 4. A larger value pushes more slowly.
-        period_s: f64 = 4.0, 0.5..=60.0, "3 to 5 s at rest";
+        period_s: f64 = 4.0, "", 0.5..=60.0, "3 to 5 s at rest";
         /// Direction of the push, degrees. Default 0.
-        direction_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
+        direction_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
     }
 }
 

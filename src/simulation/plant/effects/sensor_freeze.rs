@@ -6,11 +6,11 @@ parameters! {
     /// `[effects.outside.sensor_freeze]`
     SensorFreeze at "effects.outside.sensor_freeze" sized by for_s {
         /// How long it hangs, s. Default 0 (never); plausible 0.3 to 3. A larger value blinds for longer.
-        for_s: f64 = 0.0, 0.0..=1e4, "some seconds are plausible";
+        for_s: f64 = 0.0, "", 0.0..=1e4, "some seconds are plausible";
         /// When it first hangs, s. Default 12.
-        at_s: f64 = 12.0, 0.0..=1e9, "seconds since the start";
+        at_s: f64 = 12.0, "", 0.0..=1e9, "seconds since the start";
         /// Time from one hang to the next, s. Default 25. A larger value hangs less often.
-        every_s: f64 = 25.0, 0.01..=1e9, "longer than it hangs";
+        every_s: f64 = 25.0, "", 0.01..=1e9, "longer than it hangs";
     }
 }
 

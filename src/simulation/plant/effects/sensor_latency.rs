@@ -9,9 +9,9 @@ parameters! {
     SensorLatency at "effects.sensor_latency" sized by latency_s {
         /// Age of a sample when it is handed over, s. Default 0 (none); typical 0.01 to 0.25. A larger value
         /// shows the past.
-        latency_s: f64 = 0.0, 0.0..=1.0, "0.01 to 0.25 s is typical";
+        latency_s: f64 = 0.0, "", 0.0..=1.0, "0.01 to 0.25 s is typical";
         /// Wander j of the dead time, standard deviation as a share. Default 0.06. A larger value is less regular.
-        jitter: f64 = 0.06, 0.0..=0.4, "a share of the latency";
+        jitter: f64 = 0.06, "", 0.0..=0.4, "a share of the latency";
     }
 }
 

@@ -10,11 +10,11 @@ parameters! {
     SnapThrough at "effects.outside.snap_through" sized by jump_mm {
         /// Length that the popped fold adds, mm. Default 0 (none); plausible 0.2 to 1. A larger value jumps
         /// further.
-        jump_mm: f64 = 0.0, 0.0..=5.0, "under 1 mm is plausible";
+        jump_mm: f64 = 0.0, "", 0.0..=5.0, "under 1 mm is plausible";
         /// Elongation at which it pops, mm. Default 2. A larger value pops at larger bends only.
-        at_mm: f64 = 2.0, 0.1..=10.0, "a bellow elongates by 5 mm or so";
+        at_mm: f64 = 2.0, "", 0.1..=10.0, "a bellow elongates by 5 mm or so";
         /// Channel of the bellow, 1 to 3. Default 1.
-        channel: usize = 1, CHANNELS, "channels are counted from 1 to 3";
+        channel: usize = 1, "", 1..=3, "channels are counted from 1 to 3";
     }
 }
 
@@ -37,21 +37,18 @@ impl Snapping {
     pub(crate) fn new(config: SnapThrough) -> Self {
         Self { config, popped: false, decay: Decay::new(0.05), added_mm: 0.0 }
     }
-    pub(crate) fn step(&mut self, q_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
-        let i = self.config.channel - 1;
-        let back_mm = self.config.at_mm - (1.5 * self.config.jump_mm).max(0.5);
-        self.popped = q_mm[i] > self.config.at_mm || (self.popped && q_mm[i] > back_mm);
-        let target = if self.popped { self.config.jump_mm } else { 0.0 };
-        self.added_mm += (target - self.added_mm) * self.decay.share(dt_s);
-        let mut added = Vector3::zeros();
-        added[i] = self.added_mm;
-        added
-    }
 }
 
 impl Law for Snapping {
     fn bellows(&mut self, q_mm: &mut Vector3<f64>, at: &Moment) {
-        *q_mm += self.step(q_mm, at.dt_s);
+        let i = self.config.channel - 1;
+        let back_mm = self.config.at_mm - (1.5 * self.config.jump_mm).max(0.5);
+        self.popped = q_mm[i] > self.config.at_mm || (self.popped && q_mm[i] > back_mm);
+        let target = if self.popped { self.config.jump_mm } else { 0.0 };
+        self.added_mm += (target - self.added_mm) * self.decay.share(at.dt_s);
+        let mut added = Vector3::zeros();
+        added[i] = self.added_mm;
+        *q_mm += added;
     }
 }
 
@@ -62,7 +59,12 @@ mod tests {
     #[test]
     fn the_fold_pops_with_hysteresis() {
         let mut s = Snapping::new(SnapThrough { jump_mm: 0.5, at_mm: 2.0, channel: 2 });
-        let mut settle = |q: f64| (0..500).map(|_| s.step(&Vector3::new(9.0, q, 9.0), 0.001)).last().unwrap();
+        let mut step = |q: f64| {
+            let mut q_mm = Vector3::new(9.0, q, 9.0);
+            s.bellows(&mut q_mm, &Moment { t: 0.0, dt_s: 0.001 });
+            q_mm - Vector3::new(9.0, q, 9.0)
+        };
+        let mut settle = |q: f64| (0..500).map(|_| step(q)).last().unwrap();
         assert!(settle(1.9).norm() < 1e-9);
         assert!((settle(2.1) - Vector3::new(0.0, 0.5, 0.0)).norm() < 1e-3);
         assert!(settle(1.5).y > 0.49);

@@ -7,9 +7,9 @@ parameters! {
     SoftIron at "effects.outside.soft_iron" sized by stretch {
         /// Stretch of the field along the direction, as a share. Default 0 (none); plausible ±0.05 to
         /// 0.3. A larger value turns the heading more, twice per turn.
-        stretch: f64 = 0.0, -0.9..=5.0, "±0.05 to 0.3 is plausible";
+        stretch: f64 = 0.0, "", -0.9..=5.0, "±0.05 to 0.3 is plausible";
         /// Direction in the body, any length. Default [1, 0, 0].
-        direction: [f64; 3] = [1.0, 0.0, 0.0], -1e3..=1e3, "a direction";
+        direction: [f64; 3] = [1.0, 0.0, 0.0], "", -1e3..=1e3, "a direction";
     }
 }
 
@@ -18,7 +18,7 @@ impl PlantEffect for SoftIron {
         Self { stretch: rng.sized(0.06, 0.35, severity), direction: rng.direction().into() }
     }
     fn consistent(&self) -> Result<(), PlantError> {
-        range("effects.outside.soft_iron.direction length", Vector3::from(self.direction).norm(), &(1e-3..=1e4), "a direction has a length")
+        range("effects.outside.soft_iron.direction length", Vector3::from(self.direction).norm(), 1e-3..=1e4, "a direction has a length")
     }
 }
 

@@ -11,9 +11,9 @@ parameters! {
     Softening at "effects.softening" sized by share {
         /// Share d of the wall's stiffness that can be lost. Default 0 (none); typical 0.05 to 0.6.
         /// A larger value bends more after the first large stretch.
-        share: f64 = 0.0, 0.0..=0.9, "a wall that loses all its stiffness is a burst";
+        share: f64 = 0.0, "", 0.0..=0.9, "a wall that loses all its stiffness is a burst";
         /// Stretch s at which 63 % of it is lost, mm. Default 3. A larger value needs larger stretches.
-        stretch_mm: f64 = 3.0, 0.1..=50.0, "a bellow stretches by 5 mm or so";
+        stretch_mm: f64 = 3.0, "", 0.1..=50.0, "a bellow stretches by 5 mm or so";
     }
 }
 

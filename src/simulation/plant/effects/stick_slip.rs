@@ -11,12 +11,12 @@ parameters! {
     StickSlip at "effects.outside.stick_slip" sized by breakaway_mm {
         /// Rod strain at which a plunger breaks away, mm. Default 0 (none); plausible 0.1 to 0.8. A larger value
         /// moves in bigger jumps.
-        breakaway_mm: f64 = 0.0, 0.0..=5.0, "tenths of a mm are plausible";
+        breakaway_mm: f64 = 0.0, "", 0.0..=5.0, "tenths of a mm are plausible";
         /// Share of the breakaway strain that is left after the jump, 0 to 1. Default 0.3. A larger value jumps
         /// less.
-        sliding: f64 = 0.3, 0.0..=1.0, "a share of the breakaway";
+        sliding: f64 = 0.3, "", 0.0..=1.0, "a share of the breakaway";
         /// How much breakaway rises with ln(1 + seconds at standstill). Default 0.1. A larger value ages faster.
-        ageing: f64 = 0.1, 0.0..=2.0, "0.1 is plausible";
+        ageing: f64 = 0.1, "", 0.0..=2.0, "0.1 is plausible";
     }
 }
 
@@ -38,24 +38,21 @@ impl Sticking {
     pub(crate) fn new(config: StickSlip) -> Self {
         Self { config, plunger_mm: Vector3::zeros(), resting_s: Vector3::zeros() }
     }
-    pub(crate) fn step(&mut self, rod_mm: &Vector3<f64>, dt_s: f64) -> Vector3<f64> {
-        for i in 0..3 {
-            let strain = rod_mm[i] - self.plunger_mm[i];
-            let holds = self.config.breakaway_mm * (1.0 + self.config.ageing * self.resting_s[i].ln_1p());
-            if strain.abs() > holds {
-                self.plunger_mm[i] = rod_mm[i] - strain.signum() * self.config.sliding * self.config.breakaway_mm;
-                self.resting_s[i] = 0.0;
-            } else {
-                self.resting_s[i] += dt_s;
-            }
-        }
-        self.plunger_mm
-    }
 }
 
 impl Law for Sticking {
     fn rack(&mut self, rack_mm: &mut Vector3<f64>, at: &Moment) {
-        *rack_mm = self.step(rack_mm, at.dt_s);
+        for i in 0..3 {
+            let strain = rack_mm[i] - self.plunger_mm[i];
+            let holds = self.config.breakaway_mm * (1.0 + self.config.ageing * self.resting_s[i].ln_1p());
+            if strain.abs() > holds {
+                self.plunger_mm[i] = rack_mm[i] - strain.signum() * self.config.sliding * self.config.breakaway_mm;
+                self.resting_s[i] = 0.0;
+            } else {
+                self.resting_s[i] += at.dt_s;
+            }
+        }
+        *rack_mm = self.plunger_mm;
     }
 }
 
@@ -66,7 +63,12 @@ mod tests {
     #[test]
     fn the_plunger_moves_in_jumps() {
         let mut s = Sticking::new(StickSlip { breakaway_mm: 0.5, ..StickSlip::default() });
-        let path: Vec<f64> = (0..=400).map(|k| s.step(&Vector3::repeat(0.01 * f64::from(k)), 0.001).x).collect();
+        let mut at = |rod_mm: f64| {
+            let mut rack_mm = Vector3::repeat(rod_mm);
+            s.rack(&mut rack_mm, &Moment { t: 0.0, dt_s: 0.001 });
+            rack_mm.x
+        };
+        let path: Vec<f64> = (0..=400).map(|k| at(0.01 * f64::from(k))).collect();
         let jumps: Vec<f64> = path.windows(2).map(|w| w[1] - w[0]).filter(|d| *d != 0.0).collect();
         assert!((8..=14).contains(&jumps.len()) && jumps.iter().all(|j| (0.3..0.6).contains(j)), "{jumps:?}");
     }

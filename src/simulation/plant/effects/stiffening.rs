@@ -10,10 +10,10 @@ parameters! {
     Stiffening at "effects.stiffening" sized by share {
         /// Extra wall force at 5 mm of length change, as a share of the linear force. Default 0 (none);
         /// typical 0.05 to 0.5 (5 to 30 % of motion). A larger value bends less at large angles.
-        share: f64 = 0.0, 0.0..=3.0, "0.05 to 0.5 is typical";
+        share: f64 = 0.0, "", 0.0..=3.0, "0.05 to 0.5 is typical";
         /// Stretch s over which the extra grows by e, mm. Default 2.5. A larger value sets in earlier and more
         /// evenly.
-        onset_mm: f64 = 2.5, 0.8..=50.0, "2.5 is typical; shorter is a wall, not rubber";
+        onset_mm: f64 = 2.5, "", 0.8..=50.0, "2.5 is typical; shorter is a wall, not rubber";
     }
 }
 

@@ -10,11 +10,11 @@ parameters! {
     ThermalDrift at "effects.thermal_drift" sized by offset_mm {
         /// Final offset a of each line, mm of piston. Default 0 (none); typical 0.2 to 2.5 on one line
         /// (0.5 to 7° of bend). Equal offsets lengthen the tip and do not bend it. A larger value drifts further.
-        offset_mm: [f64; 3] = [0.0; 3], -20.0..=20.0, "a few mm at most are typical";
+        offset_mm: [f64; 3] = [0.0; 3], "", -20.0..=20.0, "a few mm at most are typical";
         /// Time constant τ₁ of the air, s. Default 20. A larger value starts more softly.
-        air_s: f64 = 20.0, 0.1..=1e5, "tens of seconds are typical";
+        air_s: f64 = 20.0, "", 0.1..=1e5, "tens of seconds are typical";
         /// Time constant τ₂ of the case, s. Default 90. A larger value drifts for longer.
-        case_s: f64 = 90.0, 0.1..=1e5, "minutes are typical";
+        case_s: f64 = 90.0, "", 0.1..=1e5, "minutes are typical";
     }
 }
 
@@ -49,19 +49,15 @@ impl Warming {
         let mass = |tau_s: f64| (tau_s, Decay::new(tau_s), 1.0);
         Self { offset_mm: Vector3::from(config.offset_mm), air: mass(config.air_s), case: mass(case_s) }
     }
-    /// Offset of the three lines `dt_s` later, mm of piston.
-    pub(crate) fn step(&mut self, dt_s: f64) -> Vector3<f64> {
-        for (_, decay, left) in [&mut self.air, &mut self.case] {
-            *left -= *left * decay.share(dt_s);
-        }
-        let cooling = self.case.0 * self.case.2 - self.air.0 * self.air.2;
-        self.offset_mm * (1.0 - cooling / (self.case.0 - self.air.0))
-    }
 }
 
 impl Law for Warming {
     fn air(&mut self, air_mm: &mut Vector3<f64>, _bellows: &BellowState, at: &Moment) {
-        *air_mm += self.step(at.dt_s);
+        for (_, decay, left) in [&mut self.air, &mut self.case] {
+            *left -= *left * decay.share(at.dt_s);
+        }
+        let cooling = self.case.0 * self.case.2 - self.air.0 * self.air.2;
+        *air_mm += self.offset_mm * (1.0 - cooling / (self.case.0 - self.air.0));
     }
 }
 
@@ -73,7 +69,12 @@ mod tests {
     fn the_offset_starts_without_slope_and_ends_at_its_size() {
         for case_s in [90.0, 20.0] {
             let mut w = Warming::new(ThermalDrift { offset_mm: [1.0, 0.0, -0.5], case_s, ..ThermalDrift::default() });
-            let path: Vec<_> = (0..20_000).map(|_| w.step(0.1)).collect();
+            let offset = |_| {
+                let mut air_mm = Vector3::zeros();
+                w.air(&mut air_mm, &BellowState::default(), &Moment { t: 0.0, dt_s: 0.1 });
+                air_mm
+            };
+            let path: Vec<_> = (0..20_000).map(offset).collect();
             assert!(path[0].norm() < 1e-4 && path[9].norm() < 2e-3);
             assert!((path[19_999] - Vector3::new(1.0, 0.0, -0.5)).norm() < 1e-4);
             assert!(path[..3000].windows(2).all(|p| p[1].x > p[0].x));

@@ -10,9 +10,9 @@ parameters! {
     Torsion at "effects.torsion" sized by twist_deg {
         /// Twist T at 60° of bend, degrees. Default 0 (none); typical up to ±20. A larger value turns the camera
         /// image more.
-        twist_deg: f64 = 0.0, -60.0..=60.0, "up to 20 is typical";
+        twist_deg: f64 = 0.0, "", -60.0..=60.0, "up to 20 is typical";
         /// Bend direction δ₀ of the most twist, degrees. Default 0.
-        direction_deg: f64 = 0.0, -360.0..=360.0, "one turn is enough";
+        direction_deg: f64 = 0.0, "", -360.0..=360.0, "one turn is enough";
     }
 }
 

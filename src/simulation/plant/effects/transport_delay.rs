@@ -9,9 +9,9 @@ parameters! {
     TransportDelay at "effects.transport_delay" sized by delay_s {
         /// Dead time from command to motion, s. Default 0 (none); typical 0.01 to 0.25. A larger value answers
         /// later.
-        delay_s: f64 = 0.0, 0.0..=1.0, "0.01 to 0.25 s is typical";
+        delay_s: f64 = 0.0, "", 0.0..=1.0, "0.01 to 0.25 s is typical";
         /// Wander j of the dead time, standard deviation as a share. Default 0.06. A larger value is less regular.
-        jitter: f64 = 0.06, 0.0..=0.4, "a share of the delay";
+        jitter: f64 = 0.06, "", 0.0..=0.4, "a share of the delay";
     }
 }
 

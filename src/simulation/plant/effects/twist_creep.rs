@@ -9,9 +9,9 @@ parameters! {
     TwistCreep at "effects.outside.twist_creep" sized by twist_deg {
         /// Twist T in the end at 60° of bend, degrees. Default 0 (none); plausible ±3 to 20. A larger value
         /// turns further.
-        twist_deg: f64 = 0.0, -60.0..=60.0, "up to 20 is plausible";
+        twist_deg: f64 = 0.0, "", -60.0..=60.0, "up to 20 is plausible";
         /// Time constant, s. Default 8. A larger value is slower.
-        over_s: f64 = 8.0, 0.01..=1e5, "some seconds are plausible";
+        over_s: f64 = 8.0, "", 0.01..=1e5, "some seconds are plausible";
     }
 }
 

@@ -17,46 +17,46 @@ parameters! {
     ImuConfig at "imu" {
         /// Time between samples, s. Default 0.002 (500 Hz). A larger value is slower; samples come at the end of
         /// the plant's own steps, so a plant stepped more coarsely samples more coarsely.
-        period_s: f64 = 0.002, 1e-4..=0.2, "0.002 is 500 Hz";
+        period_s: f64 = 0.002, "", 1e-4..=0.2, "0.002 is 500 Hz";
         /// Time between magnetometer readings, s. Default 0.01. A larger value corrects the heading less often.
-        mag_period_s: f64 = 0.01, 1e-4..=2.0, "0.01 is 100 Hz";
+        mag_period_s: f64 = 0.01, "", 1e-4..=2.0, "0.01 is 100 Hz";
         /// White noise of the gyroscope, °/s/√Hz. Default 0.015. A larger value is noisier.
-        gyro_noise_deg_s_rthz: f64 = 0.015, 0.0..=10.0, "0.015 is the ICM-20948";
+        gyro_noise_deg_s_rthz: f64 = 0.015, "", 0.0..=10.0, "0.015 is the ICM-20948";
         /// White noise of the accelerometer, mg/√Hz. Default 0.23. A larger value is noisier.
-        acc_noise_mg_rthz: f64 = 0.23, 0.0..=100.0, "0.23 is the ICM-20948";
+        acc_noise_mg_rthz: f64 = 0.23, "", 0.0..=100.0, "0.23 is the ICM-20948";
         /// Noise of one magnetometer reading, µT. Default 0.3. A larger value is noisier.
-        mag_noise_ut: f64 = 0.3, 0.0..=50.0, "0.3 is typical";
+        mag_noise_ut: f64 = 0.3, "", 0.0..=50.0, "0.3 is typical";
         /// Slow wander of the gyroscope's bias, °/s. Default 0.01. A larger value drifts more within a minute.
-        gyro_wander_deg_s: f64 = 0.01, 0.0..=10.0, "0.01 is typical";
+        gyro_wander_deg_s: f64 = 0.01, "", 0.0..=10.0, "0.01 is typical";
         /// Slow wander of the accelerometer's bias, mg. Default 0.15. A larger value drifts more within a minute.
-        acc_wander_mg: f64 = 0.15, 0.0..=100.0, "0.15 is typical";
+        acc_wander_mg: f64 = 0.15, "", 0.0..=100.0, "0.15 is typical";
         /// Slow wander of the magnetometer, µT. Default 0.05. A larger value drifts more within a minute.
-        mag_wander_ut: f64 = 0.05, 0.0..=50.0, "0.05 is typical";
+        mag_wander_ut: f64 = 0.05, "", 0.0..=50.0, "0.05 is typical";
         /// Correlation time of the wanders, s. Default 60. A larger value is slower.
-        wander_s: f64 = 60.0, 0.01..=1e6, "60 is typical";
+        wander_s: f64 = 60.0, "", 0.01..=1e6, "60 is typical";
         /// Constant bias of the gyroscope, °/s. Default 0; the chip's is within ±5. A start at rest
         /// finds it.
-        gyro_bias_deg_s: [f64; 3] = [0.0; 3], -50.0..=50.0, "±5 is the data sheet's";
+        gyro_bias_deg_s: [f64; 3] = [0.0; 3], "", -50.0..=50.0, "±5 is the data sheet's";
         /// Constant bias of the accelerometer, mg. Default 0; the chip's is within ±50 as delivered.
         /// 17 mg tilt the vertical by 1°.
-        acc_bias_mg: [f64; 3] = [0.0; 3], -500.0..=500.0, "±50 is the data sheet's";
+        acc_bias_mg: [f64; 3] = [0.0; 3], "", -500.0..=500.0, "±50 is the data sheet's";
         /// Constant bias of the magnetometer, µT. Default 0. A larger value turns the heading with attitude.
-        mag_bias_ut: [f64; 3] = [0.0; 3], -2000.0..=2000.0, "tens of µT are typical";
+        mag_bias_ut: [f64; 3] = [0.0; 3], "", -2000.0..=2000.0, "tens of µT are typical";
         /// Least significant digit of the gyroscope, °/s. Default 0.015267 (±500 °/s in 16 bit). 0 does not quantise.
-        gyro_digit_deg_s: f64 = 1.0 / 65.5, 0.0..=10.0, "0.015 is ±500 °/s in 16 bit";
+        gyro_digit_deg_s: f64 = 1.0 / 65.5, "", 0.0..=10.0, "0.015 is ±500 °/s in 16 bit";
         /// Least significant digit of the accelerometer, mg. Default 0.12207 (±4 g in 16 bit). 0 does not quantise.
-        acc_digit_mg: f64 = 1000.0 / 8192.0, 0.0..=100.0, "0.122 is ±4 g in 16 bit";
+        acc_digit_mg: f64 = 1000.0 / 8192.0, "", 0.0..=100.0, "0.122 is ±4 g in 16 bit";
         /// Least significant digit of the magnetometer, µT. Default 0.15. 0 does not quantise.
-        mag_digit_ut: f64 = 0.15, 0.0..=50.0, "0.15 is the AK09916";
+        mag_digit_ut: f64 = 0.15, "", 0.0..=50.0, "0.15 is the AK09916";
         /// Range of the gyroscope, ±°/s. Default 500. Smaller clips fast motion.
-        gyro_range_deg_s: f64 = 500.0, 10.0..=1e5, "250, 500, 1000 or 2000";
+        gyro_range_deg_s: f64 = 500.0, "", 10.0..=1e5, "250, 500, 1000 or 2000";
         /// Range of the accelerometer, ±g. Default 4. Smaller clips knocks.
-        acc_range_g: f64 = 4.0, 1.5..=1000.0, "2, 4, 8 or 16";
+        acc_range_g: f64 = 4.0, "", 1.5..=1000.0, "2, 4, 8 or 16";
         /// Range of the magnetometer, ±µT. Default 4900. Smaller clips near magnets.
-        mag_range_ut: f64 = 4900.0, 100.0..=1e6, "4900 is the AK09916";
+        mag_range_ut: f64 = 4900.0, "", 100.0..=1e6, "4900 is the AK09916";
         /// How the chip's axes are turned against the tip's by design, a rotation vector in degrees.
         /// Default 0. The controller is configured with it; an unknown tilt is `effects.mount_misalignment`.
-        mount_deg: [f64; 3] = [0.0; 3], -180.0..=180.0, "a rotation vector is at most half a turn long";
+        mount_deg: [f64; 3] = [0.0; 3], "", -180.0..=180.0, "a rotation vector is at most half a turn long";
     }
 }
 
