@@ -100,7 +100,6 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 }
 
 /// All checks that need no motion.
-#[must_use]
 pub fn examine(board: &Board) -> Vec<Finding> {
     let mut findings = vec![model(), kernel(), pressure(board)];
     findings.extend(devices(board));

@@ -31,7 +31,6 @@ fn all_examples() -> Vec<(&'static str, [&'static str; 2])> {
 }
 
 /// Two examples of a command, without the name of the program.
-#[must_use]
 pub fn examples(name: &str) -> [String; 2] {
     match all_examples().into_iter().find(|e| e.0 == name) {
         Some((_, lines)) => lines.map(str::to_owned),
@@ -40,7 +39,6 @@ pub fn examples(name: &str) -> [String; 2] {
 }
 
 /// A command line with its commands grouped by task, and with examples.
-#[must_use]
 pub fn explained(cli: Command) -> Command {
     let mut text = String::new();
     for (task, names) in GROUPS {
@@ -65,7 +63,6 @@ pub fn explained(cli: Command) -> Command {
 }
 
 /// A usage error without the terms of the Rust library.
-#[must_use]
 pub fn plain(text: &str) -> String {
     const WORDS: [(&str, &str); 7] = [
         ("invalid socket address syntax", "expected an address and a port, for example 192.168.1.20:8088"),
@@ -88,7 +85,6 @@ pub struct CompletionsArgs {
 }
 
 /// Prints a completion script of a command line on standard output.
-#[must_use]
 pub fn completions(args: &CompletionsArgs, mut command: Command) -> CommandOutcome {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command, "retroflex", &mut script);

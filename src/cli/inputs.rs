@@ -32,7 +32,6 @@ pub fn board(path: Option<&Path>) -> Result<Board> {
 }
 
 /// The board file of the service where none is named: the user's, else the system's.
-#[must_use]
 pub fn own_board() -> Option<PathBuf> {
     let folder = |variable: &str| std::env::var_os(variable).map(PathBuf::from);
     let user = folder("XDG_CONFIG_HOME").or_else(|| Some(folder("HOME")?.join(".config")));
@@ -88,7 +87,6 @@ pub fn described(path: &Path, board: &Board) -> Result<Arc<DescribedMachine>> {
 }
 
 /// The path of the model for the feedforward: the one on the command line, or the one that the calibration file names.
-#[must_use]
 pub fn feedforward(given: Option<&Path>, calib: Option<&Path>, calibration: &Calibration) -> Option<PathBuf> {
     let named = Some(&calibration.feedforward).filter(|name| !name.is_empty());
     let folder = calib.and_then(Path::parent).unwrap_or(Path::new(""));

@@ -9,7 +9,6 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
 /// Starts logging for as long as the result lives. The environment variable `RETROFLEX_LOG` sets the filter; the default is `info`.
-#[must_use]
 pub fn start() -> Logging {
     let filter = EnvFilter::try_from_env("RETROFLEX_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
     let registry = tracing_subscriber::registry().with(filter);

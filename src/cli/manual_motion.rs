@@ -37,7 +37,6 @@ pub fn open(path: &Path, prepare: impl FnOnce(&mut MachineConfig)) -> Result<(Bo
 }
 
 /// Converts an error of the hardware into a report with the right exit code.
-#[must_use]
 pub fn hardware_error(path: &Path, error: HardwareError) -> miette::Report {
     if error.is_config() {
         return miette!("{}: {error}", path.display());
@@ -77,7 +76,6 @@ pub fn with_manual_control<T>(machine: &mut dyn Machine, work: impl FnOnce(&mut 
 }
 
 /// Converts the reason that ended a motion into a report; failing pins count as hardware (exit code 3).
-#[must_use]
 pub fn motion_error(error: ManualMotionError) -> miette::Report {
     match &error {
         ManualMotionError::EmergencyStop | ManualMotionError::Cancelled | ManualMotionError::NotArrived(..) => miette!("{error}"),

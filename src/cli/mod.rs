@@ -94,13 +94,11 @@ enum Command {
 }
 
 /// The command line as `clap` describes it.
-#[must_use]
 pub fn command() -> clap::Command {
     help::explained(Cli::command())
 }
 
 /// Parses the arguments of the process; prints help or a usage error and exits where that is due.
-#[must_use]
 pub fn parse() -> Cli {
     let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
     parsed.unwrap_or_else(|e| {
@@ -113,7 +111,6 @@ pub fn parse() -> Cli {
 }
 
 /// Runs a command and returns its exit code.
-#[must_use]
 pub fn run(cli: Cli) -> ExitCode {
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),

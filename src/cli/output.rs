@@ -35,7 +35,6 @@ impl Drop for Scratch {
 
 /// Progress of long work on standard error, shown only on a terminal: a bar if the length is known, else a spinner, followed by
 /// `text` (an `indicatif` template) and the elapsed time.
-#[must_use]
 pub fn bar(length: u64, text: &str) -> ProgressBar {
     let (bar, shape) = match length {
         0 => (ProgressBar::new_spinner(), "{spinner}"),

@@ -60,19 +60,16 @@ pub type PlantSection = PlantConfig;
 
 impl Board {
     /// Motion of one piston within this board's limits.
-    #[must_use]
     pub fn motion_config(&self) -> MotionConfig {
         MotionConfig { travel_max_mm: self.limits.travel_mm, ..self.motion }
     }
 
     /// How the drive moves the pistons.
-    #[must_use]
     pub fn drive_limits(&self) -> DriveLimits {
         DriveLimits { limits: MotionLimits::of_checked(&self.motion_config()), lead_s: self.stepper.lead_ms * 1e-3 }
     }
 
     /// The static limits of this board.
-    #[must_use]
     pub fn limits(&self) -> ActuatorLimits {
         ActuatorLimits {
             travel_mm: self.limits.travel_mm,
@@ -84,7 +81,6 @@ impl Board {
     }
 
     /// What hardware is made from; `None` on a board without `[pins]`.
-    #[must_use]
     pub fn hardware(&self) -> Option<MachineConfig> {
         let sensor = |s: &ImuSection| SensorConfig {
             bus: s.bus.clone(),

@@ -60,7 +60,6 @@ parameters! {
 
 impl DynamicsSection {
     /// For the control law.
-    #[must_use]
     pub fn law(&self) -> DynamicsPrior {
         DynamicsPrior { expected: Dynamics { lag_s: self.lag_s, delay_s: self.delay_s }, uncertainty_s: self.uncertainty_s }
     }
@@ -68,13 +67,11 @@ impl DynamicsSection {
 
 impl Calibration {
     /// The transmission law per channel.
-    #[must_use]
     pub fn lines(&self) -> [Line; 3] {
         Line::each(self.transmission.k_epsilon, self.transmission.k_lambda_mm)
     }
 
     /// As the prior of a new tip's calibration.
-    #[must_use]
     pub fn prior(&self) -> [Prior; 3] {
         let (t, lines) = (&self.transmission, self.lines());
         std::array::from_fn(|i| Prior { line: lines[i], k_epsilon_sigma: t.k_epsilon_sigma[i], k_lambda_sigma_mm: t.k_lambda_sigma_mm[i] })

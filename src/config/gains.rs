@@ -49,12 +49,10 @@ parameters! {
 
 impl PaceSection {
     /// For the bend set-point, rad.
-    #[must_use]
     pub fn bend(&self) -> Pace {
         Pace { speed: self.bend_speed_deg_s.to_radians(), acceleration: self.bend_acceleration_deg_s2.to_radians() }
     }
     /// For the centre length, mm.
-    #[must_use]
     pub fn length(&self) -> Pace {
         Pace { speed: self.length_speed_mm_s, acceleration: self.length_acceleration_mm_s2 }
     }
@@ -74,7 +72,6 @@ parameters! {
 
 impl Gains {
     /// How the backlash compensation changes sides.
-    #[must_use]
     pub fn side(&self) -> Side {
         if self.backlash.smooth_rate_mm_s > 0.0 {
             Side::Smooth { rate_mm_s: self.backlash.smooth_rate_mm_s }
@@ -84,7 +81,6 @@ impl Gains {
     }
 
     /// The outer loop with its detectors.
-    #[must_use]
     pub fn feedback(&self) -> FeedbackConfig {
         FeedbackConfig { standstill: self.standstill, obstruction: self.obstruction, ..self.outer }
     }

@@ -6,7 +6,6 @@ use crate::primitives::parameters::{Allowed, Row};
 const LISTED_MAX: usize = 9;
 
 /// A message of serde about `key`, whose row, if it is a parameter, gives range and unit.
-#[must_use]
 pub fn plain(message: &str, key: &str, row: Option<&Row>) -> String {
     // a list of tables begins where its first table begins
     let key =
@@ -40,7 +39,6 @@ fn instead(name: &str, message: &str) -> String {
 }
 
 /// The name that is most similar to a misspelt one.
-#[must_use]
 pub fn near<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let scored = known.map(|k| (strsim::jaro_winkler(name, k), k)).filter(|(score, _)| *score > 0.8);
     scored.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| k)

@@ -25,7 +25,6 @@ use crate::config::gains::Gains;
 use crate::control::tick::LoopConfig;
 
 /// Puts the three files together into what [`crate::control::tick::tick`] runs on.
-#[must_use]
 pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> LoopConfig {
     LoopConfig {
         geometry: board.geometry.law(),

@@ -5,7 +5,6 @@ use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 
 /// The dotted key of the innermost key or value that covers a place; empty if none does.
-#[must_use]
 pub fn key_at(text: &str, at: &Range<usize>) -> String {
     DeTable::parse(text).ok().and_then(|table| in_table(table.get_ref(), "", at)).unwrap_or_default()
 }
@@ -38,7 +37,6 @@ fn in_value(value: &DeValue<'_>, name: &str, at: &Range<usize>) -> Option<String
 
 /// The text with the value of a dotted key replaced, everything else left as it is; `None` when the key is
 /// not written in it.
-#[must_use]
 pub fn replace(text: &str, key: &str, value: &str) -> Option<String> {
     let (table, last) = key.rsplit_once('.')?;
     // a key that is not written is answered with its table: then the text there is no value of its own
@@ -53,7 +51,6 @@ pub fn replace(text: &str, key: &str, value: &str) -> Option<String> {
 
 /// Where a dotted key's value stands in the text. A key that is not written (a default that clashes
 /// with something written) points at the nearest table that is.
-#[must_use]
 pub fn span_of(text: &str, key: &str) -> Option<Range<usize>> {
     let table = DeTable::parse(text).ok()?;
     let mut parts = key.split('.');

@@ -26,19 +26,16 @@ parameters! {
 
 impl PowerSection {
     /// Torque of a gauge pressure on the motor, N·mm.
-    #[must_use]
     pub fn torque_n_mm(&self, pressure_kpa: f64, pitch_diameter_mm: f64) -> f64 {
         pressure_kpa.abs() * 1e-3 * self.piston_area_mm2 * 0.5 * pitch_diameter_mm
     }
 
     /// Gauge pressure that the energised motor can make, kPa.
-    #[must_use]
     pub fn stall_kpa(&self, pitch_diameter_mm: f64) -> f64 {
         self.holding_torque_n_mm / self.torque_n_mm(1.0, pitch_diameter_mm)
     }
 
     /// Gauge pressure that the motor keeps without current, kPa.
-    #[must_use]
     pub fn kept_kpa(&self, pitch_diameter_mm: f64) -> f64 {
         self.detent_torque_n_mm / self.torque_n_mm(1.0, pitch_diameter_mm)
     }

@@ -42,7 +42,6 @@ impl PressureBound {
         motor's current so that power.holding_torque_n_mm suffices for limits.pressure_max_kpa only; see docs/hardware.md";
 
     /// The bound of a board.
-    #[must_use]
     pub fn of(board: &Board) -> Self {
         let stall_kpa = board.power.stall_kpa(board.drive.pinion_pitch_diameter_mm);
         let limit_kpa = board.safety.pressure_max_kpa;
@@ -56,7 +55,6 @@ impl PressureBound {
     }
 
     /// False for [`PressureBound::Nothing`].
-    #[must_use]
     pub fn is_bounded(&self) -> bool {
         !matches!(self, Self::Nothing { .. })
     }

@@ -48,7 +48,6 @@ parameters! {
 
 impl GeometrySection {
     /// The kinematic law of this section.
-    #[must_use]
     pub fn law(&self) -> Geometry {
         Geometry { r_mm: self.triangle_side_mm / 3f64.sqrt(), rest_length_mm: self.rest_length_mm }
     }
@@ -70,7 +69,6 @@ parameters! {
 
 impl DriveSection {
     /// The drive law of this section.
-    #[must_use]
     pub fn law(&self) -> Drive {
         Drive::rack_and_pinion(self.pinion_pitch_diameter_mm, self.full_steps, self.microsteps)
     }
@@ -154,7 +152,6 @@ parameters! {
 
 impl ImuSection {
     /// The mount as a rotation.
-    #[must_use]
     pub fn mount(&self) -> UnitQuaternion<f64> {
         UnitQuaternion::from_scaled_axis(Vector3::from(self.mount_deg).map(f64::to_radians))
     }

@@ -104,7 +104,6 @@ parameters! {
 
 impl SafetySection {
     /// The gate's limits for a loop of this period.
-    #[must_use]
     pub fn gate(&self, config: &LoopConfig, limits: &limits::ActuatorLimits, period_s: f64) -> GateLimits {
         let motion = &config.motion.limits;
         GateLimits {

@@ -21,13 +21,11 @@ pub const BOARDS: [(&str, &str); 7] = [
 ];
 
 /// The text of a board.
-#[must_use]
 pub fn board(name: &str) -> Option<&'static str> {
     BOARDS.iter().find(|(n, _)| *n == name).map(|(_, text)| *text)
 }
 
 /// Their names, for messages.
-#[must_use]
 pub fn names() -> String {
     BOARDS.map(|(name, _)| name).join(", ")
 }

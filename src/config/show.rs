@@ -5,7 +5,6 @@ use std::fmt::Write;
 use toml::{Table as Values, Value};
 
 /// The whole of a structure: every key, with its value.
-#[must_use]
 pub fn whole<T: Parameters>(value: &T) -> String {
     let table = |v: &T| Values::try_from(v).unwrap_or_default();
     let mut page = Page::default();
@@ -15,7 +14,6 @@ pub fn whole<T: Parameters>(value: &T) -> String {
 }
 
 /// The whole of a structure without comments, for a machine: it does not depend on a later program's defaults.
-#[must_use]
 pub fn compact<T: Parameters>(value: &T) -> String {
     toml::to_string(value).unwrap_or_default()
 }

@@ -8,7 +8,6 @@ use crate::supervisor::cycle::SupervisorConfig;
 use crate::supervisor::machine::MachineInfo;
 
 /// Board, calibration and gains for a machine.
-#[must_use]
 pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, info: &MachineInfo) -> SupervisorConfig {
     let mut tick = super::assemble(board, calibration, gains);
     // the machine's own step and rest length take the board's place

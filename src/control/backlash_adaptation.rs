@@ -50,7 +50,6 @@ impl Default for BacklashAdaptation {
 
 impl BacklashAdaptation {
     /// Share of the backlash that a reversal of channel `i` (0 to 2) crosses, 0.05..=1.
-    #[must_use]
     pub fn share(&self, i: usize) -> f64 {
         self.channels[i].share
     }

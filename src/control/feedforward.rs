@@ -55,7 +55,6 @@ pub struct FeedforwardState {
 
 impl FeedforwardState {
     /// At rest.
-    #[must_use]
     pub fn new(machine: &DescribedMachine) -> Self {
         let memory = machine.memory();
         let mut state = Self {
@@ -145,7 +144,6 @@ impl FeedforwardState {
     }
 
     /// Counted pistons that put the true pistons at `piston_mm`.
-    #[must_use]
     pub fn counted(&mut self, machine: &DescribedMachine, piston_mm: &Vector3<f64>) -> Vector3<f64> {
         let chain = machine.chain();
         let at = self.moment(&chain, 0.0);
@@ -158,7 +156,6 @@ impl FeedforwardState {
     }
 
     /// True pistons for counted ones.
-    #[must_use]
     pub fn pistons(&mut self, machine: &DescribedMachine, counted_mm: &Vector3<f64>) -> Vector3<f64> {
         let chain = machine.chain();
         let at = self.moment(&chain, 0.0);

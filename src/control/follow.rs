@@ -26,7 +26,6 @@ pub struct Follower<const D: usize> {
 
 impl<const D: usize> Follower<D> {
     /// At rest at `at`.
-    #[must_use]
     pub fn resting(at: SVector<f64, D>) -> Self {
         Self { at, velocity: SVector::zeros() }
     }
@@ -56,7 +55,6 @@ impl<const D: usize> Follower<D> {
     }
 
     /// True once the point has reached `target`.
-    #[must_use]
     pub fn arrived(&self, target: &SVector<f64, D>) -> bool {
         self.at == *target
     }

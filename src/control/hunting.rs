@@ -59,7 +59,6 @@ impl Default for HuntingDetector {
 
 impl HuntingDetector {
     /// A detector whose loop is slower by the factor `caution`, as remembered.
-    #[must_use]
     pub fn new(caution: f64) -> Self {
         let caution = caution.clamp(1.0, CAUTION_MAX);
         Self { caution, band_rad: 0.0, hunting: false, extreme: None, swings: 0, smallest_rad: f64::INFINITY }

@@ -39,7 +39,6 @@ pub enum Cut {
 
 impl ActuatorLimits {
     /// Scales the length changes q (mm) towards zero until every bellow is within its range.
-    #[must_use]
     pub fn bellows(&self, q_mm: &Vector3<f64>, rest_length_mm: f64) -> (Vector3<f64>, Cut) {
         let (shortest, longest) = (self.bellow_min_mm - rest_length_mm, self.bellow_max_mm - rest_length_mm);
         let scale = q_mm.iter().fold(1.0f64, |s, &q| {
@@ -51,7 +50,6 @@ impl ActuatorLimits {
 
     /// Length to add to all bellows (mm) so that no piston exceeds its travel. Bending depends on differences only, so the
     /// other two channels can relieve one at its limit. If that is not enough, the excess is shared.
-    #[must_use]
     pub fn relief(&self, q_mm: &Vector3<f64>, lines: &[Line; 3]) -> f64 {
         let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
         for i in 0..3 {
@@ -63,7 +61,6 @@ impl ActuatorLimits {
     }
 
     /// Share of the bend of `shape`, at most 1, that these lines can hold at its length.
-    #[must_use]
     pub fn largest_share(&self, geometry: &Geometry, lines: &[Line; 3], shape: &Shape) -> f64 {
         let holds = |share: f64| {
             let q_mm = geometry.lengths(&Shape { bend: Bend(shape.bend.0 * share), ..*shape });
@@ -85,7 +82,6 @@ impl ActuatorLimits {
 
     /// Limits piston targets (mm) by travel and pressure. `q_mm` is the estimated bellow change, so `piston − q` is the
     /// compressed air.
-    #[must_use]
     pub fn pistons(&self, piston_mm: &Vector3<f64>, q_mm: &Vector3<f64>) -> (Vector3<f64>, Cut) {
         let mut cut = Cut::None;
         let squeeze_max_mm = self.pressure_max_kpa / self.pressure_kpa_per_mm;

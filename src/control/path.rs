@@ -36,7 +36,6 @@ pub struct Path {
 impl Path {
     /// The path through rows of bend vector in rad and length in mm at increasing times in s; `None` for fewer than two, or if a
     /// time is missing or does not increase.
-    #[must_use]
     pub fn new(t_s: Vec<f64>, rows: Vec<Vector3<f64>>) -> Option<Self> {
         let increases = t_s.windows(2).all(|t| t[1] > t[0]);
         if t_s.len() < 2 || t_s.len() != rows.len() || !increases {
@@ -47,19 +46,16 @@ impl Path {
     }
 
     /// Times in s, and rows of bend vector in rad and length in mm.
-    #[must_use]
     pub fn rows(&self) -> (&[f64], &[Vector3<f64>]) {
         (&self.t_s, &self.rows)
     }
 
     /// Duration, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.t_s[self.t_s.len() - 1] - self.t_s[0]
     }
 
     /// The path at a time after its first row, s. It rests before its first row and after its last.
-    #[must_use]
     pub fn at(&self, after_s: f64) -> Reference {
         let t = self.t_s[0] + after_s;
         let last = self.t_s.len() - 1;
@@ -80,7 +76,6 @@ impl Path {
     }
 
     /// What is expected of the path at `ahead_s` after the time `after_s`, from the rows up to `after_s` alone.
-    #[must_use]
     pub fn expected(&self, after_s: f64, ahead_s: f64, pace: &Pace) -> Reference {
         let now_s = self.t_s[0] + after_s;
         let known = self.t_s.partition_point(|&row| row <= now_s + 1e-9).max(1);
@@ -93,7 +88,6 @@ impl Path {
 
     /// Largest speed and acceleration that the path asks of the pistons, as the factor by which its time must be stretched
     /// so that they can follow; at most 1 for a path that they can follow as it is.
-    #[must_use]
     pub fn demand(&self, geometry: &Geometry, lines: &[Line; 3], limits: &MotionLimits) -> f64 {
         let scans = (self.duration_s() / SCAN_S).ceil() as usize;
         let pistons = |v: Vector2<f64>| {
@@ -107,7 +101,6 @@ impl Path {
     }
 
     /// The first row with a bend that these lines cannot hold, and what is expected instead.
-    #[must_use]
     pub fn out_of_reach(&self, limits: &ActuatorLimits, geometry: &Geometry, lines: &[Line; 3]) -> Option<(usize, String)> {
         self.rows.iter().enumerate().find_map(|(k, row)| {
             let bend = Bend(row.xy());
@@ -118,7 +111,6 @@ impl Path {
     }
 
     /// The same path with its time stretched by `factor`.
-    #[must_use]
     pub fn slowed(&self, factor: f64) -> Self {
         let t_s = self.t_s.iter().map(|t| t * factor).collect();
         let second = self.second.iter().map(|m| m / (factor * factor)).collect();
@@ -128,7 +120,6 @@ impl Path {
 
 /// What is expected at the time `wanted_s` after these rows, of which there is at least one: the parabola through the last ones, with
 /// the speed and acceleration of `pace` at most. Times in s, bend vectors in rad and lengths in mm.
-#[must_use]
 pub fn expected(t_s: &[f64], rows: &[Vector3<f64>], wanted_s: f64, pace: &Pace) -> Reference {
     let newest_s = t_s[t_s.len() - 1];
     let from = t_s.partition_point(|&row| row < newest_s - WINDOW_S).min(t_s.len().saturating_sub(3));

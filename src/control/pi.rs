@@ -36,7 +36,6 @@ pub struct Dynamics {
 
 impl Dynamics {
     /// Lag plus dead time, s: the mean delay of the answer to a step.
-    #[must_use]
     pub fn response_s(&self) -> f64 {
         self.lag_s + self.delay_s
     }
@@ -53,20 +52,17 @@ pub struct DynamicsPrior {
 
 impl DynamicsPrior {
     /// What a calibration has measured.
-    #[must_use]
     pub fn calibrated(expected: Dynamics) -> Self {
         Self { expected, uncertainty_s: UNCERTAINTY_MIN_S }
     }
 
     /// Distance of a candidate from the expectation in standard deviations.
-    #[must_use]
     pub fn distance(&self, candidate: &Dynamics) -> f64 {
         let Dynamics { lag_s, delay_s } = self.expected;
         (candidate.lag_s - lag_s).hypot(candidate.delay_s - delay_s) / self.uncertainty_s
     }
 
     /// The range of three standard deviations.
-    #[must_use]
     pub fn range(&self) -> DynamicsRange {
         let margin_s = 3.0 * self.uncertainty_s;
         DynamicsRange {
@@ -93,13 +89,11 @@ pub struct DynamicsRange {
 
 impl DynamicsRange {
     /// What a later start takes as its prior.
-    #[must_use]
     pub fn prior(&self) -> DynamicsPrior {
         DynamicsPrior { expected: self.best, uncertainty_s: (self.error_max_s() / 3.0).max(UNCERTAINTY_MIN_S) }
     }
 
     /// Largest plausible error of the response time, s.
-    #[must_use]
     pub fn error_max_s(&self) -> f64 {
         let response_s = self.best.response_s();
         (self.response_max_s - response_s).max(response_s - self.response_min_s).max(0.0)
@@ -129,7 +123,6 @@ const FOLLOWING_KP: f64 = 0.45;
 impl PiGains {
     /// Gains for the closed-loop time constant `tau_c_s`, stable for every plausible line. The proportional gain is
     /// bounded by `kp_max`, because it amplifies the noise of the estimate. `caution` ≥ 1 slows the loop down.
-    #[must_use]
     pub fn new(range: &DynamicsRange, tau_c_s: f64, kp_max: f64, caution: f64) -> Self {
         let integral_s = tau_c_s.max(range.best.delay_s).max(DELAY_MARGIN * range.error_max_s()) * caution;
         Self { integral_s, lag_s: range.lag_min_s.min(kp_max * integral_s) }
@@ -138,7 +131,6 @@ impl PiGains {
     /// Quicker gains for a reference that moves. What the model does not explain then changes with the bend, and every
     /// delay of the feedback is an error; the noise that it passes on does not matter, because the pistons move anyway. With
     /// a proportional gain below 0.5 the loop is stable for every plausible line, as with [`PiGains::new`].
-    #[must_use]
     pub fn following(range: &DynamicsRange, tau_c_s: f64, kp_max: f64, caution: f64) -> Self {
         let integral_s = (FOLLOWING_SHARE * tau_c_s).max(DELAY_MARGIN * range.error_max_s()) * caution;
         Self { integral_s, lag_s: FOLLOWING_KP.min(kp_max) * integral_s }
@@ -164,13 +156,11 @@ impl Default for ReferenceModel {
 
 impl ReferenceModel {
     /// A model that has rested at `at`, rad.
-    #[must_use]
     pub fn resting(at: Vector2<f64>) -> Self {
         Self { line: [at; LINE], head: 0, lagged: at }
     }
 
     /// The last prediction, rad.
-    #[must_use]
     pub fn predicted(&self) -> Vector2<f64> {
         self.lagged
     }

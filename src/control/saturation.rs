@@ -22,7 +22,6 @@ pub enum Saturation {
 
 impl Saturation {
     /// Message with advice; `None` without saturation.
-    #[must_use]
     pub fn words(self) -> Option<&'static str> {
         match self {
             Self::No => None,
@@ -72,7 +71,6 @@ impl SaturationMonitor {
     }
 
     /// Saturation that has lasted long enough to be reported.
-    #[must_use]
     pub fn now(&self) -> Saturation {
         self.reported
     }

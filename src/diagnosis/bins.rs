@@ -57,7 +57,6 @@ pub struct Rows {
 
 impl Rows {
     /// The rows of a log.
-    #[must_use]
     pub fn new(log: &BendLog) -> Self {
         let mut idle_s = vec![IDLE_BEFORE_S];
         for k in 1..log.t_s.len() {
@@ -75,7 +74,6 @@ impl Rows {
     }
 
     /// Counted pistons at time `t_s`, interpolated linearly between rows `k` and `k + 1`.
-    #[must_use]
     pub fn piston_after(&self, k: usize, t_s: f64) -> Vector3<f64> {
         let Some(next) = self.t_s.get(k + 1) else { return self.piston_mm[k] };
         let share = ((t_s - self.t_s[k]) / (next - self.t_s[k])).clamp(0.0, 1.0);
@@ -94,7 +92,6 @@ fn mean_or_nan(values: impl Iterator<Item = Vector3<f64>>) -> Vector3<f64> {
 }
 
 /// The log averaged down to about 100 Hz if it is faster than 120 Hz; the pistons keep their last count.
-#[must_use]
 pub fn thinned(log: &BendLog) -> BendLog {
     let rate = (log.t_s.len() - 1) as f64 / (log.t_s[log.t_s.len() - 1] - log.t_s[0]);
     let by = (rate / 100.0).round() as usize;
@@ -120,7 +117,6 @@ pub fn thinned(log: &BendLog) -> BendLog {
 }
 
 /// Bins of a log, without weights.
-#[must_use]
 pub fn bins(log: &BendLog, rows: &Rows) -> Vec<Bin> {
     let mut out: Vec<Bin> = Vec::new();
     let (mut from, mut middle) = (0, 0);
@@ -170,7 +166,6 @@ fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> 
 
 /// White noise of a bin, degrees (°/s), from the median squared difference of neighbouring bins in still stretches.
 /// The median ignores a tip that jumps or rings while the pistons are idle.
-#[must_use]
 pub fn noise(bins: &[Bin], field_ut: f64) -> PerQuantity<f64> {
     let mut squares: PerQuantity<Vec<f64>> = PerQuantity::default();
     let still = |b: &Bin| b.idle_s > 0.3 && b.lasting_s < 1.5 * BIN_S;

@@ -27,26 +27,22 @@ pub struct Model<'a> {
 
 impl<'a> Model<'a> {
     /// The nominal model with these effects.
-    #[must_use]
     pub fn new(effects: &[&'a dyn Effect]) -> Self {
         Self { effects: effects.to_vec(), at: places(effects) }
     }
 
     /// The nominal model with the named effects of a catalogue.
-    #[must_use]
     pub fn named(catalogue: &'a [Box<dyn Effect>], names: &[&str]) -> Self {
         let effects: Vec<&dyn Effect> = catalogue.iter().map(AsRef::as_ref).filter(|e| names.contains(&e.name())).collect();
         Self::new(&effects)
     }
 
     /// Names of the effects.
-    #[must_use]
     pub fn names(&self) -> Vec<&'static str> {
         self.effects.iter().map(|e| e.name()).collect()
     }
 
     /// Parameters of effect `i`.
-    #[must_use]
     #[inline]
     pub fn of<'p>(&self, theta: &'p [f64], i: usize) -> &'p [f64] {
         &theta[self.at[i]..self.at[i + 1]]
@@ -58,7 +54,6 @@ impl<'a> Model<'a> {
     }
 
     /// Parameters of this model from those of another one: shared effects keep theirs, a new effect takes those of `fresh`.
-    #[must_use]
     pub fn extended(&self, from: &Model<'_>, theta: &[f64], fresh: impl Fn(&dyn Effect) -> Vec<f64>) -> Vec<f64> {
         let mut out = theta[..NOMINAL].to_vec();
         for e in &self.effects {
@@ -87,7 +82,6 @@ impl<'a> Model<'a> {
     }
 
     /// Whether parameter `j` changes only the readings, not the motion.
-    #[must_use]
     pub fn sensing_only(&self, j: usize) -> bool {
         j >= NOMINAL && (0..self.effects.len()).any(|i| (self.at[i]..self.at[i + 1]).contains(&j) && self.effects[i].sensing_only())
     }
@@ -108,7 +102,6 @@ pub struct Event {
 }
 
 /// Parameters as a segment has them: the times of its own events count from its start, and other segments' events are absent.
-#[must_use]
 pub fn parameters<'p>(log: &Observed, segment: &Segment, model: &Model<'_>, theta: &'p [f64]) -> Cow<'p, [f64]> {
     if log.segments.len() == 1 {
         return Cow::Borrowed(theta);
@@ -127,7 +120,6 @@ pub fn parameters<'p>(log: &Observed, segment: &Segment, model: &Model<'_>, thet
 }
 
 /// Runs the model through the whole log.
-#[must_use]
 pub fn run(log: &Observed, model: &Model<'_>, theta: &[f64]) -> Motion {
     let mut out = Vec::with_capacity(log.t_s.len());
     for segment in &log.segments {

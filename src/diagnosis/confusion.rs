@@ -12,19 +12,16 @@ const INSEPARABLE_BY_MOTION: [([&str; 2], bool); 2] =
     [(["transport_delay", "sensor_latency"], true), (["clocking", "cable_stiffness"], false)];
 
 /// Whether motion can separate two effects, given a tracker or not.
-#[must_use]
 pub fn separable(a: &str, b: &str, tracker: bool) -> bool {
     !INSEPARABLE_BY_MOTION.iter().any(|(pair, by_tracker)| a != b && pair.contains(&a) && pair.contains(&b) && !(*by_tracker && tracker))
 }
 
 /// Names of the effects with a signature similar to that of `name`; empty for an unknown name.
-#[must_use]
 pub fn confused_with(name: &str) -> &'static [&'static str] {
     by_name(name).map_or(&[], |e| e.info().confused_with)
 }
 
 /// Whether either of two effects lists the other as similar.
-#[must_use]
 pub fn confusable(a: &str, b: &str) -> bool {
     confused_with(a).contains(&b) || confused_with(b).contains(&a)
 }

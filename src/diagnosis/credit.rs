@@ -19,7 +19,6 @@ pub struct StageShare {
 }
 
 /// Part of the gap (deg²) that each effect of the set closes.
-#[must_use]
 pub fn credits(found: &Candidates, chosen: &Candidate, gap: f64) -> Vec<(&'static str, f64)> {
     let (nominal, all) = (found.nominal.energy(), chosen.energy());
     let alone = |name: &str| found.single(name).map_or(nominal, Candidate::energy);
@@ -34,7 +33,6 @@ pub fn credits(found: &Candidates, chosen: &Candidate, gap: f64) -> Vec<(&'stati
 }
 
 /// Shares of the seven stages, the largest first.
-#[must_use]
 pub fn stages(catalogue: &[Box<dyn Effect>], credits: &[(&'static str, f64)], probabilities: &[(&'static str, f64)]) -> Vec<StageShare> {
     let of = |list: &[(&'static str, f64)], stage: Stage| -> f64 {
         let here = |name: &str| catalogue.iter().any(|e| e.name() == name && e.stage() == stage);

@@ -64,7 +64,6 @@ named! {
 
 impl VerdictKind {
     /// The kind for a set that may be empty and a remainder that may be unexplained.
-    #[must_use]
     pub fn new(empty: bool, unexplained: bool) -> Self {
         match (unexplained, empty) {
             (true, _) => Self::Unknown,
@@ -88,7 +87,6 @@ pub struct Verdict {
 }
 
 /// Decides, and returns the chosen candidate with the verdict.
-#[must_use]
 pub fn decide<'a>(log: &Observed, found: &'a Candidates) -> (Verdict, &'a Candidate) {
     let noise = log.noise_energy();
     let best = |list: &'a [Candidate]| list.iter().min_by(|a, b| merit(a, found, noise).total_cmp(&merit(b, found, noise)));

@@ -40,7 +40,6 @@ pub struct Diagnosed {
 
 /// Diagnoses a log against a catalogue; `lines` is the calibration the log was driven with, `seed` that of the
 /// bootstrap.
-#[must_use]
 pub fn diagnose(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], seed: u64) -> Diagnosed {
     let found = search(log, catalogue, lines);
     let (verdict, chosen) = decide(log, &found);

@@ -30,7 +30,6 @@ pub struct Fitted {
 
 impl Fitted {
     /// The result of a fit that ended at `point` with this tangent.
-    #[must_use]
     pub fn new(problem: &Problem<'_>, point: &Point, tangent: &Tangent) -> Self {
         let n = problem.bounds.len();
         let inverse = tangent.sums(problem, point).normal.try_inverse().unwrap_or_else(|| DMatrix::identity(n, n));
@@ -42,7 +41,6 @@ impl Fitted {
 
 /// Fits from `start` with at most `rounds` accepted steps: the result and the tangent there. After a last step within
 /// `CONVERGED` the tangent is that of the point before.
-#[must_use]
 pub fn fit(problem: &Problem<'_>, start: &[f64], rounds: usize) -> (Point, Tangent) {
     let mut point = problem.at_clamped(start);
     let mut damping = DAMPING;
@@ -80,7 +78,6 @@ fn downhill(problem: &Problem<'_>, point: &Point, sums: &Sums, damping: &mut f64
 
 /// Parameters after one damped Gauss-Newton step within the limits. A parameter that is at a limit and pushes against
 /// it is held there, and the step is solved again; `None` if the normal matrix is singular.
-#[must_use]
 pub fn step(theta: &[f64], bounds: &[Bound], sums: &Sums, damping: f64) -> Option<Vec<f64>> {
     let mut free: Vec<bool> = vec![true; theta.len()];
     for _ in 0..3 {

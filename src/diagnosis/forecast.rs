@@ -34,7 +34,6 @@ const WALD_MIN: f64 = 2.0 * 40.0;
 const WORSE_MAX: f64 = 1.02;
 
 /// The model that leaves the least on unseen blocks, among those between `nominal` and the whole catalogue.
-#[must_use]
 pub fn best_predicting(log: &Observed, catalogue: &[Box<dyn Effect>], nominal: &Candidate, chosen: &Candidate) -> Candidate {
     let named: Vec<&dyn Effect> =
         catalogue.iter().map(AsRef::as_ref).filter(|e| is_steady(*e) || chosen.names.contains(&e.name())).collect();

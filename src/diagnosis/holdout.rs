@@ -41,20 +41,17 @@ pub struct HeldOut {
 
 impl HeldOut {
     /// Energy over all quantities, deg².
-    #[must_use]
     pub fn energy(&self) -> f64 {
         self.rmse_deg.0.iter().map(|e| e * e).sum()
     }
 
     /// Largest reduction of any quantity's RMSE from these scores to others, degrees or °/s.
-    #[must_use]
     pub fn gain(&self, to: &Self) -> f64 {
         self.rmse_deg.0.iter().zip(&to.rmse_deg.0).map(|(a, b)| a - b).fold(f64::NEG_INFINITY, f64::max)
     }
 }
 
 /// Leaves blocks of both lengths out of a fit that ended at `point`.
-#[must_use]
 pub fn leave_out(problem: &Problem<'_>, point: &Point, tangent: &Tangent) -> HeldOut {
     let [mut long, short] = BLOCKS_S.map(|length_s| {
         let folds = folds(problem.log, length_s);
@@ -125,7 +122,6 @@ fn refitted(problem: &Problem<'_>, point: &Point, sums: &Sums, mask: &impl Fn(us
 }
 
 /// RMSE of each quantity and energy of each block of the residuals of the `used` bins.
-#[must_use]
 pub fn score(log: &Observed, residual: Residuals, used: impl Fn(usize) -> bool) -> HeldOut {
     let count = (log.duration_s() / BLOCKS_S[0]).ceil() as usize + 1;
     // per block and quantity: weighted squares and weights

@@ -31,7 +31,6 @@ pub struct Compared<'a> {
 }
 
 /// The interval around `value`, the closed part on the whole log.
-#[must_use]
 pub fn closed_ci95(c: &Compared<'_>, value: f64, seed: u64) -> [f64; 2] {
     let n = c.before.blocks.len().min(c.after.blocks.len()).min(c.nominal.blocks.len());
     if n == 0 {

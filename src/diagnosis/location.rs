@@ -28,14 +28,12 @@ pub struct BeforeAfter<'a> {
 }
 
 /// Bend vector of bin `k` as commanded: the counted pistons through the gains of `lines`, without play.
-#[must_use]
 pub fn commanded_bend(log: &Observed, lines: &[Line; 3], k: usize) -> Bend {
     let u = log.piston_mm[log.bins[k].at];
     log.rig.geometry.shape(&Vector3::from_fn(|i, _| lines[i].bellow_mm(u[i]))).bend
 }
 
 /// Bend and direction, degrees; direction in 0..360.
-#[must_use]
 pub fn polar_deg(bend: &Bend) -> (f64, f64) {
     (bend.beta().to_degrees(), bend.delta().to_degrees().rem_euclid(360.0))
 }
@@ -56,7 +54,6 @@ impl BeforeAfter<'_> {
     }
 
     /// Errors by bend and direction.
-    #[must_use]
     pub fn regions(&self) -> Vec<Region> {
         let lines = [self.log.rig.prior; 3];
         let poses: Vec<(f64, f64)> = (0..self.log.bins.len()).map(|k| polar_deg(&commanded_bend(self.log, &lines, k))).collect();
@@ -71,7 +68,6 @@ impl BeforeAfter<'_> {
     }
 
     /// Errors by time.
-    #[must_use]
     pub fn when(&self) -> Vec<When> {
         let (start_s, length_s) = (self.log.start_s(), self.log.duration_s() / f64::from(STRETCHES));
         let stretch = |k: u32| {
@@ -83,7 +79,6 @@ impl BeforeAfter<'_> {
     }
 
     /// Errors by quantity.
-    #[must_use]
     pub fn quantities(&self) -> Vec<QuantityShare> {
         let share =
             |q: Quantity| QuantityShare { name: q.name(), rmse_deg: self.before.rmse_deg[q], explained_deg: self.after.rmse_deg[q] };

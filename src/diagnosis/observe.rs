@@ -76,7 +76,6 @@ pub struct Observed {
 
 impl Observed {
     /// Readings of the tip IMU at the initial rest of the first log.
-    #[must_use]
     pub fn rest(&self) -> RestReadings {
         let still = self.bins.iter().take_while(|b| b.speed_mm_s == 0.0).map(|b| b.gyr);
         let Segment { up_base: up, field_base_ut: field_ut, .. } = self.segments[0];
@@ -192,25 +191,21 @@ impl Observed {
     }
 
     /// RMS over the logged quantities of an energy (deg²) summed over them, degrees.
-    #[must_use]
     pub fn rms_deg(&self, energy: f64) -> f64 {
         (energy / self.quantities().count() as f64).sqrt()
     }
 
     /// Energy of white noise alone, deg², summed over the quantities and their three components.
-    #[must_use]
     pub fn noise_energy(&self) -> f64 {
         self.quantities().map(|q| 3.0 * self.noise_deg[q].powi(2)).sum()
     }
 
     /// Time from the first row of the first log to the last row of the last, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.rows.t_s.last().copied().unwrap_or(0.0) - self.start_s()
     }
 
     /// Time of the first row, s.
-    #[must_use]
     pub fn start_s(&self) -> f64 {
         self.rows.t_s.first().copied().unwrap_or(0.0)
     }

@@ -16,7 +16,6 @@ const BLOCK_S: f64 = 12.0;
 const RIDGE: f64 = 0.02;
 
 /// RMS of the gyroscope's residual that the reading predicts on blocks outside the regression, °/s.
-#[must_use]
 pub fn predictable_rate_deg_s(log: &Observed, h: &HeldOut) -> f64 {
     let residual = &h.residual[Quantity::Gyro];
     let samples: Vec<(usize, Vector4<f64>, RowVector3<f64>)> = log

@@ -47,13 +47,11 @@ pub struct Point {
 
 impl Point {
     /// Sum of squares including the priors.
-    #[must_use]
     pub fn total(&self) -> f64 {
         self.data() + self.prior
     }
 
     /// Sum of squares of the data.
-    #[must_use]
     pub fn data(&self) -> f64 {
         self.residual.iter().map(|r| r * r).sum()
     }
@@ -61,7 +59,6 @@ impl Point {
 
 impl<'a> Problem<'a> {
     /// The problem of fitting a model to a log.
-    #[must_use]
     pub fn new(log: &'a Observed, model: Model<'a>) -> Self {
         let prior = log.rig.prior;
         let mut bounds = vec![Bound { start: (1.0 + prior.k_epsilon).ln(), scale: 0.3, low: 0.0, high: 2.0 }; 3];
@@ -78,7 +75,6 @@ impl<'a> Problem<'a> {
     }
 
     /// Runs the model at `theta`.
-    #[must_use]
     pub fn at(&self, theta: Vec<f64>) -> Point {
         let motion = run(self.log, &self.model, &theta);
         let residual = self.residual(&theta, &motion);
@@ -87,20 +83,17 @@ impl<'a> Problem<'a> {
     }
 
     /// Runs the model at `theta` moved into the limits.
-    #[must_use]
     pub fn at_clamped(&self, theta: &[f64]) -> Point {
         self.at(theta.iter().zip(&self.bounds).map(|(t, b)| t.clamp(b.low, b.high)).collect())
     }
 
     /// Weighted residuals of a motion.
-    #[must_use]
     pub fn residual(&self, theta: &[f64], motion: &Motion) -> Vec<f64> {
         weighted(self.log, &sense(self.log, &self.model, theta, motion, every_bin))
     }
 
     /// Weighted residuals at `theta`; gravity, field and gyroscope bias of each log are solved on its rest, until `until_s` after its
     /// start.
-    #[must_use]
     pub fn residual_from_rest(&self, theta: &[f64], until_s: f64) -> Vec<f64> {
         let (log, motion) = (self.log, run(self.log, &self.model, theta));
         let of = |k: usize| log.segments.iter().rev().find(|s| s.bins.start <= k).map_or((0, log.start_s()), |s| (s.bins.start, s.start_s));
@@ -109,7 +102,6 @@ impl<'a> Problem<'a> {
     }
 
     /// Sum of squares of the priors.
-    #[must_use]
     pub fn prior(&self, theta: &[f64]) -> f64 {
         theta.iter().zip(&self.bounds).map(|(t, b)| (PRIOR_SLOPE * (t - b.start) / b.scale).powi(2)).sum()
     }

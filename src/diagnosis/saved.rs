@@ -111,7 +111,6 @@ impl SavedGains {
     }
 
     /// The gains as lines.
-    #[must_use]
     pub fn lines(&self) -> [Line; 3] {
         Line::each(self.k_epsilon, self.k_lambda_mm)
     }
@@ -138,7 +137,6 @@ fn params_of(saved: &[SavedEffect], effect: &dyn Effect) -> Option<Vec<f64>> {
 
 impl SavedModel {
     /// The model of a diagnosis of the log `source`.
-    #[must_use]
     pub fn new(source: &str, catalogue: &[Box<dyn Effect>], done: &Diagnosed) -> Self {
         let owned = |group: &Vec<&'static str>| group.iter().map(|n| (*n).to_owned()).collect();
         Self {
@@ -166,7 +164,6 @@ impl SavedModel {
     }
 
     /// The machine that this model describes: the forecast if there is one, otherwise the verdict's set.
-    #[must_use]
     pub fn described(&self, geometry: Geometry) -> DescribedMachine {
         let (gains, effects) = self.forecast.as_ref().map_or((&self.with_effects, &self.effect), |f| (&f.gains, &f.effect));
         let rest = self.rest.as_ref().map_or_else(RestReadings::default, |r| RestReadings {
@@ -184,14 +181,12 @@ impl SavedModel {
     }
 
     /// Parameters of an effect in catalogue order; `None` if the model does not have it.
-    #[must_use]
     pub fn params_of(&self, effect: &dyn Effect) -> Option<Vec<f64>> {
         params_of(&self.effect, effect)
     }
 
     /// Names that another log should separate: the equivalent groups or, without any, the effects and those they are
     /// confusable with.
-    #[must_use]
     pub fn in_question(&self) -> Vec<String> {
         if self.equivalent.iter().any(|g| g.len() > 1) {
             return self.equivalent.concat();
@@ -203,7 +198,6 @@ impl SavedModel {
 
     /// Runs both models over a fresh log. Only gravity, field and gyroscope bias (base frame and references) are solved
     /// again. Effects that happen once are left out.
-    #[must_use]
     pub fn check_on(&self, log: &Observed, catalogue: &[Box<dyn Effect>]) -> Checked {
         let energy = |gains: &SavedGains, names: &[&str]| {
             let model = Model::named(catalogue, names);
@@ -221,7 +215,6 @@ impl SavedModel {
     }
 
     /// The first effect or parameter that the catalogue does not have, as a problem; `None` if there is none.
-    #[must_use]
     pub fn unknown_names(&self, catalogue: &[Box<dyn Effect>]) -> Option<String> {
         for s in self.effect.iter().chain(self.forecast.iter().flat_map(|f| &f.effect)) {
             let Some(e) = catalogue.iter().find(|e| e.name() == s.name) else {

@@ -42,7 +42,6 @@ pub struct Candidate {
 
 impl Candidate {
     /// The candidate of a fit.
-    #[must_use]
     pub fn new(fit: &BaseFit<'_>) -> Self {
         let BaseFit { problem, point, tangent } = fit;
         Self {
@@ -54,7 +53,6 @@ impl Candidate {
     }
 
     /// Held-out energy, deg².
-    #[must_use]
     pub fn energy(&self) -> f64 {
         self.held_out.energy()
     }
@@ -78,20 +76,17 @@ impl Candidates {
     }
 
     /// The candidate of a single effect.
-    #[must_use]
     pub fn single(&self, name: &str) -> Option<&Candidate> {
         self.singles.iter().find(|s| s.names[0] == name)
     }
 
     /// The gap that recalibration leaves above noise, deg².
-    #[must_use]
     pub fn gap(&self, log: &Observed) -> f64 {
         (self.nominal.energy() - log.noise_energy()).max(1e-9)
     }
 }
 
 /// Runs the search; `lines` is the start of the recalibration.
-#[must_use]
 pub fn search(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) -> Candidates {
     let start = nominal_theta(lines, log.rig.prior_lag_s);
     let (nominal, base) = settle(Problem::new(log, Model::new(&[])), &start);
@@ -114,7 +109,6 @@ pub fn search(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) 
 }
 
 /// The recalibrated nominal model; `lines` is its start.
-#[must_use]
 pub fn recalibrated(log: &Observed, lines: &[Line; 3]) -> Candidate {
     settle(Problem::new(log, Model::new(&[])), &nominal_theta(lines, log.rig.prior_lag_s)).0
 }

@@ -19,13 +19,11 @@ const SLOPE_SPAN_S: f64 = 0.3;
 pub type Residuals = PerQuantity<Vec<Vector3<f64>>>;
 
 /// The mask that selects every bin.
-#[must_use]
 pub fn every_bin(_: usize) -> bool {
     true
 }
 
 /// Residuals of a motion; gravity, field and gyroscope bias of each log are solved on the bins that `mask` selects.
-#[must_use]
 pub fn sense(log: &Observed, model: &Model<'_>, theta: &[f64], motion: &Motion, mask: impl Fn(usize) -> bool) -> Residuals {
     let mut residual = Residuals::from_fn(|_| vec![Vector3::zeros(); log.bins.len()]);
     for segment in &log.segments {

@@ -36,7 +36,6 @@ pub struct Start {
 }
 
 /// The most promising start of `to`, the base fit with the effect `added`.
-#[must_use]
 pub fn best_start(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Start> {
     let mut starts = added.starts();
     if let Some(found) = scan(base, to, added) {
@@ -117,14 +116,12 @@ fn scan(base: &BaseFit<'_>, to: &Problem<'_>, added: &dyn Effect) -> Option<Vec<
 }
 
 /// Indices in θ of the times and durations of all events.
-#[must_use]
 pub fn dates(problem: &Problem<'_>) -> Vec<usize> {
     problem.model.all_events().flat_map(|e| [Some(e.time), e.lasting]).flatten().collect()
 }
 
 /// The parameters with every quick event dated again, each while all others stay as fitted; `None` if the model has no
 /// quick events. With `slow_too` the slow events become quick ones; `None` if there are none.
-#[must_use]
 pub fn dated_again(problem: &Problem<'_>, point: &Point, slow_too: bool) -> Option<Vec<f64>> {
     let is_slow = |e: &Event| e.lasting.is_some_and(|l| point.theta[l] > QUICK_S);
     if slow_too && !problem.model.all_events().any(|e| is_slow(&e)) {

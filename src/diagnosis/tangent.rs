@@ -56,13 +56,11 @@ fn column(problem: &Problem<'_>, point: &Point, c: usize) -> Vec<f32> {
 
 impl Tangent {
     /// The tangent at a point.
-    #[must_use]
     pub fn new(problem: &Problem<'_>, point: &Point) -> Self {
         Self { columns: (0..problem.bounds.len()).into_par_iter().map(|c| column(problem, point, c)).collect() }
     }
 
     /// The tangent at a point that adds a small effect to a base fit: only the columns of that effect are computed.
-    #[must_use]
     pub fn grown(problem: &Problem<'_>, point: &Point, base: &BaseFit<'_>) -> Self {
         let (model, known) = (&problem.model, &base.problem.model);
         let mut columns = base.tangent.columns[..NOMINAL].to_vec();
@@ -76,7 +74,6 @@ impl Tangent {
     }
 
     /// Number of columns.
-    #[must_use]
     pub fn width(&self) -> usize {
         self.columns.len()
     }
@@ -87,7 +84,6 @@ impl Tangent {
     }
 
     /// Sums over all bins, including the priors.
-    #[must_use]
     pub fn sums(&self, problem: &Problem<'_>, point: &Point) -> Sums {
         let mut sums = self.parts(point, problem.log.bins.len(), 1, |_| Some(0)).swap_remove(0);
         sums.add_prior(problem, point);
@@ -95,7 +91,6 @@ impl Tangent {
     }
 
     /// `Jᵀr` with the residuals of another point, including the priors.
-    #[must_use]
     pub fn gradient(&self, problem: &Problem<'_>, point: &Point) -> DVector<f64> {
         let residual: Vec<f32> = point.residual.iter().map(|r| *r as f32).collect();
         let mut gradient = DVector::from_iterator(self.columns.len(), self.columns.iter().map(|c| dot(c, &residual)));
@@ -104,7 +99,6 @@ impl Tangent {
     }
 
     /// Sums over groups of bins without the priors; `group` gives the group of a bin.
-    #[must_use]
     pub fn parts(&self, point: &Point, bins: usize, groups: usize, group: impl Fn(usize) -> Option<usize>) -> Vec<Sums> {
         let (n, stride) = (self.columns.len(), point.residual.len() / bins.max(1));
         let residual: Vec<f32> = point.residual.iter().map(|r| *r as f32).collect();

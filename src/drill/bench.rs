@@ -35,7 +35,6 @@ pub struct FaultyMachine {
 
 impl FaultyMachine {
     /// A machine without faults.
-    #[must_use]
     pub fn new(sim: Sim, motion: &DriveLimits) -> Self {
         Self { inner: Lockstep::new(sim, motion), bus: None, stamp_offset_s: 0.0, emergency_stop: false, alarm: None }
     }
@@ -141,7 +140,6 @@ impl BenchConfig {
     }
 
     /// The configuration of its supervisor.
-    #[must_use]
     pub fn supervisor(&self, info: &MachineInfo) -> SupervisorConfig {
         assemble(&self.board, &self.calibration, &self.gains, info)
     }
@@ -156,7 +154,6 @@ impl BenchConfig {
     }
 
     /// A bench with an existing machine, as after a restart.
-    #[must_use]
     pub fn bench_on(&self, machine: FaultyMachine, restart: Option<RestartState>, now_s: f64) -> Bench {
         let config = self.supervisor(machine.info());
         let period_s = machine.info().period_s;
@@ -213,7 +210,6 @@ impl Bench {
     }
 
     /// True bend relative to the straight orientation.
-    #[must_use]
     pub fn true_bend(&self) -> Bend {
         let mut truth = self.truth.unwrap_or_else(Rotation::identity);
         if let Some(straight) = &self.straight {
@@ -224,7 +220,6 @@ impl Bench {
     }
 
     /// Distance of the true bend from a pose, degrees.
-    #[must_use]
     pub fn error_deg(&self, bend_deg: f64, dir_deg: f64) -> f64 {
         let target = Bend::from_deg(bend_deg, dir_deg);
         (self.true_bend().0 - target.0).norm().to_degrees()
@@ -240,14 +235,12 @@ impl Bench {
     }
 
     /// Period of a cycle, s.
-    #[must_use]
     pub fn period_s(&self) -> f64 {
         self.period_s
     }
 }
 
 /// An order to bend; angles in degrees.
-#[must_use]
 pub fn bend(bend_deg: f64, dir_deg: f64) -> Order {
     let (bend, length) = (Bend::from_deg(bend_deg, dir_deg), Mm(20.0));
     Order::Bend(Command { bend, length }, None)

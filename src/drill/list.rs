@@ -24,7 +24,6 @@ const FAULTED: &[&str] = &["faulted"];
 const ANY: &[&str] = &["holding", "tracking", "faulted"];
 
 /// Every fault in flight.
-#[must_use]
 pub fn specs() -> Vec<Spec> {
     let own = [sensor_faults(), plant_faults(), timing_faults(), base_imu_faults()];
     own.into_iter().chain([order_faults(), stops(), environment_faults()]).flatten().collect()

@@ -31,7 +31,6 @@ pub struct Row {
 
 impl Row {
     /// A row without a failure, and what it requires.
-    #[must_use]
     pub fn new(fault: &str, requires: impl Into<String>) -> Self {
         Self { fault: fault.to_owned(), requires: requires.into(), ok: true, ..Self::default() }
     }

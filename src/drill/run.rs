@@ -68,7 +68,6 @@ impl Allowance {
     }
 
     /// Microsteps that braking from full speed needs.
-    #[must_use]
     pub fn stopping(&self) -> i64 {
         self.stopping
     }

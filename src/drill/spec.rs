@@ -57,7 +57,6 @@ pub enum Situation {
 
 impl Situation {
     /// The mode of the supervisor.
-    #[must_use]
     pub fn mode(self) -> Mode {
         match self {
             Self::Moving => Mode::Tracking,
@@ -139,7 +138,6 @@ pub struct Spec {
 
 impl Spec {
     /// A fault in the middle of the standard move.
-    #[must_use]
     pub fn new(name: &'static str, injection: Injection, detector: Detector, bound: Bound, states: &'static [&'static str]) -> Self {
         let (zero, by_hand, within_s) = (false, false, WITHIN_S);
         let (target, situation) = ((68.0, 80.0), Situation::Moving);
@@ -154,7 +152,6 @@ impl Spec {
     }
 
     /// What the row requires, in words.
-    #[must_use]
     pub fn words(&self, steps: i64, after_deg: f64) -> String {
         let states = self.states.join(" or ");
         let (within_s, bound) = (self.within_s, self.bound.name());
@@ -209,7 +206,6 @@ impl Injection {
     }
 
     /// Time until the fault ends by itself, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         match *self {
             Self::Bus(_, s) | Self::Plant(_, s) | Self::ClockJump(_, s) => s,
@@ -220,7 +216,6 @@ impl Injection {
 
 impl Detector {
     /// The message of a cycle that detects the fault.
-    #[must_use]
     pub fn detects(&self, output: &CycleOutput) -> Option<String> {
         let said = |met: bool, text: &str| met.then(|| text.to_owned());
         let suspicion = || Some(output.suspicion.filter(|_| output.suspects)?.to_string());
@@ -262,7 +257,6 @@ impl Detector {
     }
 
     /// True unless the final suspicion names something else.
-    #[must_use]
     pub fn accepts(&self, output: &CycleOutput) -> bool {
         match (self, &output.suspicion) {
             (Self::Residual(kinds), Some(s)) => kinds.contains(&s.kind),

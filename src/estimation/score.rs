@@ -64,7 +64,6 @@ pub enum ScoreError {
 }
 
 /// Total, heading and inclination error of an estimate, rad.
-#[must_use]
 pub fn error_angles(estimate: &Rotation<World, Sensor>, truth: &Rotation<World, Sensor>) -> [f64; 3] {
     let e = (estimate.quat() * truth.quat().inverse()).into_inner();
     let total = 2.0 * e.w.abs().min(1.0).acos();
@@ -133,7 +132,6 @@ pub fn run(files: &[PathBuf], filter: Option<FilterName>, all: bool) -> Result<V
 }
 
 /// Mean of one filter over the recordings; `None` if it has no row.
-#[must_use]
 pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
     let of: Vec<&Score> = rows.iter().filter(|r| r.filter == filter).map(|r| &r.score).collect();
     let over = |value: fn(&Score) -> f64| of.iter().map(|s| value(s)).sum::<f64>() / of.len() as f64;
@@ -145,7 +143,6 @@ pub fn mean(rows: &[Row], filter: FilterName) -> Option<Score> {
 }
 
 /// The rows as a table: one line per file, one column per filter, and the means.
-#[must_use]
 pub fn table(rows: &[Row]) -> String {
     let filters: Vec<FilterName> = FilterName::ALL.into_iter().filter(|f| rows.iter().any(|r| r.filter == *f)).collect();
     let cell =

@@ -196,14 +196,12 @@ fn hold(rig: &mut Rig<'_>, pose: &Pose) -> Result<Held, RigError> {
 }
 
 /// The root of the mean; 0 if there are no values.
-#[must_use]
 pub fn root_mean(squares: impl IntoIterator<Item = f64>) -> f64 {
     let (n, sum) = squares.into_iter().fold((0.0, 0.0), |(n, sum), x| (n + 1.0, sum + x));
     (sum / f64::max(n, 1.0)).sqrt()
 }
 
 /// The value below which a share of the values lies; 0 if there are none.
-#[must_use]
 pub fn percentile(values: impl IntoIterator<Item = f64>, share: f64) -> f64 {
     let mut sorted: Vec<f64> = values.into_iter().collect();
     sorted.sort_by(f64::total_cmp);

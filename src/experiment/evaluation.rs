@@ -41,7 +41,6 @@ impl Arm {
     pub const PAPER: [Self; 4] = [Self::None, Self::Extension, Self::Backlash, Self::Closed];
 
     /// Name on the command line and in results.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -53,7 +52,6 @@ impl Arm {
     }
 
     /// Configuration of this arm, derived from that of the closed loop.
-    #[must_use]
     pub fn config(self, base: &LoopConfig) -> LoopConfig {
         let lines = match self {
             Self::None => [Line { k_epsilon: 0.0, k_lambda_mm: 0.0 }; 3],
@@ -126,7 +124,6 @@ pub struct Evaluation {
 
 impl Evaluation {
     /// Result of an arm, if it ran.
-    #[must_use]
     pub fn arm(&self, arm: Arm) -> Option<&ArmResult> {
         self.arms.iter().find(|a| a.name == arm.name())
     }
@@ -231,7 +228,6 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
 }
 
 /// The configuration with step and rest length of the world in place of those of the board.
-#[must_use]
 pub fn for_world(config: &LoopConfig, world: &dyn World) -> LoopConfig {
     let info = world.info();
     let mut config = config.clone();

@@ -60,13 +60,11 @@ pub struct Identified {
 
 impl Identified {
     /// The gains without their uncertainty.
-    #[must_use]
     pub fn lines(&self) -> [Line; 3] {
         self.channels.map(|e| e.line)
     }
 
     /// Standard deviations of k_ε and k_λ in mm, per channel, no smaller than a calibration is repeatable.
-    #[must_use]
     pub fn line_sigmas(&self) -> [[f64; 2]; 3] {
         let sigma = |e: &Estimate, i: usize, least: f64| e.covariance[(i, i)].max(0.0).sqrt().max(least);
         std::array::from_fn(|i| [sigma(&self.channels[i], 0, 0.05), sigma(&self.channels[i], 1, 0.03)])

@@ -67,7 +67,6 @@ impl PathFile {
     }
 
     /// The refusal of the bend of a row.
-    #[must_use]
     pub fn refuse(&self, row: usize, expected: &str) -> ReadError {
         let given = self.table.column("bend_deg").and_then(|b| b.get(row)).copied().unwrap_or_default();
         self.table.refuse(row, "bend_deg", &given.to_string(), expected)

@@ -59,7 +59,6 @@ pub struct Round {
 
 impl Round {
     /// A round before its first command.
-    #[must_use]
     pub fn new(geometry: Geometry, poses: Vec<Pose>) -> Self {
         Self { geometry, data: Vec::with_capacity(poses.len()), poses, ..Self::default() }
     }
@@ -70,18 +69,15 @@ impl Round {
         self.bank = DynamicsBank::default();
     }
     /// Index of the present pose, and the number of poses.
-    #[must_use]
     pub fn at(&self) -> (usize, usize) {
         (self.at, self.poses.len())
     }
     /// Command for the present pose, or for the last one when all have ended.
-    #[must_use]
     pub fn command(&self) -> Command {
         let bend = self.poses.get(self.at).or(self.poses.last()).map_or(Bend(Vector2::zeros()), Pose::bend);
         Command { bend, length: Mm(self.geometry.rest_length_mm) }
     }
     /// Lag and dead time of this round, with what `before` contributes.
-    #[must_use]
     pub fn dynamics(&self, before: &DynamicsPrior) -> DynamicsPrior {
         self.bank.assess(before, &before.range()).prior()
     }

@@ -87,13 +87,11 @@ impl<'w> Rig<'w> {
     }
 
     /// Time of the next tick.
-    #[must_use]
     pub fn now(&self) -> Seconds {
         self.input.t
     }
 
     /// Period of the world, s.
-    #[must_use]
     pub fn period_s(&self) -> f64 {
         self.input.dt_s
     }

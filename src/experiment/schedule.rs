@@ -22,7 +22,6 @@ pub struct Pose {
 
 impl Pose {
     /// The pose as a bend vector.
-    #[must_use]
     pub fn bend(&self) -> Bend {
         Bend::from_deg(self.bend_deg, self.dir_deg)
     }
@@ -40,13 +39,11 @@ pub const DIRECTIONS: usize = 12;
 const VISIT_DEG: f64 = 80.0;
 
 /// The 120 states, as Algorithm 1 measures them.
-#[must_use]
 pub fn paper() -> Vec<Pose> {
     arrivals(DIRECTIONS).into_iter().filter(|p| p.scored).collect()
 }
 
 /// Ten states and a visit in each of `directions`, which are evenly spaced from 0°: the schedule of an arm.
-#[must_use]
 pub fn arrivals(directions: usize) -> Vec<Pose> {
     (0..directions)
         .flat_map(|d| {
@@ -62,7 +59,6 @@ pub fn arrivals(directions: usize) -> Vec<Pose> {
 /// The 24 poses of a calibration with a prior: in every direction out to 70° and back to 40°, so that each bellow is
 /// strained on both sides of its backlash; poses from one side only cannot separate extension from backlash. Opposite
 /// directions follow each other, so that a drift does not appear as a gain.
-#[must_use]
 pub fn short() -> Vec<Pose> {
     (0..24)
         .map(|n| {

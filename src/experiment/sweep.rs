@@ -155,7 +155,6 @@ pub struct SweepRow {
 
 impl Study {
     /// The unit `n` (from 0) of the study.
-    #[must_use]
     pub fn unit(&self, n: u64) -> PlantConfig {
         self.make.drawn(self.seed + 1 + n)
     }

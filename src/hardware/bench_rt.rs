@@ -187,7 +187,6 @@ impl Drop for Load {
 
 impl RtBench {
     /// Whether no step was late enough to be a fault and no underrun occurred.
-    #[must_use]
     pub fn is_good(&self) -> bool {
         !matches!(self.steps.report.mode, StepperMode::Faulted(_)) && self.steps.report.underruns == 0
     }
@@ -202,7 +201,6 @@ impl RtBench {
     }
 
     /// Percentiles in µs and the granted real-time settings as a table.
-    #[must_use]
     pub fn table(&self) -> String {
         let mut table = Table::new();
         let mut header = vec!["µs".to_string(), "mean".into()];
@@ -236,7 +234,6 @@ impl RtBench {
 
     /// Histograms of wake-up lateness, step lateness and interval error as one SVG drawing with
     /// logarithmic axes.
-    #[must_use]
     pub fn svg(&self) -> String {
         let charts: Vec<Chart> = self.rows()[..3].iter().map(|(name, h)| histogram(name, h, self.config.stepper.late_max_us)).collect();
         sheet("Lateness of the step thread", &charts, 3)

@@ -54,7 +54,6 @@ pub struct PressureSensor<I> {
 
 impl<I: I2c> PressureSensor<I> {
     /// The sensor of a channel from 0.
-    #[must_use]
     pub fn new(bus: I, config: &PressureSection, channel: usize) -> Self {
         Self { bus, address: config.addresses[channel], range_kpa: [config.low_kpa, config.high_kpa] }
     }

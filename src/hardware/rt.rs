@@ -12,7 +12,6 @@ use std::fs::File;
 use std::io::{self, Write};
 
 /// Reading of CLOCK_MONOTONIC, ns.
-#[must_use]
 pub fn monotonic_ns() -> u64 {
     let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // SAFETY: `now` is a live timespec to write to. CLOCK_MONOTONIC exists on every Linux, so the call
@@ -109,7 +108,6 @@ pub struct IdleGuard {
 }
 
 /// Applies the real-time settings to the calling thread as far as the kernel grants them.
-#[must_use]
 pub fn enter(request: &RtRequest) -> (RtStatus, IdleGuard) {
     let real_time = request.priority > 0;
     let if_real_time = |apply: &dyn Fn() -> Grant| if real_time { apply() } else { Grant::NotRequested };

@@ -236,7 +236,6 @@ impl<P: Pins + 'static> Stepper<P> {
 
     /// Brakes within the limits, releases the drivers, ends the thread and returns its results and the
     /// pins; `None` if the thread has panicked.
-    #[must_use]
     pub fn finish(mut self) -> Option<(Summary, P)> {
         self.join()
     }
@@ -280,7 +279,6 @@ impl<P> StepGenerator for Stepper<P> {
 
 impl<P> Stepper<P> {
     /// The message of the first failure of the pins.
-    #[must_use]
     pub fn pin_error(&self) -> Option<&str> {
         self.pin_error_text.get().map(String::as_str)
     }

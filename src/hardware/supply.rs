@@ -18,7 +18,6 @@ const BITS: [(u32, &str); 8] = [
 pub const REMEDY: &str = "use the official power supply, a separate one for the motors, and let the computer cool";
 
 /// What the firmware reports now, worst first; `None` on a computer without such a firmware.
-#[must_use]
 pub fn troubles() -> Option<Vec<&'static str>> {
     parse(&std::fs::read_to_string(STATUS).ok()?)
 }

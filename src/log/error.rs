@@ -4,7 +4,6 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 /// Why a file cannot be read, and what to do, in words that follow its name.
-#[must_use]
 pub fn why_unreadable(path: &Path, error: &std::io::Error) -> String {
     match error.kind() {
         _ if path.is_dir() => "this is a folder, not a file; give the name of a file".to_owned(),

@@ -110,7 +110,6 @@ fn world_from_enu(r_enu_sensor: UnitQuaternion<f64>) -> Rotation<World, Sensor> 
 
 impl Recording {
     /// Median time between rows, s; gaps do not affect it.
-    #[must_use]
     pub fn period_s(&self) -> f64 {
         let steps = self.rows.windows(2).map(|w| w[1].sample.t.0 - w[0].sample.t.0);
         let mut steps: Vec<f64> = steps.collect();
@@ -119,7 +118,6 @@ impl Recording {
     }
 
     /// Mean time between rows with a magnetometer reading, s; the row period if there is none.
-    #[must_use]
     pub fn mag_period_s(&self) -> f64 {
         let with_mag = self.rows.iter().filter(|r| r.sample.mag_ut.is_some());
         match with_mag.count() {

@@ -112,13 +112,11 @@ impl Table {
     }
 
     /// Number of rows.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.lines.len()
     }
 
     /// Names of the columns.
-    #[must_use]
     pub fn header(&self) -> &[String] {
         &self.header
     }
@@ -131,7 +129,6 @@ impl Table {
     }
 
     /// A column, if the header names it.
-    #[must_use]
     pub fn column(&self, name: &str) -> Option<&[f64]> {
         self.position(name).ok().map(|k| self.columns[k].as_slice())
     }
@@ -231,7 +228,6 @@ impl Table {
     }
 
     /// The error for a value that its column does not allow; `row` counts from 0.
-    #[must_use]
     pub fn refuse(&self, row: usize, column: &str, value: &str, expected: &str) -> ReadError {
         let (file, line) = (self.file.clone(), self.lines[row]);
         let [column, value, expected] = [column, value, expected].map(str::to_owned);

@@ -40,7 +40,6 @@ pub struct Shape {
 impl Geometry {
     /// Direction of bellow `i` (0-based) as `(cos α_i, −sin α_i)`: the projection of a bend vector
     /// on it, times r, is what the bellow shortens by.
-    #[must_use]
     #[inline]
     pub fn spoke(i: usize) -> Vector2<f64> {
         /// √3/2 = sin 120°.
@@ -53,14 +52,12 @@ impl Geometry {
     }
 
     /// Eq. 10-11: change of bellow lengths q, mm, for a shape.
-    #[must_use]
     pub fn lengths(&self, shape: &Shape) -> Vector3<f64> {
         let stretch = shape.length.0 - self.rest_length_mm;
         Vector3::from_fn(|i, _| stretch - self.r_mm * Self::spoke(i).dot(&shape.bend.0))
     }
 
     /// Inverse of [`Geometry::lengths`]: the three lengths fix bend and centre length exactly.
-    #[must_use]
     #[inline]
     pub fn shape(&self, q_mm: &Vector3<f64>) -> Shape {
         let sum = (0..3).fold(Vector2::zeros(), |a, i| a + Self::spoke(i) * q_mm[i]);
@@ -68,7 +65,6 @@ impl Geometry {
     }
 
     /// Eq. 6: tip position in the base frame, mm.
-    #[must_use]
     pub fn position(&self, shape: &Shape) -> Vector3<f64> {
         let beta = shape.bend.beta();
         let l = shape.length.0;
@@ -77,7 +73,6 @@ impl Geometry {
     }
 
     /// ∂x/∂(b_x, b_y, l) of Eq. 6, mm per rad and mm per mm.
-    #[must_use]
     pub fn position_jacobian(&self, shape: &Shape) -> Matrix3<f64> {
         let (b, l, beta) = (shape.bend.0, shape.length.0, shape.bend.beta());
         let (v, s) = (versine_over(beta), sinc(beta));

@@ -17,45 +17,37 @@ impl Bend {
     pub const STRAIGHT: Self = Self(Vector2::new(0.0, 0.0));
 
     /// From bend angle β and direction δ.
-    #[must_use]
     pub fn from_polar(beta: Rad, delta: Rad) -> Self {
         Self(Vector2::new(beta.0 * delta.0.cos(), beta.0 * delta.0.sin()))
     }
     /// From β and δ in degrees.
-    #[must_use]
     pub fn from_deg(beta_deg: f64, delta_deg: f64) -> Self {
         Self::from_polar(Rad::from_deg(beta_deg), Rad::from_deg(delta_deg))
     }
     /// β ≥ 0, radians.
-    #[must_use]
     pub fn beta(&self) -> f64 {
         self.0.norm()
     }
     /// δ in (−π, π]; 0 when straight, where every δ is the same tip.
-    #[must_use]
     pub fn delta(&self) -> f64 {
         self.0.y.atan2(self.0.x)
     }
     /// Rotation vector of Eq. 7, radians, in the base frame (and, being its own axis, in the tip's).
-    #[must_use]
     pub fn rotation_vector(&self) -> Vector3<f64> {
         Vector3::new(self.0.y, self.0.x, 0.0)
     }
     /// Tip orientation in the base frame, Eq. 7.
-    #[must_use]
     pub fn rotation(&self) -> Rotation<Base, Tip> {
         Rotation::assert_frames(UnitQuaternion::from_scaled_axis(self.rotation_vector()))
     }
     /// Inverse of [`Bend::rotation`] by the direction of the tip axis alone: a twist about that axis
     /// is ignored, as constant curvature has none. β in 0..=π.
-    #[must_use]
     pub fn from_rotation(r: &Rotation<Base, Tip>) -> Self {
         Self::from_axis(&r.apply(&Vector3::z()))
     }
     /// The bend with the β of the tip axis whose direction leaves the smallest angle to `r`: where the tip
     /// has twisted as well, half of the twist goes into the direction. Of a quaternion (w, x, y, z) that
     /// direction is (y, x).
-    #[must_use]
     pub fn nearest(r: &Rotation<Base, Tip>) -> Self {
         let q = r.quat();
         let q = if q.w < 0.0 { -q.into_inner() } else { q.into_inner() };
@@ -66,7 +58,6 @@ impl Bend {
     }
     /// The bend whose tip axis points along `axis` (unit, base frame):
     /// `axis = (sin β cos δ, −sin β sin δ, cos β)`.
-    #[must_use]
     pub fn from_axis(axis: &Vector3<f64>) -> Self {
         let sin_beta = axis.x.hypot(axis.y);
         let beta = sin_beta.atan2(axis.z);

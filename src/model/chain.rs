@@ -14,13 +14,11 @@ use std::ops::Deref;
 pub const NOMINAL: usize = 7;
 
 /// The lines of a parameter vector.
-#[must_use]
 pub fn lines(theta: &[f64]) -> [Line; 3] {
     std::array::from_fn(|i| Line { k_epsilon: theta[i].exp() - 1.0, k_lambda_mm: theta[3 + i].max(0.0) })
 }
 
 /// The nominal parameter vector of lines and a lag, the inverse of [`lines`].
-#[must_use]
 pub fn nominal_theta(lines: &[Line; 3], lag_s: f64) -> Vec<f64> {
     let mut theta: Vec<f64> = lines.iter().map(|l| (1.0 + l.k_epsilon).ln()).collect();
     theta.extend(lines.iter().map(|l| l.k_lambda_mm));
@@ -29,7 +27,6 @@ pub fn nominal_theta(lines: &[Line; 3], lag_s: f64) -> Vec<f64> {
 }
 
 /// First parameter of each effect in a parameter vector, and one past the last of all.
-#[must_use]
 pub fn places<E: Deref<Target: Effect>>(effects: &[E]) -> Vec<usize> {
     let mut at = vec![NOMINAL];
     for e in effects {
@@ -52,7 +49,6 @@ pub struct Chain<'a, E> {
 
 impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
     /// The chain of a parameter vector; `at` are its [`places`].
-    #[must_use]
     pub fn new(geometry: Geometry, effects: &'a [E], at: &'a [usize], theta: &'a [f64]) -> Self {
         Self { lines: lines(theta), geometry, effects, at, theta }
     }
@@ -64,7 +60,6 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
     }
 
     /// An instant at rest, `dt_s` after the start.
-    #[must_use]
     pub fn moment(&self, up_base: Vector3<f64>, dt_s: f64) -> Moment {
         Moment {
             t_s: 0.0,
@@ -78,7 +73,6 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
     }
 
     /// True piston positions for the counted ones, mm.
-    #[must_use]
     pub fn pistons(&self, memory: &mut [Memory], at: &Moment, counted_mm: &Vector3<f64>) -> Vector3<f64> {
         let mut u = *counted_mm;
         self.each().zip(memory).for_each(|((e, p), m)| e.pistons(p, m, at, &mut u));
@@ -86,13 +80,11 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
     }
 
     /// Outputs of the play operators after the pistons have moved to `piston_mm`, mm.
-    #[must_use]
     pub fn play(&self, w_mm: &Vector3<f64>, piston_mm: &Vector3<f64>) -> Vector3<f64> {
         Vector3::from_fn(|c, _| self.lines[c].play(w_mm[c], piston_mm[c]))
     }
 
     /// Bellow length changes for the outputs of the play operators, before the lag, mm.
-    #[must_use]
     pub fn bellows(&self, memory: &mut [Memory], at: &Moment, play_output_mm: &Vector3<f64>) -> Vector3<f64> {
         let mut w = *play_output_mm;
         self.each().zip(&mut *memory).for_each(|((e, p), m)| e.play_output(p, m, at, &mut w));
@@ -102,7 +94,6 @@ impl<'a, E: Deref<Target: Effect>> Chain<'a, E> {
     }
 
     /// Tip shape for bellow length changes: constant curvature with the effects on it.
-    #[must_use]
     pub fn pose(&self, memory: &mut [Memory], at: &Moment, bellow_mm: &Vector3<f64>) -> Pose {
         let mut pose = Pose { bend: self.geometry.shape(bellow_mm).bend.0, twist: 0.0, bellow_mm: *bellow_mm };
         self.each().zip(memory).for_each(|((e, p), m)| e.shape(p, m, at, &mut pose));

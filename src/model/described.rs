@@ -39,7 +39,6 @@ pub struct DescribedMachine {
 
 impl DescribedMachine {
     /// A machine with these nominal parameters (see [`crate::model::chain::nominal_theta`]) and effects with parameters.
-    #[must_use]
     pub fn new(geometry: Geometry, rest: RestReadings, nominal: &[f64], causes: Vec<(Box<dyn Effect>, Vec<f64>)>) -> Self {
         let (mut effects, mut theta) = (Vec::<Arc<dyn Effect>>::new(), nominal[..NOMINAL].to_vec());
         for (effect, params) in causes {
@@ -66,19 +65,16 @@ impl DescribedMachine {
     }
 
     /// The laws from pistons to shape.
-    #[must_use]
     pub fn chain(&self) -> Chain<'_, Arc<dyn Effect>> {
         Chain::new(self.geometry, &self.effects, &self.at, &self.theta)
     }
 
     /// Nominal mechanical lag τ₀, s.
-    #[must_use]
     pub fn lag_s(&self) -> f64 {
         self.theta[NOMINAL - 1]
     }
 
     /// State of the effects at rest.
-    #[must_use]
     pub fn memory(&self) -> Vec<Memory> {
         vec![Memory::default(); self.effects.len()]
     }
@@ -98,7 +94,6 @@ impl fmt::Debug for DescribedMachine {
 }
 
 /// Tip orientation of a pose, tip → base.
-#[must_use]
 pub fn orientation(pose: &Pose) -> UnitQuaternion<f64> {
     let bent = UnitQuaternion::from_scaled_axis(Vector3::new(pose.bend.y, pose.bend.x, 0.0));
     if pose.twist == 0.0 { bent } else { bent * UnitQuaternion::from_scaled_axis(Vector3::z() * pose.twist) }

@@ -21,30 +21,25 @@ pub struct Line {
 
 impl Line {
     /// Three lines from their gains.
-    #[must_use]
     pub fn each(k_epsilon: [f64; 3], k_lambda_mm: [f64; 3]) -> [Self; 3] {
         std::array::from_fn(|i| Self { k_epsilon: k_epsilon[i], k_lambda_mm: k_lambda_mm[i] })
     }
 
     /// Play operator: the output `w` after the piston moves to `piston_mm`.
-    #[must_use]
     #[inline]
     pub fn play(&self, w_mm: f64, piston_mm: f64) -> f64 {
         w_mm.max(piston_mm - self.k_lambda_mm).min(piston_mm + self.k_lambda_mm)
     }
     /// Bellow length change for a play output, `q = w / (1 + k_ε)`.
-    #[must_use]
     #[inline]
     pub fn bellow_mm(&self, w_mm: f64) -> f64 {
         w_mm / (1.0 + self.k_epsilon)
     }
     /// Play output for a bellow length change: inverse of [`Line::bellow_mm`].
-    #[must_use]
     pub fn play_output_mm(&self, q_mm: f64) -> f64 {
         q_mm * (1.0 + self.k_epsilon)
     }
     /// Eq. 16: piston displacement q̃ for bellow change `q_mm`, pushing to `side` (−1..=1).
-    #[must_use]
     pub fn piston_mm(&self, q_mm: f64, side: f64) -> f64 {
         self.play_output_mm(q_mm) + self.k_lambda_mm * side
     }
@@ -92,7 +87,6 @@ pub struct Wanted {
 
 impl Side {
     /// The inverse with state: from commanded bellow change to piston position and new state.
-    #[must_use]
     pub fn invert(&self, line: &Line, state: SideState, wanted: &Wanted) -> (f64, SideState) {
         let want = line.play_output_mm(wanted.q_mm);
         let next = match *self {
@@ -108,7 +102,6 @@ impl Side {
 
 /// Play output reached when the piston is at `piston_mm` on its way to `state`. It moves from `realised_mm` towards
 /// `state.w_mm` and never back, so that crossing the gap is not counted as motion.
-#[must_use]
 pub fn realised(line: &Line, state: &SideState, realised_mm: f64, piston_mm: f64) -> f64 {
     let reached = piston_mm - line.k_lambda_mm * state.side;
     if state.way >= 0.0 { realised_mm.max(reached.min(state.w_mm)) } else { realised_mm.min(reached.max(state.w_mm)) }

@@ -32,14 +32,12 @@ pub struct DriveLimits {
 
 impl DriveLimits {
     /// The longest way of a piston from the counted position to rest, mm: through the queued motion and the longest stop.
-    #[must_use]
     pub fn braking_mm(&self) -> f64 {
         self.limits.speed_max_mm_s * self.lead_s + longest_stop_mm(&self.limits)
     }
 
     /// Time from an order to brake until the mean of the deceleration begins, s: the queued motion and half the time in
     /// which the jerk limit builds the deceleration up.
-    #[must_use]
     pub fn react_s(&self) -> f64 {
         self.lead_s + self.limits.acceleration_max_mm_s2 / (2.0 * self.limits.jerk_max_mm_s3)
     }
@@ -60,7 +58,6 @@ pub trait StepGenerator {
     fn lead_ns(&self, now_ns: u64) -> i64;
 
     /// Sends an order that bypasses the queue of segments. Returns false if too many orders are waiting.
-    #[must_use]
     fn order(&mut self, order: StepperOrder) -> bool;
 
     /// The last report; `None` before the first.
@@ -112,7 +109,6 @@ pub struct Drive<G> {
 
 impl<G: StepGenerator> Drive<G> {
     /// A drive with the drivers off and the pistons at zero. `period_s` is the period of the updates.
-    #[must_use]
     pub fn new(generator: G, config: &DriveLimits, step_mm: f64, period_s: f64) -> Self {
         Self {
             keeps: generator.is_energised(),
@@ -234,19 +230,16 @@ impl<G: StepGenerator> Drive<G> {
     }
 
     /// The state after the last update.
-    #[must_use]
     pub fn state(&self) -> DriveState {
         self.state
     }
 
     /// The step generator.
-    #[must_use]
     pub fn generator(&self) -> &G {
         &self.generator
     }
 
     /// The step generator, to run it in simulated time.
-    #[must_use]
     pub fn generator_mut(&mut self) -> &mut G {
         &mut self.generator
     }

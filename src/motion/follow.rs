@@ -52,7 +52,6 @@ pub struct Motion<S = Ruckig> {
 
 impl Motion<Ruckig> {
     /// All pistons at rest at zero.
-    #[must_use]
     pub fn new(limits: &MotionLimits) -> Self {
         Self::with_solver(limits, Ruckig::default())
     }
@@ -60,7 +59,6 @@ impl Motion<Ruckig> {
 
 impl<S: Solver> Motion<S> {
     /// All pistons at rest at zero, with another solver.
-    #[must_use]
     pub fn with_solver(limits: &MotionLimits, solver: S) -> Self {
         Self {
             limits: *limits,
@@ -112,13 +110,11 @@ impl<S: Solver> Motion<S> {
     }
 
     /// States of the pistons at the end of the last tick.
-    #[must_use]
     pub fn state(&self) -> &[MotionState; 3] {
         &self.state
     }
 
     /// What the last tick did.
-    #[must_use]
     pub fn status(&self) -> MoveStatus {
         self.status
     }

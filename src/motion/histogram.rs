@@ -37,26 +37,22 @@ impl Histogram {
     }
 
     /// Number of durations.
-    #[must_use]
     pub fn count(&self) -> u64 {
         self.count
     }
 
     /// The exact maximum, ns.
-    #[must_use]
     pub fn max_ns(&self) -> u64 {
         self.max_ns
     }
 
     /// The exact mean, ns; 0 if the histogram is empty.
-    #[must_use]
     pub fn mean_ns(&self) -> f64 {
         if self.count == 0 { 0.0 } else { self.sum_ns as f64 / self.count as f64 }
     }
 
     /// The duration that a share `q` (0 to 1) of all durations does not exceed, ns: the upper edge of
     /// its bucket, but at most the maximum. 0 if the histogram is empty.
-    #[must_use]
     pub fn quantile_ns(&self, q: f64) -> u64 {
         let rank = (q.clamp(0.0, 1.0) * self.count as f64).ceil().max(1.0) as u64;
         let mut below = 0;

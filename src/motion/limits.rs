@@ -43,7 +43,6 @@ impl TryFrom<&MotionConfig> for MotionLimits {
 
 impl MotionLimits {
     /// The limits of a configuration that is valid, as that of every board is once it has been read.
-    #[must_use]
     pub fn of_checked(c: &MotionConfig) -> Self {
         Self {
             speed_max_mm_s: c.speed_max_mm_s,
@@ -56,14 +55,12 @@ impl MotionLimits {
 
     /// Whether a position is within travel.
     #[inline]
-    #[must_use]
     pub fn contains_position(&self, position_mm: f64) -> bool {
         position_mm.abs() <= self.travel_max_mm + POSITION_TOLERANCE_MM
     }
 
     /// Whether the speed and acceleration of a state are within their limits.
     #[inline]
-    #[must_use]
     pub fn contains_rates(&self, s: &MotionState) -> bool {
         s.velocity_mm_s.abs() <= self.speed_max_mm_s * (1.0 + TOLERANCE)
             && s.acceleration_mm_s2.abs() <= self.acceleration_max_mm_s2 * (1.0 + TOLERANCE)

@@ -62,13 +62,11 @@ pub struct ChannelPlan {
 
 impl ChannelPlan {
     /// A plan without phases that is at rest at a position. [`ChannelPlan::push`] adds phases.
-    #[must_use]
     pub fn resting(position_mm: f64) -> Self {
         Self { end_mm: position_mm, ..Self::default() }
     }
 
     /// The shortest stop.
-    #[must_use]
     pub fn stopping(stop: &Stop) -> Self {
         let mut plan = Self::resting(stop.end_mm);
         let mut at = stop.from;
@@ -93,14 +91,12 @@ impl ChannelPlan {
     }
 
     /// Time from the start to rest, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.phases().last().map_or(0.0, |phase| phase.end_s)
     }
 
     /// The state at a time.
     #[inline]
-    #[must_use]
     pub fn at(&self, t_s: f64) -> MotionState {
         match self.phases().iter().find(|phase| t_s < phase.end_s) {
             Some(phase) => phase.start.after(phase.jerk_mm_s3, (t_s - (phase.end_s - phase.duration_s)).max(0.0)),
@@ -110,7 +106,6 @@ impl ChannelPlan {
 
     /// The part from `from_s` on that lasts `duration_s`, given the state at its start.
     #[inline]
-    #[must_use]
     pub fn cut(&self, start: MotionState, from_s: f64, duration_s: f64) -> ChannelSegment {
         let mut segment = ChannelSegment::starting(start);
         let to_s = from_s + duration_s;
@@ -128,7 +123,6 @@ impl ChannelPlan {
     }
 
     /// Whether every phase keeps the limits and travel, the phases join, and the last one arrives.
-    #[must_use]
     pub fn is_valid(&self, from: &MotionState, limits: &MotionLimits) -> bool {
         let mut at = *from;
         for phase in self.phases() {
@@ -181,25 +175,21 @@ pub struct Plan {
 
 impl Plan {
     /// Rest.
-    #[must_use]
     pub fn resting(position_mm: [f64; 3]) -> Self {
         Self { channels: position_mm.map(ChannelPlan::resting) }
     }
 
     /// The shortest stop of each channel.
-    #[must_use]
     pub fn stopping(from: &[MotionState; 3], limits: &MotionLimits) -> Self {
         Self { channels: from.map(|s| ChannelPlan::stopping(&Stop::from(s, limits))) }
     }
 
     /// Time from the start until all channels are at rest, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.channels.iter().map(ChannelPlan::duration_s).fold(0.0, f64::max)
     }
 
     /// The part from `from_s` on that lasts `duration_s`, given the states at its start.
-    #[must_use]
     pub fn cut(&self, start: &[MotionState; 3], from_s: f64, duration_s: f64) -> Segment {
         Segment { duration_s, channels: std::array::from_fn(|i| self.channels[i].cut(start[i], from_s, duration_s)) }
     }

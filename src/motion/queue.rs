@@ -24,7 +24,6 @@ pub struct TimedSegment {
 
 impl TimedSegment {
     /// End, ns of the monotonic clock.
-    #[must_use]
     pub fn end_ns(&self) -> u64 {
         self.start_ns + self.duration_ns
     }
@@ -68,7 +67,6 @@ pub struct Feeder {
 }
 
 /// A ring for `capacity` segments. The first segment of an epoch starts `lead_ns` ahead of the clock.
-#[must_use]
 pub fn ring(capacity: usize, lead_ns: u64) -> (Feeder, rtrb::Consumer<TimedSegment>) {
     let (ring, consumer) = rtrb::RingBuffer::new(capacity);
     (Feeder { ring, lead_ns, epoch: None, next_start_ns: 0 }, consumer)
@@ -95,7 +93,6 @@ impl Feeder {
     }
 
     /// Time by which the queued motion extends past `now_ns`, ns; negative after an underrun.
-    #[must_use]
     pub fn lead_ns(&self, now_ns: u64) -> i64 {
         self.next_start_ns as i64 - now_ns as i64
     }

@@ -91,7 +91,6 @@ pub struct StepperReport {
 
 impl StepperReport {
     /// Whether mode, epoch, counts, current or inputs differ from those of an earlier report.
-    #[must_use]
     pub fn differs_from(&self, earlier: &Self) -> bool {
         let key = |r: &Self| (r.mode, r.epoch, r.counted, r.energised, r.inputs);
         key(self) != key(earlier)

@@ -21,13 +21,11 @@ pub struct ChannelSegment {
 impl ChannelSegment {
     /// An empty segment at a state.
     #[inline]
-    #[must_use]
     pub fn starting(start: MotionState) -> Self {
         Self { start, end: start, pieces: [(0.0, 0.0); PIECES_MAX], len: 0 }
     }
 
     /// Rest for a time.
-    #[must_use]
     pub fn holding(position_mm: f64, duration_s: f64) -> Self {
         let mut c = Self::starting(MotionState::rest(position_mm));
         c.push(duration_s, 0.0);
@@ -60,14 +58,12 @@ impl ChannelSegment {
 
     /// Duration, s, and jerk, mm/s³, of the pieces in order.
     #[inline]
-    #[must_use]
     pub fn pieces(&self) -> &[(f64, f64)] {
         &self.pieces[..self.len]
     }
 
     /// Whether the channel is at rest at one position from start to end.
     #[inline]
-    #[must_use]
     pub fn is_still(&self) -> bool {
         self.start.is_rest() && self.end == self.start
     }
@@ -84,19 +80,16 @@ pub struct Segment {
 
 impl Segment {
     /// Rest for a time.
-    #[must_use]
     pub fn holding(position_mm: [f64; 3], duration_s: f64) -> Self {
         Self { duration_s, channels: position_mm.map(|p| ChannelSegment::holding(p, duration_s)) }
     }
 
     /// States of the three channels at the end.
-    #[must_use]
     pub fn end(&self) -> [MotionState; 3] {
         self.channels.map(|c| c.end)
     }
 
     /// Whether no channel moves.
-    #[must_use]
     pub fn is_still(&self) -> bool {
         self.channels.iter().all(ChannelSegment::is_still)
     }

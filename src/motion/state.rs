@@ -18,20 +18,17 @@ pub struct MotionState {
 
 impl MotionState {
     /// At rest at a position.
-    #[must_use]
     pub fn rest(position_mm: f64) -> Self {
         Self { position_mm, ..Self::default() }
     }
 
     /// Whether velocity and acceleration are zero.
-    #[must_use]
     pub fn is_rest(&self) -> bool {
         self.velocity_mm_s == 0.0 && self.acceleration_mm_s2 == 0.0
     }
 
     /// The state after `t_s` of constant jerk.
     #[inline]
-    #[must_use]
     pub fn after(&self, jerk_mm_s3: f64, t_s: f64) -> Self {
         let (v, a, t) = (self.velocity_mm_s, self.acceleration_mm_s2, t_s);
         Self {
@@ -63,7 +60,6 @@ impl MotionState {
     }
 
     /// Least and greatest position over `duration_s` of constant jerk, ends included, mm.
-    #[must_use]
     pub fn position_range(&self, jerk_mm_s3: f64, duration_s: f64) -> (f64, f64) {
         let end = self.after(jerk_mm_s3, duration_s).position_mm;
         let ends = (self.position_mm.min(end), self.position_mm.max(end));

@@ -23,7 +23,6 @@ pub struct Step {
 
 /// Step count of a position: the nearest microstep, halves away from zero.
 #[inline]
-#[must_use]
 pub fn count(position_mm: f64, step_mm: f64) -> i32 {
     // The conversion saturates far outside any travel, and NaN counts as zero.
     (position_mm / step_mm).round() as i32
@@ -49,7 +48,6 @@ pub struct ChannelSteps {
 
 impl ChannelSteps {
     /// At rest at a count.
-    #[must_use]
     pub fn new(step_mm: f64, count: i32) -> Self {
         let segment = ChannelSegment::starting(MotionState::rest(f64::from(count) * step_mm));
         Self { step_mm, count, segment, piece: 0, at: segment.start, at_s: 0.0, part: (0.0, 0.0), part_count: count, done: true }
@@ -155,7 +153,6 @@ pub struct StepStream {
 
 impl StepStream {
     /// At rest at given counts.
-    #[must_use]
     pub fn new(step_mm: f64, counts: [i32; 3]) -> Self {
         Self { step_mm, channels: counts.map(|c| ChannelSteps::new(step_mm, c)), pending: [None; 3], start_ns: 0 }
     }
@@ -171,7 +168,6 @@ impl StepStream {
 
     /// Due time, ns, and direction of the next step of a channel.
     #[inline]
-    #[must_use]
     pub fn peek(&self, channel: usize) -> Option<(u64, i32)> {
         self.pending[channel].map(|s| (self.start_ns + (s.t_s * 1e9).round() as u64, s.direction))
     }
@@ -182,7 +178,6 @@ impl StepStream {
     }
 
     /// Whether no step of the segment is left.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.pending.iter().all(Option::is_none)
     }

@@ -26,7 +26,6 @@ pub struct Stop {
 
 impl Stop {
     /// The shortest stop from a state.
-    #[must_use]
     pub fn from(state: MotionState, limits: &MotionLimits) -> Self {
         let (j, a_max) = (limits.jerk_max_mm_s3, limits.acceleration_max_mm_s2);
         let (v, a) = (state.velocity_mm_s, state.acceleration_mm_s2);
@@ -41,7 +40,6 @@ impl Stop {
     }
 
     /// Least and greatest position on the way, mm.
-    #[must_use]
     pub fn position_range(&self) -> (f64, f64) {
         let mut at = self.from;
         let mut range = (at.position_mm, at.position_mm);
@@ -58,7 +56,6 @@ impl Stop {
 ///
 /// The stopping distance grows with speed and with acceleration, so this is the stop from the state in
 /// which both are at their limits.
-#[must_use]
 pub fn longest_stop_mm(limits: &MotionLimits) -> f64 {
     let (velocity_mm_s, acceleration_mm_s2) = (limits.speed_max_mm_s, limits.acceleration_max_mm_s2);
     Stop::from(MotionState { position_mm: 0.0, velocity_mm_s, acceleration_mm_s2 }, limits).end_mm
@@ -66,7 +63,6 @@ pub fn longest_stop_mm(limits: &MotionLimits) -> f64 {
 
 /// Whether the shortest stop from a state stays within travel. `longest_mm` is [`longest_stop_mm`]; it
 /// saves the calculation far from the ends of travel.
-#[must_use]
 pub fn stops_within_travel(state: &MotionState, limits: &MotionLimits, longest_mm: f64) -> bool {
     if state.position_mm.abs() + longest_mm <= limits.travel_max_mm || state.is_rest() {
         return limits.contains_position(state.position_mm);

@@ -17,14 +17,12 @@ pub struct Invalid {
 
 impl Invalid {
     /// The key as it is shown to people, who count from one: `transmission.k_epsilon[2]`.
-    #[must_use]
     pub fn shown_key(&self) -> String {
         shown(&self.key)
     }
 }
 
 /// A dotted key with its indices counted from one and in brackets.
-#[must_use]
 pub fn shown(key: &str) -> String {
     key.split('.').fold(String::new(), |mut out, part| {
         let dot = if out.is_empty() { "" } else { "." };

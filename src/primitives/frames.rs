@@ -34,37 +34,30 @@ pub struct Rotation<A, B> {
 
 impl<A, B> Rotation<A, B> {
     /// Frames that coincide.
-    #[must_use]
     pub fn identity() -> Self {
         Self::assert_frames(UnitQuaternion::identity())
     }
     /// The one place where a bare quaternion is *asserted* to link two frames.
-    #[must_use]
     pub fn assert_frames(q: UnitQuaternion<f64>) -> Self {
         Self { q, frames: PhantomData }
     }
     /// The quaternion without its frames, for arithmetic that has its own bookkeeping.
-    #[must_use]
     pub fn quat(&self) -> UnitQuaternion<f64> {
         self.q
     }
     /// The 3 x 3 matrix.
-    #[must_use]
     pub fn matrix(&self) -> Matrix3<f64> {
         self.q.to_rotation_matrix().into_inner()
     }
     /// Coordinates in `A` of a vector given in `B`.
-    #[must_use]
     pub fn apply(&self, v: &Vector3<f64>) -> Vector3<f64> {
         self.q * v
     }
     /// `B` seen from `A` turned round: `A` in `B`.
-    #[must_use]
     pub fn inverse(&self) -> Rotation<B, A> {
         Rotation::assert_frames(self.q.inverse())
     }
     /// Angle between two orientations of the same frames, radians in 0..=pi.
-    #[must_use]
     pub fn angle_to(&self, other: &Self) -> f64 {
         self.q.angle_to(&other.q)
     }

@@ -175,7 +175,6 @@ impl Table {
     }
 
     /// The row of a dotted key; the indices of lists are passed over. `None` if the key is not known or depends on a word.
-    #[must_use]
     pub fn row(&self, key: &str) -> Option<&'static Row>
     where
         Self: 'static,
@@ -227,7 +226,6 @@ impl Row {
 }
 
 /// A key below a table.
-#[must_use]
 pub fn join(at: &str, key: &str) -> String {
     if at.is_empty() { key.to_owned() } else { format!("{at}.{key}") }
 }
@@ -333,7 +331,6 @@ macro_rules! named {
             pub const ALL: [Self; [$($name),+].len()] = [$(Self::$variant),+];
 
             /// The name, as in files, logs and messages.
-            #[must_use]
             pub const fn name(self) -> &'static str {
                 [$($name),+][self as usize]
             }

@@ -38,7 +38,6 @@ quantity!(
 
 impl Rad {
     /// The angle given in degrees, as files and the command line do.
-    #[must_use]
     pub fn from_deg(deg: f64) -> Self {
         Self(deg.to_radians())
     }

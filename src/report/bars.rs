@@ -23,7 +23,6 @@ const ROW: f64 = 22.0;
 const TOP: f64 = 34.0;
 
 /// The drawing as a stand-alone `<svg>` element with an axis from 0 to 100 %.
-#[must_use]
 pub fn svg(title: &str, ink: Ink, bars: &[Bar]) -> String {
     let bottom = TOP + ROW * bars.len() as f64;
     let x = |share: f64| match share.is_finite() {

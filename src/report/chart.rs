@@ -51,19 +51,16 @@ pub struct Series {
 
 impl Series {
     /// A named line.
-    #[must_use]
     pub fn line(name: &str, ink: Ink, stroke: Stroke, points: Vec<(f64, f64)>) -> Self {
         let (name, mark) = (Some(name.to_owned()), Mark::Line(points, stroke));
         Self { name, ink, mark }
     }
     /// A band without a name; it belongs to the line of the same colour.
-    #[must_use]
     pub fn band(ink: Ink, points: Vec<(f64, f64, f64)>) -> Self {
         let (name, mark) = (None, Mark::Band(points));
         Self { name, ink, mark }
     }
     /// Dots without a name.
-    #[must_use]
     pub fn dots(ink: Ink, points: Vec<(f64, f64)>) -> Self {
         let (name, mark) = (None, Mark::Dots(points));
         Self { name, ink, mark }
@@ -85,7 +82,6 @@ pub struct Axis {
 
 impl Axis {
     /// An axis from `low` to `high` with about `n` ticks at round values.
-    #[must_use]
     pub fn new(label: &str, low: f64, high: f64, n: usize) -> Self {
         let high = if high > low { high } else { low + 1.0 };
         let step = round_step((high - low) / n.max(1) as f64);
@@ -96,7 +92,6 @@ impl Axis {
     }
 
     /// An axis with ticks at the given values.
-    #[must_use]
     pub fn with_ticks(label: &str, low: f64, high: f64, at: &[f64]) -> Self {
         let steps = at.windows(2).map(|w| w[1] - w[0]);
         let digits = match steps.fold(f64::INFINITY, f64::min) {
@@ -110,7 +105,6 @@ impl Axis {
     }
 
     /// An axis that extends to round values beyond all of `values` and `always`.
-    #[must_use]
     pub fn around(label: &str, values: impl IntoIterator<Item = f64>, always: &[f64], n: usize) -> Self {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for v in values.into_iter().chain(always.iter().copied()).filter(|v| v.is_finite()) {
@@ -166,14 +160,12 @@ const LEGEND_SAMPLE: f64 = 40.0;
 
 impl Chart {
     /// A chart of these series.
-    #[must_use]
     pub fn new(title: &str, x: Axis, y: Axis, series: Vec<Series>) -> Self {
         let title = title.to_owned();
         Self { title, x, y, series }
     }
 
     /// The drawing as a stand-alone `<svg>` element.
-    #[must_use]
     pub fn svg(&self) -> String {
         let mut out = Svg::new(WIDTH, HEIGHT, &self.title);
         self.draw(&mut out);
@@ -259,7 +251,6 @@ impl Chart {
 }
 
 /// Several charts on one drawing with a white background, `columns` to a row.
-#[must_use]
 pub fn sheet(title: &str, charts: &[Chart], columns: usize) -> String {
     let columns = columns.clamp(1, charts.len().max(1));
     let width = WIDTH * columns as f64;

@@ -73,7 +73,6 @@ fn figures(e: &Evaluation) -> Vec<Figure> {
 }
 
 /// All charts on one drawing.
-#[must_use]
 pub fn svg(e: &Evaluation) -> String {
     let charts: Vec<Chart> = figures(e).into_iter().map(|f| f.0).collect();
     sheet("retroflex evaluate", &charts, 3)
@@ -180,7 +179,6 @@ fn settling(e: &Evaluation) -> Option<Figure> {
 }
 
 /// The page.
-#[must_use]
 pub fn html(e: &Evaluation) -> String {
     let mut page = Page::new("retroflex evaluate");
     page.text(&format!(
@@ -212,7 +210,6 @@ pub fn html(e: &Evaluation) -> String {
 }
 
 /// A quantile of the settling time; that of a state that does not settle is only a lower bound.
-#[must_use]
 pub fn settle(s: f64) -> String {
     match s < HOLD_S {
         true => format!("{s:.2} s"),
@@ -221,7 +218,6 @@ pub fn settle(s: f64) -> String {
 }
 
 /// One row for each arm that ran, with the columns [`ARM_COLUMNS`].
-#[must_use]
 pub fn arm_rows(e: &Evaluation) -> Vec<Vec<String>> {
     let deg = |x: f64| format!("{x:.2}°");
     let row = |arm: Arm| {

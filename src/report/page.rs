@@ -28,7 +28,6 @@ pub struct Page {
 
 impl Page {
     /// An empty page with a title and a first-level heading.
-    #[must_use]
     pub fn new(title: &str) -> Self {
         Self { body: format!("<h1>{}</h1>\n", escape(title)), title: title.to_owned() }
     }
@@ -79,7 +78,6 @@ impl Page {
         let _ = writeln!(self.body, "{markup}");
     }
     /// The complete file.
-    #[must_use]
     pub fn html(&self) -> String {
         format!(
             "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\

@@ -56,7 +56,6 @@ fn colour(share: f64) -> String {
 
 impl Polar {
     /// The drawing as a stand-alone `<svg>` element.
-    #[must_use]
     pub fn svg(&self) -> String {
         let rings = self.cells.iter().map(|c| c.ring + 1);
         let rings = rings.fold(RINGS_MIN, usize::max);

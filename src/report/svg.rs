@@ -52,7 +52,6 @@ pub struct Svg(String);
 
 impl Svg {
     /// An empty drawing. Screen readers announce `title`.
-    #[must_use]
     pub fn new(width: f64, height: f64, title: &str) -> Self {
         Self(format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
@@ -62,7 +61,6 @@ impl Svg {
     }
 
     /// The finished document.
-    #[must_use]
     pub fn finish(mut self) -> String {
         self.0.push_str("</svg>\n");
         self.0
@@ -145,7 +143,6 @@ pub(crate) fn polyline(points: impl Iterator<Item = (f64, f64)>) -> String {
 }
 
 /// Escapes text for use in markup and in attributes.
-#[must_use]
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

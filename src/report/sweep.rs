@@ -10,7 +10,6 @@ const TOP: f64 = 52.0;
 const CELL: (f64, f64) = (112.0, 40.0);
 
 /// The drawing.
-#[must_use]
 pub fn svg(rows: &[SweepRow]) -> String {
     let groups: Vec<&[SweepRow]> = rows.chunk_by(|a, b| a.condition == b.condition).collect();
     let columns = groups.iter().map(|g| g.len()).max().unwrap_or(0).max(3);

@@ -36,7 +36,6 @@ const LEFT: f64 = 150.0;
 const DEVICE: f64 = 430.0;
 
 /// Draws devices at a header of a Raspberry Pi (`raspberry`) or, for another computer, at the lines that they use.
-#[must_use]
 pub fn draw(title: &str, raspberry: bool, devices: &[Device]) -> String {
     let wires = || devices.iter().flat_map(|d| d.terminals.iter().map(|t| t.1));
     let lines = wires().filter_map(|w| match w {

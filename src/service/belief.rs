@@ -17,7 +17,6 @@ pub enum Belief {
 
 impl Belief {
     /// The belief in what was recalled. `simulated`: the plant begins with the service, at rest.
-    #[must_use]
     pub fn in_recall(recall: &Recall, simulated: bool) -> Self {
         match (recall.found, &recall.memory) {
             (Found::Absent, _) if simulated => Self::Certain,

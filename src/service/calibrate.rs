@@ -63,14 +63,12 @@ enum State {
 
 impl Session {
     /// Algorithm 1 from zero gains.
-    #[must_use]
     pub fn full(geometry: Geometry, step_mm: f64, before: Found) -> Self {
         let none = Line { k_epsilon: 0.0, k_lambda_mm: 0.0 };
         Self::new(Round::new(geometry, schedule::paper()), step_mm, None, [none; 3], before)
     }
 
     /// One pass of 24 poses with a prior.
-    #[must_use]
     pub fn short(geometry: Geometry, step_mm: f64, prior: [Prior; 3], before: Found) -> Self {
         Self::new(Round::new(geometry, schedule::short()), step_mm, Some(prior), prior.map(|p| p.line), before)
     }
@@ -80,13 +78,11 @@ impl Session {
     }
 
     /// The parameters in use before the calibration.
-    #[must_use]
     pub fn before(&self) -> Found {
         self.before
     }
 
     /// Progress, for the status.
-    #[must_use]
     pub fn progress(&self) -> String {
         let (at, of) = self.round.at();
         format!("pass {}, pose {} of {of}", self.pass, at + 1)

@@ -6,7 +6,6 @@ use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 
 /// Bytes of so many MiB.
-#[must_use]
 pub fn mib(n: f64) -> u64 {
     (n * 1024.0 * 1024.0) as u64
 }

@@ -56,7 +56,6 @@ impl Listener {
     }
 
     /// An entry for [`wait`].
-    #[must_use]
     pub fn entry(&self) -> libc::pollfd {
         libc::pollfd { fd: self.socket.as_raw_fd(), events: libc::POLLIN, revents: 0 }
     }

@@ -23,7 +23,6 @@ pub struct Heartbeat {
 
 impl Notifier {
     /// Reads NOTIFY_SOCKET and WATCHDOG_USEC.
-    #[must_use]
     pub fn from_env() -> Self {
         let connect = |path: std::ffi::OsString| -> std::io::Result<UnixDatagram> {
             let address = match path.as_bytes().strip_prefix(b"@") {
@@ -47,7 +46,6 @@ impl Notifier {
     }
 
     /// The heartbeat, where the manager has a watchdog for this service.
-    #[must_use]
     pub fn heartbeat(&self) -> Option<Heartbeat> {
         let (socket, timeout) = (self.socket.as_ref()?, self.watchdog?);
         Some(Heartbeat { socket: socket.try_clone().ok()?, period_s: timeout.as_secs_f64() / 2.0 })

@@ -17,7 +17,6 @@ pub struct Paths {
 
 impl Paths {
     /// The paths that this section names, and the default ones for this user.
-    #[must_use]
     pub fn of(service: &ServiceSection) -> Self {
         let control = service.socket.clone().unwrap_or_else(|| runtime_folder().join("control.sock"));
         let status = service.status_socket.clone().unwrap_or_else(|| status_socket(&control));
@@ -26,19 +25,16 @@ impl Paths {
 }
 
 /// The status socket that belongs to a command socket, unless the board file names another.
-#[must_use]
 pub fn status_socket(control: &Path) -> PathBuf {
     control.with_file_name("status.sock")
 }
 
 /// The socket of `stop` that belongs to a command socket.
-#[must_use]
 pub fn stop_socket(control: &Path) -> PathBuf {
     control.with_extension("stop.sock")
 }
 
 /// The command socket to connect to, where none is named: that of this user's service if there is one, else the system's.
-#[must_use]
 pub fn default_socket() -> PathBuf {
     let own = runtime_folder().join("control.sock");
     let system = PathBuf::from("/run/retroflex/control.sock");
@@ -46,7 +42,6 @@ pub fn default_socket() -> PathBuf {
 }
 
 /// The command sockets where services may listen: this user's and the system's.
-#[must_use]
 pub fn sockets() -> Vec<PathBuf> {
     let mut all = vec![runtime_folder().join("control.sock"), PathBuf::from("/run/retroflex/control.sock")];
     all.dedup();

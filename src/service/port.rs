@@ -107,7 +107,6 @@ impl Port {
     }
 
     /// Number of connected clients.
-    #[must_use]
     pub fn clients(&self) -> usize {
         self.clients.load(Relaxed)
     }

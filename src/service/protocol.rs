@@ -152,7 +152,6 @@ pub enum CalibrateAction {
 
 impl Request {
     /// A move at the rest length; angles in degrees, speed in °/s.
-    #[must_use]
     pub fn bend(bend_deg: f64, dir_deg: f64, speed_deg_s: Option<f64>) -> Self {
         let length_mm = None;
         let frame = Frame::Base;
@@ -160,13 +159,11 @@ impl Request {
     }
 
     /// True for requests that the status socket accepts.
-    #[must_use]
     pub fn only_reads(&self) -> bool {
         matches!(self, Self::Status {} | Self::Reach {} | Self::Subscribe { .. })
     }
 
     /// Name of the command, for the log.
-    #[must_use]
     pub fn name(&self) -> String {
         json!(self)["cmd"].as_str().unwrap_or_default().replace('_', "-")
     }
@@ -210,7 +207,6 @@ pub fn parse(line: &str) -> (Value, Result<Request, Failure>) {
 }
 
 /// Formats a request as a line.
-#[must_use]
 pub fn request_line(id: u64, request: &Request) -> String {
     let mut value = json!(request);
     value["v"] = json!(VERSION);
@@ -219,7 +215,6 @@ pub fn request_line(id: u64, request: &Request) -> String {
 }
 
 /// Formats a reply as a line.
-#[must_use]
 pub fn reply_line(id: &Value, reply: &Result<Value, Failure>) -> String {
     let value = match reply {
         Ok(result) => json!({"v": VERSION, "id": id, "ok": true, "result": result}),

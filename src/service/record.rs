@@ -71,7 +71,6 @@ pub struct Recording {
 }
 
 /// Path of the flight log of a recording.
-#[must_use]
 pub fn flight_path(log: &Path) -> PathBuf {
     let name = log.to_string_lossy();
     let name = name.strip_suffix(".gz").unwrap_or(&name);
@@ -112,25 +111,21 @@ impl Recording {
     }
 
     /// Path of the log.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// Duration of the log so far, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.last_s.max(0.0)
     }
 
     /// True if the recording can be replayed.
-    #[must_use]
     pub fn is_replayable(&self) -> bool {
         self.cycles.is_some()
     }
 
     /// True if no further row is accepted.
-    #[must_use]
     pub fn is_ending(&self) -> bool {
         self.chunks.is_none()
     }
@@ -206,7 +201,6 @@ impl Recording {
 
 /// The values of a row of a bend log, in the order of [`HEADER`]: a sample at `t` s of the log, in this cycle. What is missing is not
 /// a number.
-#[must_use]
 pub fn values(t: f64, sample: &ImuSample, cycle: &Cycle, step_mm: f64) -> [f64; 20] {
     let target = &cycle.target;
     let (bend, dir) = (target.bend.beta().to_degrees(), target.bend.delta().to_degrees());

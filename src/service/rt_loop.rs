@@ -112,7 +112,6 @@ const NOTE_EVERY: u64 = 20;
 const UNCOMMANDED_MAX_S: f64 = 1.0;
 
 /// Creates the rings.
-#[must_use]
 pub fn rings() -> (LoopRings, HubRings) {
     let (orders, loop_orders) = RingBuffer::new(ORDERS);
     let (setpoints, loop_setpoints) = RingBuffer::new(64);

@@ -61,7 +61,6 @@ impl Server {
     }
 
     /// Number of connected clients.
-    #[must_use]
     pub fn clients(&self) -> usize {
         self.clients.len()
     }

@@ -27,7 +27,6 @@ impl Watched {
     pub const ALL: [Self; 4] = [Self::Control, Self::Status, Self::Stop, Self::Hub];
 
     /// Name of the thread.
-    #[must_use]
     pub fn name(self) -> &'static str {
         ["control", "status", "stop", "hub"][self as usize]
     }
@@ -58,7 +57,6 @@ impl Shared {
     }
 
     /// Time since the last progress of a thread as the loop sees it, s.
-    #[must_use]
     pub fn age_s(&self, thread: Watched) -> f64 {
         self.ages_ms[thread as usize].load(Relaxed) as f64 * 1e-3
     }
@@ -69,7 +67,6 @@ impl Shared {
     }
 
     /// True once [`Shared::quit`] was called.
-    #[must_use]
     pub fn is_quitting(&self) -> bool {
         self.quit.load(Relaxed)
     }
@@ -94,7 +91,6 @@ impl ThreadWatch {
     }
 
     /// Time since the last progress of a thread, s.
-    #[must_use]
     pub fn age_s(&self, thread: Watched) -> f64 {
         self.ages_s[thread as usize]
     }
@@ -108,7 +104,6 @@ pub struct HeartbeatMonitor {
 
 impl HeartbeatMonitor {
     /// `heartbeat` is `None` without a watchdog.
-    #[must_use]
     pub fn new(heartbeat: Option<Heartbeat>) -> Self {
         Self { heartbeat, sent_s: 0.0 }
     }

@@ -30,7 +30,6 @@ pub fn compose(sequence: u64, memory: &Memory) -> Result<Vec<u8>, MemoryError> {
 }
 
 /// Puts the header before a body, as [`parse`] expects it.
-#[must_use]
 pub fn seal(sequence: u64, body: &str) -> String {
     let head = format!("{MAGIC} {VERSION} {sequence} {} ", body.len());
     format!("{head}{:08x}\n{body}", checksum(&head, body))

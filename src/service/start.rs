@@ -48,7 +48,6 @@ pub struct Start {
 
 impl Start {
     /// Applies what the memory holds about the mounted tip.
-    #[must_use]
     pub fn new(config: &RunConfig, memory: &Memory, belief: Belief) -> Self {
         let mut supervisor = config.supervisor.clone();
         // the gains of a described machine were identified together with its effects
@@ -70,7 +69,6 @@ impl Start {
     }
 
     /// A supervisor in this state.
-    #[must_use]
     pub fn supervisor(self) -> Supervisor {
         let mut supervisor = Supervisor::new(self.config, self.restart);
         match (self.belief, self.restart) {
@@ -85,7 +83,6 @@ impl Start {
     }
 
     /// The start as the flight log holds it.
-    #[must_use]
     pub fn header(&self, run: &RunConfig, machine: &str) -> Header {
         let SupervisorConfig { tick, gate, .. } = &self.config;
         let (name, rest_length_mm) = (machine.to_owned(), tick.geometry.rest_length_mm);
@@ -106,7 +103,6 @@ impl Start {
     }
 
     /// The start that a flight log holds.
-    #[must_use]
     pub fn of(header: &Header, mut config: SupervisorConfig) -> Self {
         (config.tick.lines, config.tick.dynamics) = (header.lines, header.dynamics);
         Self { config, restart: header.restart, belief: header.belief, unverified: header.unverified }
@@ -114,7 +110,6 @@ impl Start {
 }
 
 /// A configuration after a reload: machine and calibration stay, the rest comes from the gains.
-#[must_use]
 pub fn with_gains(now: &SupervisorConfig, board: &Board, calibration: &Calibration, gains: &Gains) -> SupervisorConfig {
     let mut next = now.clone();
     next.tick = LoopConfig {

@@ -63,13 +63,11 @@ impl StateWriter {
     }
 
     /// True if no write is under way.
-    #[must_use]
     pub fn is_idle(&self) -> bool {
         self.under_way.load(Relaxed) == 0
     }
 
     /// The next completed write, if any.
-    #[must_use]
     pub fn completed(&self) -> Option<Completed> {
         self.completed.try_recv().ok()
     }

@@ -10,7 +10,6 @@ use crate::supervisor::mode::Mode;
 use serde_json::{Value, json};
 
 /// What tripped, and the remedy.
-#[must_use]
 pub fn trip_message(cause: TripCause) -> &'static str {
     match cause {
         TripCause::EmergencyStop => "the emergency stop is pressed: release it, then `retroflex reset-fault`",
@@ -31,19 +30,16 @@ pub fn trip_message(cause: TripCause) -> &'static str {
 }
 
 /// Name of a trip cause as in files and status lines.
-#[must_use]
 pub fn trip_name(cause: TripCause) -> String {
     json!(cause).as_str().unwrap_or_default().to_owned()
 }
 
 /// True if the tip cannot get nearer to its target.
-#[must_use]
 pub fn blocked(f: &Frame) -> bool {
     f.blocked || f.saturation != Saturation::No
 }
 
 /// Why the tip cannot get nearer to its target.
-#[must_use]
 pub fn shortfall(f: &Frame) -> Option<&'static str> {
     let obstructed = "the tip does not follow the pistons: an obstruction holds it, or the target is out of its reach; remove the \
                       obstruction, or choose another target";
@@ -53,7 +49,6 @@ pub fn shortfall(f: &Frame) -> Option<&'static str> {
 }
 
 /// What is known about a base that turned.
-#[must_use]
 pub fn base(f: &Frame) -> Option<&'static str> {
     if f.base_moved {
         return Some("the base has turned: `retroflex relax`, then `retroflex zero`");
@@ -63,7 +58,6 @@ pub fn base(f: &Frame) -> Option<&'static str> {
 }
 
 /// What is said of an orientation in the world that the tip keeps.
-#[must_use]
 pub fn world(guidance: Guidance) -> Option<&'static str> {
     match guidance {
         Guidance::World => Some("the tip keeps its orientation in the world"),
@@ -76,7 +70,6 @@ pub fn world(guidance: Guidance) -> Option<&'static str> {
 }
 
 /// The part of the status that one cycle determines.
-#[must_use]
 pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
     let f = &output.frame;
     // a tip that is not commanded has no target to fall short of
@@ -131,7 +124,6 @@ pub fn cycle(output: &CycleOutput, step_mm: f64) -> Value {
 }
 
 /// The line that a subscriber receives.
-#[must_use]
 pub fn frame_line(output: &CycleOutput, step_mm: f64) -> String {
     let mut value = cycle(output, step_mm);
     value["v"] = json!(VERSION);
@@ -140,7 +132,6 @@ pub fn frame_line(output: &CycleOutput, step_mm: f64) -> String {
 }
 
 /// Travel of the pistons either way, and the least and largest gains that the loop may learn.
-#[must_use]
 pub fn limits(config: &SupervisorConfig) -> Value {
     let bounds = config.tick.lines.map(|line| config.tick.refine.bounds(&line));
     let [k_epsilon, k_lambda_mm] = [0, 1].map(|n| bounds.map(|of| of[n].map(round)));

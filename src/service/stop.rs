@@ -28,19 +28,16 @@ impl StopSignal {
     }
 
     /// Number of stops requested so far.
-    #[must_use]
     pub fn requested(&self) -> u64 {
         self.requested.load(Ordering::Acquire)
     }
 
     /// Number of the last stop that the loop has carried out.
-    #[must_use]
     pub fn completed(&self) -> u64 {
         self.completed.load(Ordering::Acquire)
     }
 
     /// The answer to a stop that was requested at this instant; `None` while the loop still has time to carry it out.
-    #[must_use]
     pub fn answer(&self, number: u64, since: Instant) -> Option<Result<Value, Failure>> {
         if self.completed() >= number {
             Some(Ok(json!({})))

@@ -48,7 +48,6 @@ pub struct Described {
 
 impl Described {
     /// The machine at rest, with the noise of `seed`.
-    #[must_use]
     pub fn new(machine: DescribedMachine, step_mm: f64, seed: u64) -> Self {
         let mut memory = machine.memory();
         let chain = machine.chain();

@@ -29,7 +29,6 @@ impl Sim {
     }
 
     /// The last output with the true state, for scoring only.
-    #[must_use]
     pub fn last(&self) -> Option<&Output> {
         self.last.as_ref()
     }
@@ -40,7 +39,6 @@ impl Sim {
     }
 
     /// Configuration of the unit.
-    #[must_use]
     pub fn unit(&self) -> &PlantConfig {
         self.plant.config()
     }

@@ -22,7 +22,6 @@ pub struct SimulatedStepper {
 
 impl SimulatedStepper {
     /// At rest at zero with the drivers off.
-    #[must_use]
     pub fn new(motion: &DriveLimits, step_mm: f64) -> Self {
         let (feeder, segments) = queue::ring(SEGMENTS, (motion.lead_s * 1e9).round() as u64);
         let timing = PulseTiming { late_ns: u64::MAX / 4, poll_ns: u64::from(u32::MAX), ..PulseTiming::default() };

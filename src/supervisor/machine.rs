@@ -50,7 +50,6 @@ pub struct Sensed {
 
 impl Sensed {
     /// What the drive reports at `t`, which is `t_ns` on the clock of the step generator, without any sample.
-    #[must_use]
     pub fn of_drive<G: StepGenerator>(t: Seconds, t_ns: u64, drive: &Drive<G>) -> Self {
         let state = drive.state();
         let (mut counted, mut inputs, mut counted_age_s) = (Steps::default(), Inputs::default(), 0.0);
@@ -133,7 +132,6 @@ fn pressure(kpa: f64) -> String {
 
 impl Alarm {
     /// True for an alarm of the step generator, false for a limit of the gauges.
-    #[must_use]
     pub fn is_of_steps(&self) -> bool {
         !matches!(self, Self::Pressure { .. } | Self::Hot { .. })
     }

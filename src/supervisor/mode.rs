@@ -34,13 +34,11 @@ named! {
 
 impl Mode {
     /// True if the controller may move the pistons.
-    #[must_use]
     pub fn moves(self) -> bool {
         matches!(self, Self::Holding | Self::Tracking | Self::Calibrating)
     }
 
     /// The mode that follows on `event`; `None` if the event has no effect in this mode.
-    #[must_use]
     pub fn after(self, event: Event) -> Option<Self> {
         TABLE.iter().find(|(from, on, _)| *from == self && *on == event).map(|(_, _, to)| *to)
     }

@@ -167,13 +167,11 @@ pub struct ResidualMonitor {
 
 impl ResidualMonitor {
     /// A monitor without history, for a tip whose bellows lie at the radius `r_mm`.
-    #[must_use]
     pub fn new(config: &ResidualConfig, r_mm: f64) -> Self {
         Self { config: *config, r_mm, ..Self::default() }
     }
 
     /// The present suspicion.
-    #[must_use]
     pub fn suspicion(&self) -> Option<&Suspicion> {
         self.verdict.as_ref().map(|v| &v.suspicion)
     }

@@ -52,7 +52,6 @@ fn log_samples(log: &BendLog) -> Vec<ImuSample> {
 
 /// Magnetometer readings in the base frame with the motors' step counts. The tip orientation is estimated without the
 /// magnetometer.
-#[must_use]
 pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
     let mut config = FuseConfig::default();
     config.bend.use_mag = false;
@@ -84,7 +83,6 @@ pub fn of_motors(log: &BendLog, idle_after_s: f64) -> Vec<motor::MotorSample> {
 }
 
 /// Rotations between two held poses in the same bending plane.
-#[must_use]
 pub fn bends(log: &BendLog) -> Vec<mount::BendTurn> {
     let samples = log_samples(log);
     let Some(bias) = samples.get(..).map(still::rests).and_then(|r| r.first().map(|r| r.gyro_rad_s)) else {

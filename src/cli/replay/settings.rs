@@ -38,7 +38,6 @@ pub struct SettingsArgs {
 
 impl SettingsArgs {
     /// True if there are any.
-    #[must_use]
     pub fn any(&self) -> bool {
         self.gains.is_some() || self.calib.is_some() || self.filter.is_some() || self.feedforward.is_some()
     }
@@ -81,7 +80,6 @@ impl Settings {
     }
 
     /// What a supervisor with these settings is made of.
-    #[must_use]
     pub fn config(&self, header: &Header) -> SupervisorConfig {
         let mut config = assemble(&self.board, &self.calibration, &self.gains, &header.machine);
         if let Some(machine) = &self.feedforward {

@@ -183,7 +183,6 @@ fn condition(normal: &Matrix2<f64>) -> f64 {
 
 /// Relative step of Algorithm 1, line 2: ‖k_i − k_{i−1}‖ / ‖k_{i−1}‖ over all six gains. It is infinite for gains of zero,
 /// so that the first pass never ends the iteration.
-#[must_use]
 pub fn relative_step(new: &[Line; 3], old: &[Line; 3]) -> f64 {
     let six = |l: &[Line; 3]| nalgebra::Vector6::from_fn(|i, _| if i < 3 { l[i].k_epsilon } else { l[i - 3].k_lambda_mm });
     let size = six(old).norm();

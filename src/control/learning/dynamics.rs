@@ -128,7 +128,6 @@ impl DynamicsBank {
 
     /// Lag and dead time with what remains plausible, from the motion so far and the range `before` any motion. The
     /// candidate in use stays in use unless another is clearly better.
-    #[must_use]
     pub fn assess(&self, before: &DynamicsPrior, now: &DynamicsRange) -> DynamicsRange {
         let share = self.unexplained_least();
         if share > UNEXPLAINED_MAX {

@@ -46,7 +46,6 @@ parameters! {
 
 impl RefineConfig {
     /// Least and largest k_ε, and k_λ in mm, of a channel with this calibration.
-    #[must_use]
     pub fn bounds(&self, prior: &Line) -> [[f64; 2]; 2] {
         let around = |x: f64, range: f64| [(x - range).max(0.0), x + range];
         [around(prior.k_epsilon, self.range * (1.0 + prior.k_epsilon)), around(prior.k_lambda_mm, LAMBDA_RANGE_MM)]
@@ -108,7 +107,6 @@ pub struct RefineState {
 
 impl RefineState {
     /// A learner that starts at the calibrated gains.
-    #[must_use]
     pub fn new(config: &RefineConfig, prior: &[Prior; 3]) -> Self {
         let channels = prior.map(|p| {
             let sigma = Vector3::new(config.prior * p.k_epsilon_sigma, config.prior * p.k_lambda_sigma_mm, config.offset_sigma_mm);
@@ -143,7 +141,6 @@ impl RefineState {
     }
 
     /// Standard deviations of k_ε and of k_λ in mm, per channel, from the scatter of the rows.
-    #[must_use]
     pub fn sigma(&self) -> [[f64; 2]; 3] {
         self.channels.map(|c| {
             let covariance = c.information.try_inverse().unwrap_or_else(Matrix3::zeros);

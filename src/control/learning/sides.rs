@@ -16,7 +16,6 @@ pub struct Sides {
 
 impl Sides {
     /// Pistons that have rested at these positions, mm, on an unknown side.
-    #[must_use]
     pub fn resting(piston_mm: Vector3<f64>) -> Self {
         Self { last_mm: piston_mm, ..Self::default() }
     }
@@ -34,13 +33,11 @@ impl Sides {
     }
 
     /// Last position of the pistons, mm.
-    #[must_use]
     pub fn piston_mm(&self) -> Vector3<f64> {
         self.last_mm
     }
 
     /// Weight of the row of each channel (Eq. 26): 1 once the piston has certainly crossed its backlash, else 0.
-    #[must_use]
     pub fn weight(&self) -> Vector3<f64> {
         self.travel_mm.map(|t| if t >= SIDE_TRAVEL_MM { 1.0 } else { 0.0 })
     }

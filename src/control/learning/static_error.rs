@@ -94,7 +94,6 @@ impl Default for StaticError {
 
 impl StaticError {
     /// The error at a bend, rad.
-    #[must_use]
     pub fn at(&self, bend: &Vector2<f64>) -> Vector2<f64> {
         let [x, y] = rows(bend);
         Vector2::new(x.dot(&self.parameters), y.dot(&self.parameters)).cap_magnitude(LARGEST_RAD)

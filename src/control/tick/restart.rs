@@ -61,7 +61,6 @@ pub struct RestartRest {
 
 impl LoopState {
     /// The state to be remembered, with the pistons at these counts.
-    #[must_use]
     pub fn keep(&self, steps: &Steps) -> RestartState {
         let rest = self.fusion.alignment().map(|r| RestartRest {
             acc_m_s2: r.acc_rest_m_s2.into(),

@@ -183,7 +183,6 @@ impl Hold {
 
 impl LoopState {
     /// Straight and at rest with the pistons at zero, not aligned.
-    #[must_use]
     pub fn new(config: &LoopConfig) -> Self {
         Self {
             fusion: Fusion::default(),
@@ -208,19 +207,16 @@ impl LoopState {
     }
 
     /// Time from the command of a tick until the tip answers it, without the lag, which the feedforward leads, s.
-    #[must_use]
     pub fn answers_after_s(&self, config: &LoopConfig, dt_s: f64) -> f64 {
         self.dynamics.best.delay_s + config.motion.lead_s.max(dt_s)
     }
 
     /// Transmission gains in use.
-    #[must_use]
     pub fn lines(&self) -> &[Line; 3] {
         &self.transmission.lines
     }
 
     /// Standard deviations of the refined k_ε and k_λ in mm, per channel.
-    #[must_use]
     pub fn line_sigmas(&self) -> [[f64; 2]; 3] {
         self.learning.refine.sigma()
     }

@@ -71,7 +71,6 @@ impl LoopConfig {
     }
 
     /// The calibrated gains with their standard deviations.
-    #[must_use]
     pub fn line_priors(&self) -> [Prior; 3] {
         std::array::from_fn(|i| {
             let [k_epsilon_sigma, k_lambda_sigma_mm] = self.line_sigmas[i];

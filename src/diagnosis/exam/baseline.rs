@@ -31,7 +31,6 @@ const ROUNDS: usize = 6;
 pub type Answers = [Vec<&'static str>; 3];
 
 /// The verdicts of all three methods.
-#[must_use]
 pub fn answer(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], found: &Candidates) -> Answers {
     let library = Library::new(log, catalogue, lines);
     [bic(log, found), library.sparse(), library.nearest()]

@@ -25,7 +25,6 @@ impl Count {
     }
 
     /// Share of right answers; 0 without answers.
-    #[must_use]
     pub fn share(&self) -> f64 {
         self.right as f64 / self.of.max(1) as f64
     }
@@ -134,7 +133,6 @@ fn truth(q: &Question) -> String {
 type Answered<'a> = (&'a Question, &'a Answer);
 
 /// Scores all answers.
-#[must_use]
 pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore {
     let all: Vec<Answered<'_>> = questions.iter().zip(answers).collect();
     let [bic, sparse, nearest] = [0, 1, 2].map(|which| method(&all, |a| Report::other(a, which)));

@@ -68,7 +68,6 @@ pub type Pair = (&'static str, &'static str, f64, f64);
 
 impl Design {
     /// Pairs in question, nearest first.
-    #[must_use]
     pub fn pairs(&self) -> Vec<Pair> {
         let focus: Vec<usize> = self.focus.iter().filter_map(|n| self.names.iter().position(|name| name == n)).collect();
         let pair = |i: usize, j: usize| (self.names[i], self.names[j], self.distances.of[(i, j)], self.standard.of[(i, j)]);

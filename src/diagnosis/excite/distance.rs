@@ -43,7 +43,6 @@ pub struct Information {
 }
 
 /// Runs every rival over a schedule; `None` if the schedule is too short or moves too little to be diagnosed.
-#[must_use]
 pub fn information(machine: &Machine, rows: &[Row], rivals: &[Rival], tracker: bool, seed: u64) -> Option<Information> {
     let driven = machine.drive(rows, synthetic::PERIOD_S);
     let log = synthetic::observed(machine, &driven, tracker, seed).ok()?;
@@ -135,14 +134,12 @@ pub struct Distances {
 
 impl Information {
     /// Size of every point of every effect after a recalibration, standard deviations.
-    #[must_use]
     pub fn sizes(&self) -> Vec<Vec<f64>> {
         let size = |c: usize| self.gram[(c, c)].max(0.0).sqrt();
         self.spans.iter().map(|s| (s.points.0..s.points.1).map(size).collect()).collect()
     }
 
     /// Distances with each point scaled by `scale`.
-    #[must_use]
     pub fn distances(&self, scale: &[Vec<f64>]) -> Distances {
         let n = self.spans.len();
         let mut of = DMatrix::from_element(n, n, f64::INFINITY);

@@ -60,7 +60,6 @@ pub struct Manoeuvre {
 
 impl Manoeuvre {
     /// Rows of the manoeuvre; the bend of a pose out of reach is reduced until the machine reaches it.
-    #[must_use]
     pub fn rows(&self, machine: &Machine) -> Vec<Row> {
         let rest_mm = machine.rig.geometry.rest_length_mm;
         let pose = |bend_deg: f64, dir_deg: f64, len_mm: f64, hold_s: f64| Row {
@@ -96,7 +95,6 @@ impl Manoeuvre {
     }
 
     /// A manoeuvre of the same kind with one to three values changed.
-    #[must_use]
     pub fn varied(&self, machine: &Machine, rng: &mut StdRng) -> Self {
         let mut m = *self;
         let by = |rng: &mut StdRng, x: f64, range: (f64, f64)| (x * rng.random_range(0.6..1.6f64)).clamp(range.0, range.1);
@@ -115,7 +113,6 @@ impl Manoeuvre {
     }
 
     /// A random manoeuvre.
-    #[must_use]
     pub fn any(machine: &Machine, rng: &mut StdRng) -> Self {
         let kind = KINDS[rng.random_range(0..KINDS.len())];
         let hold = hold_range(kind);
@@ -166,7 +163,6 @@ fn within(machine: &Machine, row: &Row) -> Row {
 }
 
 /// Rows of a whole schedule: rest, manoeuvres, rest.
-#[must_use]
 pub fn schedule(machine: &Machine, manoeuvres: &[Manoeuvre]) -> Vec<Row> {
     let mut rows = vec![Row::rest(REST_S, &machine.rig.geometry)];
     rows.extend(manoeuvres.iter().flat_map(|m| m.rows(machine)));
@@ -178,7 +174,6 @@ pub fn schedule(machine: &Machine, manoeuvres: &[Manoeuvre]) -> Vec<Row> {
 const REST_S: f64 = 5.0;
 
 /// Start of the search: one or more manoeuvres of each kind at several lengths and speeds.
-#[must_use]
 pub fn first_guess(rest_mm: f64) -> Vec<Manoeuvre> {
     let m = |kind, bend_deg, dir_deg, stretch_mm: f64, count, hold_s, speed_mm_s| Manoeuvre {
         kind,

@@ -43,19 +43,16 @@ pub struct Row {
 
 impl Row {
     /// A rest.
-    #[must_use]
     pub fn rest(hold_s: f64, geometry: &Geometry) -> Self {
         Self { bend_deg: 0.0, dir_deg: 0.0, len_mm: geometry.rest_length_mm, hold_s, speed_mm_s: REST_SPEED_MM_S }
     }
 
     /// Change of bellow lengths, mm.
-    #[must_use]
     pub fn lengths(&self, geometry: &Geometry) -> Vector3<f64> {
         geometry.lengths(&Shape { bend: Bend::from_deg(self.bend_deg, self.dir_deg), length: Mm(self.len_mm) })
     }
 
     /// The row rounded to the digits that a file holds, so that the designed schedule is the written one.
-    #[must_use]
     pub fn rounded(&self) -> Self {
         let to = |x: f64, digits: f64| (x * digits).round() / digits;
         Self {
@@ -83,14 +80,12 @@ pub struct Machine {
 
 impl Machine {
     /// A rig with these gains.
-    #[must_use]
     pub fn new(rig: Rig, lines: [Line; 3]) -> Self {
         let speed_mm_s = [SPEED_MIN_MM_S, (rig.speed_max_mm_s - SPEED_MARGIN_MM_S).max(SPEED_MIN_MM_S + 1.0)];
         Self { rig, lines, travel_mm: TRAVEL_SHARE * rig.travel_mm, speed_mm_s }
     }
 
     /// Whether the machine reaches a pose from either side of the backlash.
-    #[must_use]
     pub fn reaches(&self, row: &Row) -> bool {
         let q = row.lengths(&self.rig.geometry);
         (0..3).all(|i| {
@@ -101,7 +96,6 @@ impl Machine {
     }
 
     /// Pistons along a schedule, every `period_s`. They start at zero with the play centred.
-    #[must_use]
     pub fn drive(&self, rows: &[Row], period_s: f64) -> Driven {
         let side = Side::Band { band_mm: BAND_MM };
         let mut states = [SideState::default(); 3];
@@ -132,7 +126,6 @@ impl Machine {
     }
 
     /// Length of a schedule, s.
-    #[must_use]
     pub fn duration_s(&self, rows: &[Row]) -> f64 {
         self.drive(rows, 10.0).duration_s
     }
@@ -159,7 +152,6 @@ impl Driven {
 }
 
 /// The moving average of a path over the last `window` instants.
-#[must_use]
 pub fn rounded(path: &[Vector3<f64>], window: usize) -> Vec<Vector3<f64>> {
     let mut sum = path.first().copied().unwrap_or_default() * window as f64;
     let mean = |k: usize| {
@@ -170,7 +162,6 @@ pub fn rounded(path: &[Vector3<f64>], window: usize) -> Vec<Vector3<f64>> {
 }
 
 /// A schedule as CSV text.
-#[must_use]
 pub fn csv(rows: &[Row]) -> String {
     let mut out = String::from("bend_deg,dir_deg,len_mm,hold_s,speed_mm_s\n");
     for r in rows {

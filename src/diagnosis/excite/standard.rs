@@ -8,7 +8,6 @@ use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
 /// Rows of the standard schedule.
-#[must_use]
 pub fn rows(machine: &Machine) -> Vec<Row> {
     let rest_mm = machine.rig.geometry.rest_length_mm;
     let mut rng = StdRng::seed_from_u64(42);

@@ -55,7 +55,6 @@ struct Bench<'a> {
 }
 
 /// Diagnoses a log; `fresh` are other logs of the rig, on which the fitted model is evaluated.
-#[must_use]
 pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed: u64) -> Document {
     let (base, task) = (MapBase::new(map, log), Task::new(&log.output));
     let Some(scores) = base.scored(&task, &[], 0) else { return Document::empty(map) };

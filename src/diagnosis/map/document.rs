@@ -90,7 +90,6 @@ pub struct Document {
 
 impl Document {
     /// The document of a log that does not determine the nominal model: its verdict is `unknown`.
-    #[must_use]
     pub fn empty(map: &MapFile) -> Self {
         Self {
             schema: 1,

@@ -30,7 +30,6 @@ pub enum Columns {
 
 impl Columns {
     /// Names of the columns.
-    #[must_use]
     pub fn names(&self) -> Vec<&str> {
         match self {
             Self::One(name) => vec![name],

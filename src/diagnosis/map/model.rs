@@ -57,7 +57,6 @@ fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
 
 impl MapBase {
     /// Identifies the nominal model on the log.
-    #[must_use]
     pub fn new(map: &MapFile, log: &Signals) -> Self {
         let swing = (map.nominal == Nominal::Resonance).then(|| resonance(log));
         let inputs = driven(log, swing);
@@ -75,7 +74,6 @@ impl MapBase {
     }
 
     /// Scores a set; `None` if the first coefficient of the last member does not have `sign` (0: either).
-    #[must_use]
     pub fn scored(&self, task: &Task<'_>, members: &[Member], sign: i8) -> Option<Regressed> {
         let own = members.iter().flat_map(|m| m.columns.iter().map(Vec::as_slice));
         let columns: Vec<&[f64]> = self.base.iter().map(Vec::as_slice).chain(own).collect();
@@ -85,7 +83,6 @@ impl MapBase {
 
     /// RMSE of a fitted set on another log of the rig; only the offset is set again. `None` if that log is too far
     /// outside the fitted range for an extrapolation.
-    #[must_use]
     pub fn rmse_on(&self, other: &Signals, members: &[Member], coefficients: &[f64]) -> Option<f64> {
         let inputs = driven(other, self.scale.swing);
         let drive = self.scale.drive(other, &inputs);

@@ -36,7 +36,6 @@ pub struct Operator {
 
 impl Operator {
     /// An operator whose first coefficient may have either sign.
-    #[must_use]
     pub const fn new(
         name: &'static str,
         eta: &'static str,
@@ -202,7 +201,6 @@ fn since(t: &[f64]) -> Vec<f64> {
 }
 
 /// A linear oscillator `ÿ + 2ζω ẏ + ω² y = ω² u` by the bilinear transform, `wh = 2 tan(ω h / 2)`.
-#[must_use]
 pub fn oscillator(u: &[f64], wh: f64, zeta: f64) -> Vec<f64> {
     let (k, w2) = (4.0 * zeta * wh, wh * wh);
     let (a0, a1, a2) = (4.0 + k + w2, 2.0 * w2 - 8.0, 4.0 - k + w2);

@@ -36,7 +36,6 @@ pub struct Regressed {
 
 impl Regressed {
     /// Mean square over the held-out blocks.
-    #[must_use]
     pub fn energy(&self) -> f64 {
         let (s, n) = self.blocks.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
         s / n.max(1.0)
@@ -45,7 +44,6 @@ impl Regressed {
 
 impl<'a> Task<'a> {
     /// Divides the rows of a signal into blocks.
-    #[must_use]
     pub fn new(y: &'a [f64]) -> Self {
         let length = y.len() as f64 / BLOCKS as f64;
         let of = |k: usize| {
@@ -57,7 +55,6 @@ impl<'a> Task<'a> {
 
     /// Regresses on `columns`; `None` if the columns do not determine the coefficients, or if coefficient `first` does not
     /// have `sign` (0: either).
-    #[must_use]
     pub fn regress(&self, columns: &[&[f64]], first: usize, sign: i8) -> Option<Regressed> {
         let normals = [self.normal(columns, 0), self.normal(columns, 1)];
         let right_sign = |c: &DVector<f64>| sign == 0 || c[first] * f64::from(sign) >= 0.0;

@@ -91,13 +91,11 @@ impl Daemon {
     }
 
     /// Number of its process.
-    #[must_use]
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
     /// Paths of its command socket, its status socket and its socket of `stop`.
-    #[must_use]
     pub fn sockets(&self) -> &[PathBuf; 3] {
         &self.sockets
     }
@@ -197,7 +195,6 @@ pub fn connect(socket: &Path) -> io::Result<Client> {
 }
 
 /// The mode in a status.
-#[must_use]
 pub fn mode_of(status: &Value) -> String {
     status["mode"].as_str().unwrap_or_default().to_owned()
 }

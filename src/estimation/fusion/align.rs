@@ -59,13 +59,11 @@ pub struct Alignment {
 
 impl Alignment {
     /// Mean period of the samples, and of the field samples, s.
-    #[must_use]
     pub fn periods_s(&self) -> (f64, f64) {
         let mean = |n: u32| self.duration_s / f64::from(n.max(2) - 1);
         (mean(self.samples), mean(self.mag_samples))
     }
     /// True if the source has noise, so that identical samples indicate a fault: fewer than one in fifty repeats.
-    #[must_use]
     pub fn noisy(&self) -> bool {
         self.repeated * 50 < self.samples
     }

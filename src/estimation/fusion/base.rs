@@ -30,7 +30,6 @@ pub struct BaseTurn {
 
 impl BaseTurn {
     /// A base that has not moved.
-    #[must_use]
     pub fn none() -> Self {
         Self { r_rest_now: UnitQuaternion::identity(), rate_rad_s: Vector3::zeros() }
     }
@@ -142,26 +141,22 @@ impl BaseTracker {
     }
 
     /// The rotation since alignment, in the axes of the tip's IMU during alignment.
-    #[must_use]
     pub fn turn(&self) -> BaseTurn {
         let (Self::Following(f) | Self::Lost(f)) = self else { return BaseTurn::none() };
         BaseTurn { r_rest_now: f.to_tip * f.q_rest_now * f.to_tip.inverse(), rate_rad_s: f.to_tip * f.rate_rad_s }
     }
 
     /// The alignment, once complete.
-    #[must_use]
     pub fn rest(&self) -> Option<&Alignment> {
         if let Self::Following(f) | Self::Lost(f) = self { Some(&f.rest) } else { None }
     }
 
     /// True while a base IMU is present and aligned.
-    #[must_use]
     pub fn follows(&self) -> bool {
         matches!(self, Self::Following(_))
     }
 
     /// The IMU had noise during its alignment, so identical readings mean that it is stuck.
-    #[must_use]
     pub fn noisy(&self) -> bool {
         self.rest().is_some_and(Alignment::noisy)
     }

@@ -165,7 +165,6 @@ impl Watch {
     }
 
     /// Share of the unexplained bend that is due to the tip, see [`Sway::share_of_tip`].
-    #[must_use]
     pub fn share_of_tip(&self) -> f64 {
         self.sway.share_of_tip()
     }
@@ -215,7 +214,6 @@ impl Watch {
     }
 
     /// True if the loop has settled without unexplained motion: the present state is a valid one to return to.
-    #[must_use]
     pub fn quiet(&self) -> bool {
         self.settled && self.bend.norm() < QUIET_RAD && self.twist.abs() < QUIET_RAD
     }

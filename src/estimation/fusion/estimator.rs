@@ -34,7 +34,6 @@ impl EstimatorName {
     };
 
     /// The name as files write it.
-    #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Bend => "bend",
@@ -100,7 +99,6 @@ impl DerefMut for Estimator {
 
 impl Estimator {
     /// The named estimator, starting from the alignment, updated at most once in `period_s`.
-    #[must_use]
     pub fn new(name: EstimatorName, bend: &BendFilterConfig, alignment: &Alignment, period_s: f64) -> Self {
         let (imu_s, mag_s) = alignment.periods_s();
         let periods = Periods { imu_s: imu_s.max(period_s), mag_s: mag_s.max(period_s).min(1.0) };
@@ -124,7 +122,6 @@ impl Estimator {
     }
 
     /// The bend filter, if it is the selected estimator.
-    #[must_use]
     pub fn as_bend(&self) -> Option<&BendFilter> {
         if let Self::Bend(f) = self { Some(f) } else { None }
     }

@@ -36,7 +36,6 @@ pub struct FieldShape {
 
 impl FieldShape {
     /// Shape of a field given in the world frame, µT.
-    #[must_use]
     pub fn of(field_world: &Vector3<f64>) -> Self {
         Self { strength_ut: field_world.norm(), dip_rad: (-field_world.z).atan2(field_world.xy().norm()) }
     }

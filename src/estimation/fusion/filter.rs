@@ -95,7 +95,6 @@ pub trait TipEstimator {
 ///
 /// The triad method of Black (1964) with the accelerometer as the exact vector. Without a usable field the result
 /// is the shortest rotation that levels, and the heading is arbitrary.
-#[must_use]
 pub fn level(up: &Vector3<f64>, field: Option<&Vector3<f64>>) -> Rotation<World, Sensor> {
     let up = up.normalize();
     let west = field.map(|m| up.cross(m)).and_then(|w| w.try_normalize(1e-9));

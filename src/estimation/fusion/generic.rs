@@ -35,7 +35,6 @@ pub struct Generic {
 
 impl Generic {
     /// The filter called `name`, primed with the alignment.
-    #[must_use]
     pub fn new(name: FilterName, periods: Periods, alignment: &Alignment) -> Self {
         let mut filter = name.build(periods);
         let mag = alignment.mag_rest_ut.as_ref();
@@ -58,7 +57,6 @@ impl Generic {
     }
 
     /// Status of the filter.
-    #[must_use]
     pub fn flags(&self) -> FilterFlags {
         self.filter.flags()
     }

@@ -32,7 +32,6 @@ pub struct Usable {
 }
 
 /// Removes from a sample what no sensor can measure.
-#[must_use]
 pub fn usable(sample: &ImuSample) -> Usable {
     let within = |v: &Vector3<f64>, min: f64, max: f64| {
         let norm = v.norm();
@@ -57,7 +56,6 @@ pub enum Step {
 }
 
 /// Classifies a time step in seconds.
-#[must_use]
 pub fn step(dt_s: f64) -> Step {
     if !dt_s.is_finite() || dt_s <= 0.0 {
         Step::Ignore
@@ -69,7 +67,6 @@ pub fn step(dt_s: f64) -> Step {
 }
 
 /// Fraction by which a first-order low-pass with time constant `tau_s` approaches its input in `dt_s`.
-#[must_use]
 pub fn share(dt_s: f64, tau_s: f64) -> f64 {
     1.0 - (-dt_s / tau_s).exp()
 }

@@ -76,7 +76,6 @@ pub struct Madgwick {
 
 impl Madgwick {
     /// A filter that levels itself with the first sample.
-    #[must_use]
     pub fn new(config: MadgwickConfig) -> Self {
         Self { config, ..Self::default() }
     }

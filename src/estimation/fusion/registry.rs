@@ -36,7 +36,6 @@ named! {
 
 impl FilterName {
     /// A new filter with its shipped settings.
-    #[must_use]
     pub fn build(self, periods: Periods) -> Filter {
         match self {
             Self::Madgwick => Filter::Madgwick(Madgwick::new(MadgwickConfig::default())),

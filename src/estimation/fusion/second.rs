@@ -54,7 +54,6 @@ pub struct Second {
 
 impl Second {
     /// Starts in agreement.
-    #[must_use]
     pub fn new(estimator: Estimator) -> Self {
         Self { estimator, average: Average::default(), changed_s: 0.0, angle_rad: 0.0, disagrees: false }
     }

@@ -68,12 +68,10 @@ impl StandstillDetector {
         }
     }
     /// True when the sensor has been still for long enough.
-    #[must_use]
     pub fn standstill(&self) -> bool {
         self.still_s >= STILL_MIN_S
     }
     /// Slow mean of the angular rate, rad/s: the bias, at standstill.
-    #[must_use]
     pub fn gyro_mean_rad_s(&self) -> Vector3<f64> {
         self.means.map_or_else(Vector3::zeros, |(gyro, _)| gyro)
     }

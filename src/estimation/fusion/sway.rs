@@ -57,13 +57,11 @@ impl Sway {
     }
 
     /// Something bends the tip in hold after hold, such as breath.
-    #[must_use]
     pub fn is_disturbance(&self) -> bool {
         self.disturbed2 > DISTURBED_RAD * DISTURBED_RAD && self.sway2 < DISTURBED_SHARE * self.disturbed2
     }
 
     /// Share of the unexplained bend that is due to the tip and not to a swaying base, 0 to 1; 1 for a base that stands.
-    #[must_use]
     pub fn share_of_tip(&self) -> f64 {
         let sway2 = (self.sway2 - SWAY_MIN_RAD * SWAY_MIN_RAD).max(0.0);
         if sway2 > 0.0 { (1.0 - sway2 / self.unexplained2).clamp(0.0, 1.0) } else { 1.0 }

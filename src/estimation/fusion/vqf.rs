@@ -44,7 +44,6 @@ impl Default for VqfConfig {
 
 impl VqfConfig {
     /// The settings of `vqf-long`.
-    #[must_use]
     pub fn long() -> Self {
         Self { tau_mag_s: TAU_MAG_LONG_S, ..Self::default() }
     }
@@ -62,7 +61,6 @@ pub struct Vqf {
 
 impl Vqf {
     /// A filter for samples of the given nominal periods.
-    #[must_use]
     pub fn new(periods: Periods, config: VqfConfig) -> Self {
         let params =
             vqf_rs::Params { tau_acc: config.tau_acc_s.max(1e-3), tau_mag: config.tau_mag_s.max(0.0), ..vqf_rs::Params::default() };

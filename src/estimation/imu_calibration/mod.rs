@@ -80,7 +80,6 @@ impl ImuCalibration {
         self.mount_deg = Some(from.entry(value.into(), fit.sigma_rad.map(f64::to_degrees).into()));
     }
     /// The correction to apply to every sample.
-    #[must_use]
     pub fn correction(&self) -> Correction {
         let vector = |e: &Option<Entry<[f64; 3]>>| e.as_ref().map_or_else(Vector3::zeros, |e| e.value.into());
         let table = |e: &Option<Entry<Rows>>| e.as_ref().map_or_else(Matrix3::identity, |e| matrix(&e.value));
@@ -115,7 +114,6 @@ pub struct Correction {
 
 impl Correction {
     /// The sample of an ideal sensor in the axes of the tip.
-    #[must_use]
     pub fn apply(&self, raw: &ImuSample) -> ImuSample {
         ImuSample {
             t: raw.t,

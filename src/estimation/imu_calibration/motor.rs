@@ -28,7 +28,6 @@ const ITERATIONS: usize = 30;
 const IDLE_PRIOR: (f64, f64) = (0.5, 0.289);
 
 /// Coil phase at a microstep count, rad.
-#[must_use]
 pub fn phase_rad(count: i32) -> f64 {
     std::f64::consts::TAU * f64::from(count) / MICROSTEPS_A_CYCLE
 }
@@ -68,7 +67,6 @@ pub struct MotorField {
 
 impl MotorField {
     /// Field of all motors, µT, base frame.
-    #[must_use]
     pub fn at(&self, counts: &[i32; 3], energised: &[bool; 3]) -> Vector3<f64> {
         let mut field = Vector3::zeros();
         for i in 0..3 {

@@ -33,7 +33,6 @@ pub struct BendTurn {
 }
 
 /// Rotation vector of a stretch of gyroscope samples, rad, in the sensor frame at its start.
-#[must_use]
 pub fn turn_of(samples: &[ImuSample], gyro_bias_rad_s: &Vector3<f64>) -> Vector3<f64> {
     let mut q = UnitQuaternion::identity();
     for pair in samples.windows(2) {

@@ -102,7 +102,6 @@ pub fn rest(samples: &[ImuSample]) -> Result<Rest, Refusal> {
 
 /// All rests of a recording: adjacent windows of 1 s that pass [`rest`], joined where the attitude is
 /// the same.
-#[must_use]
 pub fn rests(samples: &[ImuSample]) -> Vec<Rest> {
     let mut found: Vec<Rest> = Vec::new();
     let mut from = 0;

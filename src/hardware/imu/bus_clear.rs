@@ -87,7 +87,6 @@ impl OpenDrainLine for HeaderLine {
 
 /// [`clear`] for SDA and SCL on the header of a Raspberry Pi. Lines that cannot be opened count as idle.
 #[cfg(feature = "hw")]
-#[must_use]
 pub fn clear_header(lines: [u32; 2], delay: &mut dyn DelayNs) -> BusState {
     let open = |line: u32| {
         let pin = rppal::gpio::Gpio::new().ok()?.get(u8::try_from(line).ok()?).ok()?;

@@ -81,7 +81,6 @@ pub enum ImuError {
 
 impl ImuError {
     /// The remedy.
-    #[must_use]
     pub fn advice(&self) -> &'static str {
         match self {
             Self::Nack { .. } => {
@@ -97,7 +96,6 @@ impl ImuError {
     }
 
     /// The corresponding fault of the health monitor.
-    #[must_use]
     pub fn fault(&self) -> ReadFault {
         match self {
             Self::Nack { .. } | Self::Timeout { .. } => ReadFault::Nack,

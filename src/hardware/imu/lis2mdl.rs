@@ -43,7 +43,6 @@ pub struct Lis2mdl {
 
 impl Lis2mdl {
     /// A driver for 10, 20, 50 or 100 Hz; `None` for any other rate.
-    #[must_use]
     pub fn new(rate_hz: u16) -> Option<Self> {
         let rate = [10, 20, 50, 100].into_iter().position(|r| r == rate_hz)? as u8;
         let port = Port { part: Part::Lis2mdl, address: ADDRESS };

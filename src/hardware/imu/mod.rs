@@ -73,7 +73,6 @@ impl Default for ChipConfig {
 
 impl ChipConfig {
     /// Bus address of the inertial chip.
-    #[must_use]
     pub fn address(&self) -> u8 {
         match self {
             Self::Icm20948(c) => c.address,

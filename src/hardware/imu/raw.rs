@@ -37,7 +37,6 @@ fn load(counts: &[i16; 3]) -> f64 {
 
 impl RawImu {
     /// Properties of the reading that the health monitor needs besides the values.
-    #[must_use]
     pub fn quality(&self) -> Quality {
         Quality { gyro_load: load(&self.gyro), acc_load: load(&self.acc), mag_overflow: self.mag_overflow, expect_noise: true }
     }
@@ -93,7 +92,6 @@ impl Axes {
     pub const AK09916: Self = Self([Axis::PlusX, Axis::MinusY, Axis::MinusZ]);
 
     /// Whether each magnetometer axis appears exactly once.
-    #[must_use]
     pub fn is_permutation(&self) -> bool {
         let mut used = [false; 3];
         for axis in self.0 {
@@ -102,7 +100,6 @@ impl Axes {
         used == [true; 3]
     }
     /// Converts from chip axes to the accelerometer's frame.
-    #[must_use]
     pub fn to_frame(&self, chip: &Vector3<f64>) -> Vector3<f64> {
         let pick = |axis: Axis| {
             let (i, sign) = axis.parts();
@@ -136,7 +133,6 @@ fn scaled(counts: &[i16; 3], unit: f64) -> Vector3<f64> {
 impl Scale {
     /// The reading at time `t` in SI units, in the accelerometer's frame
     /// ([`crate::primitives::frames::Sensor`]).
-    #[must_use]
     pub fn sample(&self, raw: &RawImu, t: Seconds) -> ImuSample {
         let mag = raw.mag.filter(|_| !raw.mag_overflow);
         ImuSample {
@@ -147,7 +143,6 @@ impl Scale {
         }
     }
     /// Die temperature, °C.
-    #[must_use]
     pub fn temperature_c(&self, raw: &RawImu) -> f64 {
         self.temp_zero_c + self.temp_c * f64::from(raw.temp)
     }

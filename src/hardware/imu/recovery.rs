@@ -49,7 +49,6 @@ pub struct ImuRecovery<S: Imu + ?Sized> {
 
 impl<S: Imu + ?Sized> ImuRecovery<S> {
     /// Wraps a sensor, which may be uninitialised.
-    #[must_use]
     pub fn new(sensor: Box<S>) -> Self {
         Self { sensor, free_bus: None, stale: 0, temp_c: None, failures: 0, tried_s: None, init_error: None, restarts: 0 }
     }
@@ -110,7 +109,6 @@ impl<S: Imu + ?Sized> ImuRecovery<S> {
     }
 
     /// Number of initialisations by [`Self::read`].
-    #[must_use]
     pub fn restarts(&self) -> u32 {
         self.restarts
     }

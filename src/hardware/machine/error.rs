@@ -71,7 +71,6 @@ pub enum HardwareError {
 
 impl HardwareError {
     /// True for an invalid board file (exit code 2), false for hardware that does not answer (exit code 3).
-    #[must_use]
     pub fn is_config(&self) -> bool {
         matches!(self, Self::Pins(OpenError::Config(_)) | Self::Stepper(StartError::Config(_)) | Self::Setting(_))
     }

@@ -86,7 +86,6 @@ fn channel(step: u32, dir: u32) -> ChannelPins {
 
 impl PinsConfig {
     /// Every line with its use, in the order of the file.
-    #[must_use]
     pub fn uses(&self) -> Vec<Use> {
         let mut uses = Vec::new();
         for (i, c) in self.channels.iter().enumerate() {

@@ -69,20 +69,17 @@ impl LineMap {
     }
 
     /// Line numbers of the outputs in the order of the bits.
-    #[must_use]
     pub fn outputs(&self) -> &[u32] {
         &self.outputs
     }
 
     /// Line numbers and pull resistors of the inputs in the order of the bits.
-    #[must_use]
     pub fn inputs(&self) -> &[(u32, Pull)] {
         &self.inputs
     }
 
     /// Voltages of all outputs for logical levels.
     #[inline]
-    #[must_use]
     pub fn output_bits(&self, levels: &Levels) -> u64 {
         let mut active = if levels.enable { self.enable } else { 0 };
         for channel in 0..3 {
@@ -94,7 +91,6 @@ impl LineMap {
 
     /// Whether lines found in this state energise the drivers. Bit i of `driven` tells whether line i is an
     /// output, bit i of `high` whether it is high. Without an EN line the drivers count as released.
-    #[must_use]
     pub fn is_energised(&self, driven: u64, high: u64) -> bool {
         let on = self.output_bits(&Levels { enable: true, ..Levels::default() });
         self.enable != 0 && driven & self.enable == self.enable && (high ^ on) & self.enable == 0
@@ -115,7 +111,6 @@ impl LineMap {
 
     /// Logical levels of all inputs for their voltages.
     #[inline]
-    #[must_use]
     pub fn inputs_from(&self, bits: u64) -> Inputs {
         let active = bits ^ self.inputs_inverted;
         Inputs { home: self.home.map(|bit| active & bit != 0), emergency_stop: active & self.emergency_stop != 0 }

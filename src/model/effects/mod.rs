@@ -104,7 +104,6 @@ pub struct EffectInfo {
 
 impl EffectInfo {
     /// Whether the effect happens at times of its own.
-    #[must_use]
     pub fn is_event(&self) -> bool {
         self.events > 0
     }
@@ -234,7 +233,6 @@ pub trait Effect: Send + Sync {
 }
 
 /// The whole catalogue, in the order of the signal and of the published table.
-#[must_use]
 pub fn catalogue() -> Vec<Box<dyn Effect>> {
     vec![
         Box::new(missed_steps::MissedSteps),
@@ -267,7 +265,6 @@ pub fn catalogue() -> Vec<Box<dyn Effect>> {
 }
 
 /// The effect of that name; `None` if the catalogue has no such effect.
-#[must_use]
 pub fn by_name(name: &str) -> Option<Box<dyn Effect>> {
     catalogue().into_iter().find(|e| e.name() == name)
 }

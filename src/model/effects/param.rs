@@ -7,7 +7,6 @@ use crate::model::effects::Param;
 impl Param {
     /// A parameter that belongs to no channel: `start` is the value at which the effect vanishes,
     /// `scale` the standard deviation of its prior, `range` the least and the largest physical value.
-    #[must_use]
     pub const fn new(name: &'static str, unit: &'static str, start: f64, scale: f64, range: (f64, f64)) -> Self {
         Self { name, unit, channel: 0, start, scale, low: range.0, high: range.1 }
     }
@@ -17,12 +16,10 @@ impl Param {
         Self { channel, ..self }
     }
     /// The same for each of the three channels.
-    #[must_use]
     pub const fn each(self) -> [Self; 3] {
         [self.on(1), self.on(2), self.on(3)]
     }
     /// The same under each of `names`.
-    #[must_use]
     pub const fn named<const N: usize>(self, names: [&'static str; N]) -> [Self; N] {
         let (mut out, mut k) = ([self; N], 0);
         while k < N {
@@ -32,7 +29,6 @@ impl Param {
         out
     }
     /// A value of this parameter as files and reports show it, with its unit: degrees for radians.
-    #[must_use]
     pub fn shown(&self, value: f64) -> (f64, &'static str) {
         match self.unit {
             "rad" => (value.to_degrees(), "deg"),
@@ -44,7 +40,6 @@ impl Param {
 
 /// All parameters of `parts` in one array of `N`; a wrong `N` is a compile error where the result is a
 /// constant.
-#[must_use]
 pub const fn join<const N: usize>(parts: &[&[Param]]) -> [Param; N] {
     let mut out = [Param::new("", "", 0.0, 1.0, (0.0, 0.0)); N];
     let (mut part, mut at) = (0, 0);

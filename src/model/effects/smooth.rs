@@ -4,21 +4,18 @@
 //! where the corner is rounded off; for `|x| ≫ width` they equal the function with the corner.
 
 /// |x| with a rounded tip: `√(x² + width²) − width`, exactly 0 at 0.
-#[must_use]
 #[inline]
 pub fn magnitude(x: f64, width: f64) -> f64 {
     (x * x + width * width).sqrt() - width
 }
 
 /// max(x, 0) with a rounded corner, exactly 0 at 0; far below, it is `−width/2`.
-#[must_use]
 #[inline]
 pub fn positive(x: f64, width: f64) -> f64 {
     0.5 * (x + magnitude(x, width))
 }
 
 /// max(x, 0) with a rounded corner, nowhere negative; `width/2` at 0, vanishing far below.
-#[must_use]
 #[inline]
 pub fn overshoot(x: f64, width: f64) -> f64 {
     let root = (x * x + width * width).sqrt();
@@ -27,7 +24,6 @@ pub fn overshoot(x: f64, width: f64) -> f64 {
 }
 
 /// sgn(x) with a rounded step.
-#[must_use]
 #[inline]
 pub fn sign(x: f64, width: f64) -> f64 {
     x / (x * x + width * width).sqrt()
@@ -35,14 +31,12 @@ pub fn sign(x: f64, width: f64) -> f64 {
 
 /// Share of a gap that a first-order process closes in one step of backward Euler, `h/(1 + h)` with
 /// `h = dt/τ` or rate × dt: stable for every step, and on a ramp it lags by exactly τ.
-#[must_use]
 #[inline]
 pub fn share(h: f64) -> f64 {
     h / (1.0 + h)
 }
 
 /// Logistic onset: 0 long before `at_s`, 1 long after; 10 to 90 % takes `rise_s`.
-#[must_use]
 #[inline]
 pub fn onset(t_s: f64, at_s: f64, rise_s: f64) -> f64 {
     /// 2 ln 9: the logistic goes from 10 to 90 % in this many of its time constants.
@@ -58,7 +52,6 @@ pub fn onset(t_s: f64, at_s: f64, rise_s: f64) -> f64 {
 }
 
 /// Cubic from 0 at `from_s` to 1 at `from_s + lasting_s`, level at both ends.
-#[must_use]
 #[inline]
 pub fn smoothstep(t_s: f64, from_s: f64, lasting_s: f64) -> f64 {
     let x = ((t_s - from_s) / lasting_s).clamp(0.0, 1.0);

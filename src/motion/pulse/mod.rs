@@ -90,7 +90,6 @@ const INTERVAL_LONGEST_NS: u64 = 50_000_000;
 
 impl StepCore {
     /// At rest at zero with the drivers released.
-    #[must_use]
     pub fn new(timing: PulseTiming, limits: &MotionLimits, step_mm: f64) -> Self {
         Self { timing, limits: *limits, step_mm, stream: StepStream::new(step_mm, [0; 3]), ..Self::default() }
     }
@@ -190,7 +189,6 @@ impl StepCore {
     }
 
     /// Whether [`StepperOrder::Finish`] is complete and the lines are in their final state.
-    #[must_use]
     pub fn is_finished(&self) -> bool {
         let released = !self.levels.enable && self.levels.step == [false; 3];
         let ended = match self.mode {
@@ -202,7 +200,6 @@ impl StepCore {
     }
 
     /// The state at `now_ns`.
-    #[must_use]
     pub fn report(&self, now_ns: u64) -> StepperReport {
         StepperReport {
             t_ns: now_ns,

@@ -49,7 +49,6 @@ pub struct Evidence {
 
 impl Evidence {
     /// The evidence of a diagnosis on its log.
-    #[must_use]
     pub fn new(log: &Observed, done: &Diagnosed) -> Self {
         let (before, after) = (&done.found.nominal.held_out, &done.chosen.held_out);
         let lines = lines(&done.found.nominal.fitted.theta);
@@ -74,7 +73,6 @@ impl Evidence {
     }
 
     /// Cells of the polar map: RMS of the values that `pick` returns.
-    #[must_use]
     pub fn cells(&self, pick: impl Fn(&Spot) -> f64) -> Vec<Cell> {
         let mut sums: BTreeMap<(usize, usize), (f64, f64)> = BTreeMap::new();
         for s in &self.spots {
@@ -90,7 +88,6 @@ impl Evidence {
     }
 
     /// RMS of the values that `pick` returns in `n` equal stretches of time: (middle of the stretch, RMS).
-    #[must_use]
     pub fn over_time(&self, n: usize, pick: impl Fn(&Spot) -> f64) -> Vec<(f64, f64)> {
         let end = self.spots.last().map_or(0.0, |s| s.t_s) + 1e-9;
         let mut sums = vec![(0.0, 0.0); n];

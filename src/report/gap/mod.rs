@@ -21,7 +21,6 @@ const STRETCHES: usize = 80;
 const TRACE_S: f64 = 25.0;
 
 /// The page; `source` names the log.
-#[must_use]
 pub fn page(source: &str, d: &Diagnosis, evidence: &Evidence) -> String {
     let mut page = Page::new(&format!("Gap diagnosis: {source}"));
     page.text(&words::headline(d));

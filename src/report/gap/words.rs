@@ -5,7 +5,6 @@ use crate::diagnosis::document::{Diagnosis, EffectEntry, ParamValue};
 use crate::model::effects::by_name;
 
 /// Name of an effect without underscores.
-#[must_use]
 pub fn plain(name: &str) -> String {
     name.replace('_', " ")
 }
@@ -30,7 +29,6 @@ fn group<'a>(d: &'a Diagnosis, name: &str) -> Option<&'a Vec<&'static str>> {
 }
 
 /// The verdict in one sentence.
-#[must_use]
 pub fn headline(d: &Diagnosis) -> String {
     let (was, is, noise) = (d.gap.recalibrated_deg, d.gap.explained_deg, d.gap.noise_floor_deg);
     let (causes, many) = (capital(&causes(d)), d.verdict.names.len() > 1);
@@ -71,7 +69,6 @@ fn capital(text: &str) -> String {
 }
 
 /// Where the gap lies, in one sentence.
-#[must_use]
 pub fn place(d: &Diagnosis) -> String {
     let Some(first) = d.location.stages.first() else { return String::new() };
     let kinds = d.location.kinds.iter();
@@ -89,13 +86,11 @@ pub fn place(d: &Diagnosis) -> String {
 }
 
 /// Unit of a sensor's residual.
-#[must_use]
 pub fn unit_of(kind: &str) -> &'static str {
     if kind == "gyroscope" { "°/s" } else { "°" }
 }
 
 /// Limits of the verdict: equivalent effects and the probability of another cause.
-#[must_use]
 pub fn limits(d: &Diagnosis) -> Vec<String> {
     let groups = d.verdict.equivalent.iter().map(|g| listed(g, "and"));
     let mut out: Vec<String> = groups.map(|g| format!("This log cannot separate {g}.")).collect();
@@ -107,7 +102,6 @@ pub fn limits(d: &Diagnosis) -> Vec<String> {
 }
 
 /// Next steps, most useful first.
-#[must_use]
 pub fn next(d: &Diagnosis) -> Vec<String> {
     let design = "`retroflex gap diagnose LOG --save model.toml`, then `retroflex gap excite --like model.toml --out schedule.csv` designs a schedule for it";
     let mut out = Vec::new();
@@ -142,7 +136,6 @@ pub fn next(d: &Diagnosis) -> Vec<String> {
 }
 
 /// `rate 0.0031 1/s (0.0029 to 0.0033), channel 2`.
-#[must_use]
 pub fn value(p: &ParamValue) -> String {
     let channel = match p.channel {
         0 => String::new(),
@@ -154,7 +147,6 @@ pub fn value(p: &ParamValue) -> String {
 }
 
 /// Three significant digits.
-#[must_use]
 pub fn short(x: f64) -> String {
     let size = match x.abs().log10().floor() {
         size if size.is_finite() => size,

@@ -84,7 +84,6 @@ impl Changes {
 }
 
 /// A JSON schema that fits a value.
-#[must_use]
 pub fn schema(value: &Value) -> Value {
     match value {
         Value::Object(fields) => {

@@ -25,7 +25,6 @@ pub struct Cycle {
 
 impl Cycle {
     /// A cycle with a digest of all decisions, and, if `each`, one of each field.
-    #[must_use]
     pub fn new(output: &CycleOutput, each: bool) -> Self {
         let (sensed, target) = (Sensed { truth: None, ..output.sensed }, output.frame.target);
         Self { sensed, order: output.order, target, digests: digests(output, each) }
@@ -33,7 +32,6 @@ impl Cycle {
 
     /// Whether the decisions differ from those of this cycle, and the names of the fields that do: none in a cycle without digests
     /// of the fields. A difference that lasts one cycle has equal digests by chance once in 65,536 times, a field once in 256.
-    #[must_use]
     pub fn differences(&self, output: &CycleOutput) -> Option<Vec<&'static str>> {
         let now = digests(output, !self.digests.1.is_empty());
         let pairs = now.1.iter().zip(&self.digests.1);
@@ -43,7 +41,6 @@ impl Cycle {
 }
 
 /// FNV-1a over bytes.
-#[must_use]
 pub fn fnv(bytes: impl IntoIterator<Item = u8>) -> u64 {
     bytes.into_iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }

@@ -37,7 +37,6 @@ pub struct FlightFile {
 }
 
 /// Time of the loop's zero, ns since 1970, if it is `t_s` now.
-#[must_use]
 pub fn zero_unix_ns(t_s: f64) -> u64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
     now.saturating_sub((t_s * 1e9) as u64)

@@ -65,7 +65,6 @@ impl FlightLog {
     }
 
     /// True while cycles are accepted.
-    #[must_use]
     pub fn is_writing(&self) -> bool {
         self.queue.is_some()
     }
@@ -84,14 +83,12 @@ impl FlightLog {
 }
 
 /// Folder, run and part of a log that [`FlightLog`] wrote.
-#[must_use]
 pub fn run_and_part(path: &Path) -> Option<(u64, u32)> {
     let (run, part) = path.file_name()?.to_str()?.strip_suffix(".mcap")?.strip_prefix("flight-")?.split_once('-')?;
     Some((run.parse().ok()?, part.parse().ok()?))
 }
 
 /// Path of a part of a run.
-#[must_use]
 pub fn part_path(folder: &Path, run: u64, part: u32) -> PathBuf {
     folder.join(format!("flight-{run:06}-{part:03}.mcap"))
 }

@@ -46,7 +46,6 @@ pub struct Header {
 
 impl Header {
     /// Hash of each configuration text, by its name.
-    #[must_use]
     pub fn hashes(&self) -> BTreeMap<String, String> {
         let texts = self.named_texts();
         texts.map(|(name, text)| (format!("{name} hash"), hash([text]))).collect()
@@ -78,7 +77,6 @@ pub enum Event {
 
 impl Event {
     /// The event before this cycle.
-    #[must_use]
     pub fn at(&self, cycle: u64) -> Self {
         match self {
             Self::Start(header) => Self::Start(Header { cycle, ..header.clone() }),
@@ -99,7 +97,6 @@ pub struct Logged {
 }
 
 /// Hash of texts, in hexadecimal.
-#[must_use]
 pub fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     format!("{:016x}", fnv(texts.into_iter().flat_map(|t| t.bytes().chain([0]))))
 }

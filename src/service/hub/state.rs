@@ -175,7 +175,6 @@ impl Persistence {
 
 impl Hub {
     /// A hub before its first round.
-    #[must_use]
     pub fn new(io: HubIo, config: RunConfig, memory: Memory, facts: Facts) -> Self {
         let now = Instant::now();
         Self {

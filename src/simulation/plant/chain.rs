@@ -101,7 +101,6 @@ impl Plant {
     }
 
     /// The configuration that it was built from.
-    #[must_use]
     pub fn config(&self) -> &PlantConfig {
         &self.config
     }

@@ -149,7 +149,6 @@ impl BaseConfig {
 
 impl FieldConfig {
     /// The field in the world frame, whose x axis points to magnetic north, µT.
-    #[must_use]
     pub fn vector_ut(&self) -> Vector3<f64> {
         let (sin, cos) = self.dip_deg.to_radians().sin_cos();
         Vector3::new(cos, 0.0, -sin) * self.strength_ut
@@ -158,7 +157,6 @@ impl FieldConfig {
 
 impl PlantConfig {
     /// The make of the units that this configuration describes.
-    #[must_use]
     pub fn make(&self) -> Self {
         self.clone()
     }

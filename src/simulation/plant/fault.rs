@@ -28,7 +28,6 @@ impl Channel {
     pub const ALL: [Self; 3] = [Self::One, Self::Two, Self::Three];
 
     /// Index from 0.
-    #[must_use]
     pub fn index(self) -> usize {
         self as usize
     }

@@ -10,7 +10,6 @@ const LIMIT: f64 = 2.5;
 impl PlantConfig {
     /// The unit of this make with serial number `seed`: gains, geometry, sizes of effects, attitude,
     /// field and IMU biases drawn from `spread`. The spread of the result is zero.
-    #[must_use]
     pub fn drawn(&self, seed: u64) -> PlantConfig {
         let (spread, mut rng) = (&self.spread, PlantRng::new(seed, Stream::Unit));
         let mut unit = PlantConfig { spread: Spread::default(), ..self.clone() };

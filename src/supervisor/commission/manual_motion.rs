@@ -60,19 +60,16 @@ impl<'a> ManualMotion<'a> {
     }
 
     /// Piston travel per microstep, mm.
-    #[must_use]
     pub fn step_mm(&self) -> f64 {
         self.machine.info().step_mm
     }
 
     /// Requested positions, mm.
-    #[must_use]
     pub fn wanted_mm(&self) -> [f64; 3] {
         self.wanted_mm
     }
 
     /// Counted positions, mm.
-    #[must_use]
     pub fn stands_mm(&self) -> [f64; 3] {
         let step_mm = self.step_mm();
         self.last.map_or([0.0; 3], |s| s.counted.0.map(|n| f64::from(n) * step_mm))

@@ -34,20 +34,17 @@ impl GyroBias {
     }
 
     /// The bias, rad/s; `None` if there are too few samples or the tip moved.
-    #[must_use]
     pub fn rad_s(&self, still_max_rad_s: f64) -> Option<Vector3<f64>> {
         let mean = self.sum_rad_s / f64::from(self.samples.max(1));
         (self.has_samples() && self.max_rad_s - mean.norm() <= still_max_rad_s).then_some(mean)
     }
 
     /// Number of samples.
-    #[must_use]
     pub fn samples(&self) -> u32 {
         self.samples
     }
 
     /// True if there are enough samples for a bias.
-    #[must_use]
     pub fn has_samples(&self) -> bool {
         self.samples >= SAMPLES_MIN
     }
@@ -63,7 +60,6 @@ pub struct TipRotation {
 
 impl TipRotation {
     /// The identity.
-    #[must_use]
     pub fn new(bias_rad_s: Vector3<f64>) -> Self {
         Self { bias_rad_s, r: UnitQuaternion::identity(), last: None }
     }
@@ -79,7 +75,6 @@ impl TipRotation {
     }
 
     /// The bend vector, rad.
-    #[must_use]
     pub fn bend(&self) -> Bend {
         let w = self.r.scaled_axis();
         Bend(Vector2::new(w.y, w.x))

@@ -30,7 +30,6 @@ pub struct TrialConfig {
 
 impl TrialConfig {
     /// The standard strokes: a few degrees of bend at less than a fifth of the permitted pressure.
-    #[must_use]
     pub fn new(geometry: Geometry) -> Self {
         Self {
             geometry,
@@ -78,19 +77,16 @@ pub struct Findings {
 
 impl Findings {
     /// Channels that leak.
-    #[must_use]
     pub fn leaks(&self) -> [bool; 3] {
         self.leak_per_s.map(|l| l.is_some_and(|l| l > self.leak_max_per_s))
     }
 
     /// True if the wiring agrees with the board file and no line leaks.
-    #[must_use]
     pub fn is_good(&self) -> bool {
         self.dead == [false; 3] && self.leaks() == [false; 3] && self.wiring.is_some_and(|w| w.is_right())
     }
 
     /// The findings as text, one per line.
-    #[must_use]
     pub fn report(&self) -> String {
         let mut text = String::new();
         for i in 0..3 {

@@ -33,7 +33,6 @@ const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [1, 0, 2], [0, 2, 1], [2, 1, 0], [1,
 
 impl Wiring {
     /// True if nothing needs to be changed.
-    #[must_use]
     pub fn is_right(&self) -> bool {
         self.reaches == [0, 1, 2] && self.inverted == [false; 3] && self.turned_rad.abs() < TURN_SMALL_RAD
     }
@@ -47,7 +46,6 @@ impl Wiring {
     }
 
     /// Differences to the board file as text; empty if there are none.
-    #[must_use]
     pub fn differences(&self) -> String {
         let mut text = String::new();
         for i in 0..3 {
@@ -70,7 +68,6 @@ impl Wiring {
 type Bends = [Vector2<f64>; 3];
 
 /// The simplest wiring that explains the responses, and others that fit equally well; `None` if none fits.
-#[must_use]
 pub fn identify(answers: &Bends, expected: &Bends) -> Option<(Wiring, Vec<Wiring>)> {
     let mut all = Vec::new();
     for reaches in ORDERS {

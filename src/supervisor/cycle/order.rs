@@ -44,13 +44,11 @@ pub enum Order {
 
 impl Order {
     /// True for an order that can start a motion. A latched stop refuses it, and so does a stop that overtook it.
-    #[must_use]
     pub fn starts_motion(&self) -> bool {
         self.leads_setpoint() || matches!(self, Self::Arm | Self::Relax | Self::Calibrate(true))
     }
 
     /// True for an order that gives the set-point a target or another lead.
-    #[must_use]
     pub fn leads_setpoint(&self) -> bool {
         matches!(self, Self::Bend(..) | Self::Stream(_) | Self::Timed(..) | Self::Play | Self::World(..))
     }
@@ -122,7 +120,6 @@ pub enum Refusal {
 
 impl Refusal {
     /// True if the order itself is invalid, in whatever state.
-    #[must_use]
     pub fn is_invalid_order(&self) -> bool {
         matches!(
             self,

@@ -24,7 +24,6 @@ parameters! {
 }
 
 /// True if the alignment that has just ended agrees with the remembered state.
-#[must_use]
 pub fn agrees(config: &RestartCheckConfig, remembered: &RestartState, state: &LoopState) -> bool {
     let (Some(now), Some(then)) = (state.fusion.alignment(), &remembered.rest) else { return false };
     let tip_from_base = Bend(remembered.bend_rad.into()).rotation().inverse();

@@ -111,7 +111,6 @@ pub struct Supervisor {
 
 impl Supervisor {
     /// A disarmed supervisor for pistons at zero, or for the state remembered over a restart.
-    #[must_use]
     pub fn new(config: SupervisorConfig, remembered: Option<RestartState>) -> Self {
         let mut state = LoopState::new(&config.tick);
         let mut pending = Pending::default();
@@ -166,7 +165,6 @@ impl Supervisor {
     }
 
     /// True if the position of the pistons is unknown, now or pending the check after a restart that cannot pass.
-    #[must_use]
     pub fn is_lost(&self) -> bool {
         match self.position {
             Position::Known => false,
@@ -176,44 +174,37 @@ impl Supervisor {
     }
 
     /// True from a stop until the next accepted `arm`.
-    #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.stopped
     }
 
     /// True if no measurement has confirmed the last zero.
-    #[must_use]
     pub fn is_unverified(&self) -> bool {
         self.unverified
     }
 
     /// The configuration in use.
-    #[must_use]
     pub fn config(&self) -> &SupervisorConfig {
         &self.config
     }
 
     /// State of the control loop.
-    #[must_use]
     pub fn state(&self) -> &LoopState {
         &self.state
     }
 
     /// The mode.
-    #[must_use]
     pub fn mode(&self) -> Mode {
         self.mode.mode()
     }
 
     /// The cause that is latched.
-    #[must_use]
     pub fn latched(&self) -> Option<TripCause> {
         self.gate.latched()
     }
 
     /// State to be remembered for a restart. It contains the counted steps, not the sent ones: some may be queued, and
     /// the step generator may stop short of them.
-    #[must_use]
     pub fn keep(&self) -> RestartState {
         let counted = self.last.map_or(self.sent, |sensed| sensed.counted);
         match self.position {
@@ -225,7 +216,6 @@ impl Supervisor {
     }
 
     /// True if the pistons are known to be at zero, so that a restart has nothing to check.
-    #[must_use]
     pub fn is_at_rest(&self) -> bool {
         let there = self.last.is_none_or(|sensed| sensed.counted == self.sent);
         self.sent == Steps::default() && there && self.position == Position::Known

@@ -116,7 +116,6 @@ parameters! {
 
 impl SafeStates {
     /// Returns the safe state of `cause`.
-    #[must_use]
     pub fn of(&self, cause: TripCause) -> SafeState {
         match cause {
             TripCause::EmergencyStop => self.emergency_stop,

@@ -100,7 +100,6 @@ pub struct Gate {
 
 impl Gate {
     /// A gate that passes, with the pistons at rest at these counts.
-    #[must_use]
     pub fn new(limits: &GateLimits, at: &Steps) -> Self {
         Self {
             limits: *limits,
@@ -116,25 +115,21 @@ impl Gate {
     }
 
     /// The first cause since the last reset.
-    #[must_use]
     pub fn latched(&self) -> Option<TripCause> {
         self.latched
     }
 
     /// True during a return to zero.
-    #[must_use]
     pub fn is_returning(&self) -> bool {
         self.motion == Motion::Returning
     }
 
     /// True from [`Gate::brake`] until [`Gate::hand_over`], unless something else intervenes.
-    #[must_use]
     pub fn is_braking(&self) -> bool {
         self.motion == Motion::Braking
     }
 
     /// True while the gate moves the pistons itself.
-    #[must_use]
     pub fn is_busy(&self) -> bool {
         self.is_returning() || self.is_braking() || (self.motion == Motion::Standing && self.speed_mm_s != [0.0; 3])
     }

@@ -43,7 +43,6 @@ impl Player {
     }
 
     /// Plays frames.
-    #[must_use]
     pub fn of(name: String, frames: Frames, speed: f64) -> Self {
         Self { name, frames, shown: 0, at_s: 0.0, speed, paused: false }
     }

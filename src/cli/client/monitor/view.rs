@@ -53,13 +53,11 @@ impl View {
     }
 
     /// Time of the loop, s.
-    #[must_use]
     pub fn t_s(&self) -> f64 {
         self.now["t"].as_f64().unwrap_or(0.0)
     }
 
     /// The mode, and what else holds.
-    #[must_use]
     pub fn mode(&self) -> String {
         let mode = self.now["mode"].as_str().unwrap_or("no data");
         let mut words = vec![mode, "energised", "stopped", "blocked", "hunting"];
@@ -68,14 +66,12 @@ impl View {
     }
 
     /// A bend of the status: `target`, `setpoint` or `estimate`.
-    #[must_use]
     pub fn bend(&self, key: &str) -> Option<Bend> {
         let at = &self.now[key];
         Some(Bend::from_deg(at["bend_deg"].as_f64()?, at["dir_deg"].as_f64()?))
     }
 
     /// Length of the desired minus the estimated bend vector, degrees, while the tip is commanded.
-    #[must_use]
     pub fn error_deg(&self) -> Option<f64> {
         let (desired, estimate) = (self.bend("target")?, self.bend("estimate")?);
         Some((desired.0 - estimate.0).norm().to_degrees())

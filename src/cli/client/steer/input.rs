@@ -146,7 +146,6 @@ impl Input {
 }
 
 /// The first joystick of this computer.
-#[must_use]
 pub fn first_joystick() -> Option<PathBuf> {
     (0..32).map(|n| PathBuf::from(format!("/dev/input/js{n}"))).find(|path| path.exists())
 }

@@ -28,7 +28,6 @@ pub struct Law {
 
 impl Law {
     /// The next bend after a time, s.
-    #[must_use]
     pub fn next(&self, at: &Vector2<f64>, stick: &Vector2<f64>, dt_s: f64) -> Vector2<f64> {
         let shaped = self.shaped(stick);
         let step = match self.mode {

@@ -69,7 +69,6 @@ pub struct BendFilter {
 
 impl BendFilter {
     /// A filter that starts straight, at the given alignment.
-    #[must_use]
     pub fn new(config: &BendFilterConfig, alignment: &Alignment) -> Self {
         let mut sigma = [0.0; N];
         sigma[..GYRO].fill(START_SIGMA_RAD);
@@ -122,40 +121,33 @@ impl BendFilter {
     }
 
     /// The alignment that zero bend refers to.
-    #[must_use]
     pub fn alignment(&self) -> Alignment {
         self.alignment
     }
     /// Covariance of the bend vector, rad².
-    #[must_use]
     pub fn covariance(&self) -> Matrix2<f64> {
         let rows = bend_by_turn(&self.bend().0);
         rows * self.kalman.p.fixed_view::<3, 3>(0, 0) * rows.transpose()
     }
     /// Estimated gyroscope bias, rad/s.
-    #[must_use]
     pub fn gyro_bias_rad_s(&self) -> Vector3<f64> {
         self.kalman.block(GYRO)
     }
     /// Estimated accelerometer bias, m/s², and the largest 1 σ of its axes.
-    #[must_use]
     pub fn acc_bias_m_s2(&self) -> (Vector3<f64>, f64) {
         (self.kalman.block(ACC), self.kalman.sigma_of(ACC))
     }
     /// Estimated field of the tip's own iron, µT, and the largest 1 σ of its axes.
-    #[must_use]
     pub fn mag_bias_ut(&self) -> (Vector3<f64>, f64) {
         (self.kalman.block(MAG), self.kalman.sigma_of(MAG))
     }
     /// Root mean square difference between the twist by gravity and field and that of the mechanism, over the last
     /// seconds, in standard deviations.
-    #[must_use]
     pub fn twist_misfit(&self) -> f64 {
         self.twist_nis.sqrt()
     }
     /// Largest twist per bend that is consistent with the estimates, rad/rad: torsion and tilt as estimated, plus
     /// three standard deviations of both and of the non-proportional part.
-    #[must_use]
     pub fn twist_per_bend_max(&self) -> f64 {
         let (x, p) = (&self.kalman.x, &self.kalman.p);
         let tilt = x[MOUNT].hypot(x[MOUNT + 1]);

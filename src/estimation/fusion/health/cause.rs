@@ -46,7 +46,6 @@ named! {
 
 impl HealthCause {
     /// Advice to the operator.
-    #[must_use]
     pub fn advice(self) -> &'static str {
         match self {
             Self::Nack => "check plug, supply and pull-ups of the IMU cable; its length limit is 1.2 m at 400 kHz",
@@ -81,7 +80,6 @@ impl CauseSet {
     pub const EMPTY: Self = Self(0);
 
     /// The set of one cause.
-    #[must_use]
     pub const fn of(cause: HealthCause) -> Self {
         Self(cause.bit())
     }
@@ -90,12 +88,10 @@ impl CauseSet {
         self.0 |= cause.bit();
     }
     /// True when the cause is in the set.
-    #[must_use]
     pub const fn contains(self, cause: HealthCause) -> bool {
         self.0 & cause.bit() != 0
     }
     /// True when the set is empty.
-    #[must_use]
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }

@@ -68,7 +68,6 @@ parameters! {
 
 impl Policies {
     /// The policy for a cause.
-    #[must_use]
     pub fn of(&self, cause: HealthCause) -> Policy {
         match cause {
             HealthCause::Nack => self.nack,
@@ -158,7 +157,6 @@ const PERIODS: f64 = 6.0;
 impl HealthConfig {
     /// The limits for a source that samples every `imu_s` and its magnetometer every `mag_s` (s): times that are short
     /// against its periods are stretched.
-    #[must_use]
     pub fn for_periods(&self, imu_s: f64, mag_s: Option<f64>) -> Self {
         let at_least = |value: f64, period: f64| value.max(PERIODS * period);
         Self {

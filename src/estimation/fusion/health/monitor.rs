@@ -44,14 +44,12 @@ impl SensorMonitor {
         self.checks.set_known(known, acc_rest, mag_rest);
     }
     /// Causes that are in force.
-    #[must_use]
     pub fn in_force(&self) -> CauseSet {
         let mut set = CauseSet::EMPTY;
         HealthCause::ALL.into_iter().filter(|c| self.track(*c).since.is_some()).for_each(|c| set.insert(c));
         set
     }
     /// How often a cause has come into force since the start.
-    #[must_use]
     pub fn times(&self, cause: HealthCause) -> u32 {
         self.track(cause).times
     }

@@ -52,7 +52,6 @@ pub enum ImuReading {
 
 impl ImuReading {
     /// The reading of a plant or a log, which may be free of noise.
-    #[must_use]
     pub fn from_world(sample: Option<ImuSample>) -> Self {
         let quality = Quality { expect_noise: false, ..Quality::default() };
         sample.map_or(Self::Nothing, |s| Self::Sample(s, quality))
@@ -70,7 +69,6 @@ pub struct FieldReference {
 
 impl FieldReference {
     /// From the means over a still stretch; `None` when either is zero or not finite.
-    #[must_use]
     pub fn from_rest(acc_m_s2: &Vector3<f64>, mag_ut: &Vector3<f64>) -> Option<Self> {
         Some(Self { norm_ut: mag_ut.norm(), dip_rad: dip(acc_m_s2, mag_ut)? })
     }

@@ -53,7 +53,6 @@ pub struct HealthVerdict {
 
 impl HealthVerdict {
     /// The strictest consequence of the verdict.
-    #[must_use]
     pub fn action(&self) -> HealthAction {
         let magnetic = |c| matches!(c, HealthCause::MagOverflow | HealthCause::MagSilent | HealthCause::FieldDisturbed);
         if self.hold {

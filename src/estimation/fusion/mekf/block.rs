@@ -73,22 +73,18 @@ impl Block {
     }
 
     /// Propagation of the errors over the block.
-    #[must_use]
     pub fn flow(&self) -> Flow {
         Flow { attitude_by_bias: -self.rotated, attitude_by_scale: self.skewed, velocity_by_tilt_m_s: GRAVITY_M_S2 * self.length_s }
     }
     /// Mean square angular rate, rad²/s².
-    #[must_use]
     pub fn turning_sq(&self) -> f64 {
         self.turning_sq / self.length_s
     }
     /// Mean square of the specific force other than gravity, m²/s⁴.
-    #[must_use]
     pub fn force_sq(&self) -> f64 {
         self.force_sq / self.length_s
     }
     /// Mean of the magnetometer readings, if there were any.
-    #[must_use]
     pub fn field(&self) -> Option<FieldMean> {
         let n = self.readings;
         (n > 0.0).then(|| FieldMean { world_ut: self.field / n, by_age_ut_s: self.field_by_age / n, to_world: self.field_rotation / n })

@@ -55,17 +55,14 @@ pub struct Covariance(SMatrix<f64, DIM, DIM>);
 
 impl Covariance {
     /// Independent errors with these standard deviations.
-    #[must_use]
     pub fn from_sigmas(sigmas: &Errors) -> Self {
         Self(SMatrix::from_diagonal(&sigmas.map(|s| s * s)))
     }
     /// Standard deviation of one error.
-    #[must_use]
     pub fn sigma(&self, k: usize) -> f64 {
         self.0[(k, k)].max(0.0).sqrt()
     }
     /// False if a variance is negative or not finite.
-    #[must_use]
     pub fn is_sane(&self) -> bool {
         self.0.diagonal().iter().all(|v| v.is_finite() && *v >= 0.0)
     }
@@ -115,7 +112,6 @@ impl Covariance {
     }
 
     /// Variance of `Σ gain · error`.
-    #[must_use]
     pub fn variance_of(&self, row: &[(usize, f64)]) -> f64 {
         row.iter().map(|&(j, a)| row.iter().map(|&(k, b)| a * b * self.0[(j, k)]).sum::<f64>()).sum::<f64>()
     }

@@ -88,7 +88,6 @@ pub struct Mekf {
 
 impl Mekf {
     /// A filter that levels itself with the first sample.
-    #[must_use]
     pub fn new(config: MekfConfig) -> Self {
         let estimate = Estimate { latency_s: config.latency_ms * 1e-3, ..Estimate::default() };
         let covariance = Covariance::from_sigmas(&first_sigmas(&config));
@@ -96,17 +95,14 @@ impl Mekf {
     }
 
     /// Estimated hard iron in sensor axes, µT.
-    #[must_use]
     pub fn hard_iron_ut(&self) -> Vector3<f64> {
         self.estimate.iron_ut
     }
     /// Estimated age of a magnetometer reading when it is handed in, s.
-    #[must_use]
     pub fn mag_latency_s(&self) -> f64 {
         self.estimate.latency_s
     }
     /// Estimated gyroscope scale and skew errors, xx, yy, zz, xy, xz, yz: true = (1 + s)(measured − bias).
-    #[must_use]
     pub fn gyro_scale(&self) -> SVector<f64, 6> {
         self.estimate.scale
     }

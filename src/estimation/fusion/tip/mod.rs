@@ -162,13 +162,11 @@ impl Fusion {
     }
 
     /// True while a re-alignment waits for its still stretch.
-    #[must_use]
     pub fn realigning(&self) -> bool {
         self.tracker().is_some_and(|t| t.realignment.is_some())
     }
 
     /// What the alignment waits for, as text.
-    #[must_use]
     pub fn waiting_for(&self) -> String {
         let reason = |state: &AlignState| state.refused.map_or_else(|| "no sample has arrived".to_owned(), |reason| reason.to_string());
         let faults = self.in_force();
@@ -189,65 +187,53 @@ impl Fusion {
         self.tracker().and_then(Tracker::bend_filter)
     }
     /// The estimate, once aligned.
-    #[must_use]
     pub fn estimate(&self) -> Option<TipEstimate> {
         self.tracker().map(Tracker::estimate)
     }
     /// The verdict on the last reading.
-    #[must_use]
     pub fn verdict(&self) -> Option<HealthVerdict> {
         self.verdict
     }
     /// Health causes in force.
-    #[must_use]
     pub fn in_force(&self) -> CauseSet {
         self.verdict.map_or(CauseSet::EMPTY, |v| v.in_force)
     }
     /// The pistons must not move.
-    #[must_use]
     pub fn hold(&self) -> bool {
         self.verdict.is_some_and(|v| v.hold)
     }
     /// Causes against the IMU on the base: those in force, and those raised by the last reading. `None` without such an IMU.
-    #[must_use]
     pub fn base_health(&self) -> Option<(CauseSet, CauseSet)> {
         self.with_base.then(|| (self.base_monitor.in_force(), self.base_raised))
     }
     /// The base has an IMU of its own, and it is aligned.
-    #[must_use]
     pub fn tracks_base(&self) -> bool {
         self.base.follows()
     }
     /// Attitude of the base in the world, which is the base at the alignment; the last known one without a healthy IMU on the base.
-    #[must_use]
     pub fn base_attitude(&self) -> Rotation<World, Base> {
         Rotation::assert_frames(self.base.turn().r_rest_now)
     }
     /// The tip has twisted against the mechanism for several seconds without a base IMU: the base may have turned.
-    #[must_use]
     pub fn suspects_base_motion(&self, config: &FuseConfig) -> bool {
         let observable = config.watch.enabled && !self.base.follows() && !self.in_force().contains(HealthCause::FieldDisturbed);
         observable && self.bend_filter().is_some_and(|f| f.twist_misfit() > config.watch.misfit)
     }
     /// Largest twist per bend that is consistent with the estimates so far, rad/rad, if the bend filter runs.
-    #[must_use]
     pub fn twist_per_bend_max(&self) -> Option<f64> {
         self.bend_filter().map(BendFilter::twist_per_bend_max)
     }
     /// The selected estimator, once aligned.
-    #[must_use]
     pub fn estimator(&self) -> Option<&Estimator> {
         self.tracker().map(|t| &t.estimator)
     }
     /// The alignment, once complete.
-    #[must_use]
     pub fn alignment(&self) -> Option<&Alignment> {
         self.tracker().map(|t| &t.alignment)
     }
     /// Rate of the last used sample minus the gyroscope bias, sensor axes, rad/s; `None` if the last reading was not
     /// used. The bias is that of the last [`Fusion::remember`], since the present one may already have absorbed
     /// part of a turn of the base.
-    #[must_use]
     pub fn rate_rad_s(&self) -> Option<Vector3<f64>> {
         let (tracker, verdict) = (self.tracker()?, self.verdict?);
         let bias = tracker.saved.as_ref().map_or(tracker.alignment.gyro_bias_rad_s, BendFilter::gyro_bias_rad_s);

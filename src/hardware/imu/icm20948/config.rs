@@ -92,7 +92,6 @@ impl IcmConfig {
 /// SI value of a count for FS_SEL fields. The sheet lists 131, 65.5, 32.8 and 16.4 LSB/(°/s) and
 /// 16384 … 2048 LSB/g (tables 1 and 2); temperature is 333.87 LSB/°C around 21 °C, the field
 /// 0.15 µT/LSB (table 3, p. 13).
-#[must_use]
 pub fn scale(gyro_fs: u8, acc_fs: u8) -> Scale {
     let gyro_lsb_per_dps = [131.0, 65.5, 32.8, 16.4][usize::from(gyro_fs & 3)];
     let acc_lsb_per_g = f64::from(16384_u16 >> (acc_fs & 3));

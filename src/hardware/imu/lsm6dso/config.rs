@@ -61,7 +61,6 @@ const ACC: [(u8, u8); 4] = [(2, 0b0000), (4, 0b1000), (8, 0b1100), (16, 0b0100)]
 const ACC_DIVISORS: [u16; 8] = [4, 10, 20, 45, 100, 200, 400, 800];
 
 /// SI value of a count for a range: 35 mdps per 1000 °/s, 0.122 mg per 4 g (mechanical characteristics); 256 LSB/°C at 25 °C.
-#[must_use]
 pub fn scale(gyro_range_dps: u16, acc_range_g: u8, mag_axes: Axes) -> Scale {
     Scale {
         gyro_rad_s: (f64::from(gyro_range_dps) * 35e-6).to_radians(),
