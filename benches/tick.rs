@@ -104,7 +104,7 @@ fn handing_over_a_cycle(bencher: Bencher<'_, '_>) {
     const CYCLES: usize = 4000;
     let config = BenchConfig { board: common::twin(), calibration: Calibration::default(), gains: Gains::default() };
     let output = config.bench(1, 1).unwrap().turn(None).unwrap();
-    let rings = || (RingBuffer::<LoopFrame>::new(CYCLES), vec![output.clone(); CYCLES]);
+    let rings = || (RingBuffer::<LoopFrame>::new(CYCLES), vec![output; CYCLES]);
     bencher.counter(ItemsCount::new(CYCLES)).with_inputs(rings).bench_local_values(|((mut ring, hub), outputs)| {
         for (number, output) in (0..).zip(outputs) {
             ring.push(black_box(LoopFrame { number, changes: 0, output })).unwrap();
