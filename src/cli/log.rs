@@ -8,7 +8,7 @@ use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::page::Page;
 use crate::report::svg::Ink;
 use crate::service::flight::channels::Changes;
-use crate::service::flight::file::{FlightFile, TOPICS};
+use crate::service::flight::file::{FlightFile, TOPICS, reason};
 use crate::service::flight::read::{Entry, messages};
 use crate::service::flight::start::Event;
 use crate::service::record;
@@ -233,7 +233,7 @@ fn cut(path: &Path, from_s: f64, to_s: f64, out: &Path) -> Result<CommandOutcome
     }
     output::check(&[("--out", Some(out))], &[path])?;
     let (name, shown) = (path.display(), out.display());
-    let failed = |e: McapError| format!("{shown}: {e}");
+    let failed = |e: McapError| format!("{shown}: {}", reason(&e));
     let mut file = FlightFile::create(out, 0).map_err(|e| miette!("{}", failed(e)))?;
     let (mut begin_ns, mut flushed_s, mut cycles) = (None, 0.0, 0u64);
     let copied = messages(path, &mut |message| {

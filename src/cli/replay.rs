@@ -8,7 +8,7 @@ use crate::control::tick::LoopConfig;
 use crate::log::error::why_unreadable;
 use crate::model::transmission::Line;
 use crate::service::flight::cycle::Cycle;
-use crate::service::flight::file::{FlightFile, TOPICS};
+use crate::service::flight::file::{FlightFile, TOPICS, reason};
 use crate::service::flight::log::{part_path, run_and_part};
 use crate::service::flight::read::{Entry, messages};
 use crate::service::flight::start::{Event, Header, Logged, hash};
@@ -158,7 +158,7 @@ impl Replay<'_> {
 
     /// As [`Self::read`], and writes what is replayed.
     fn write(&mut self, path: &Path, out: &Path) -> std::result::Result<Option<String>, String> {
-        let failed = |e: McapError| format!("--out {}: {e}", out.display());
+        let failed = |e: McapError| format!("--out {}: {}", out.display(), reason(&e));
         self.out = Some(FlightFile::create(out, 0).map_err(failed)?);
         let written = self.read(path).and_then(|ending| {
             let file = self.out.take();

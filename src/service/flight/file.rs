@@ -4,7 +4,7 @@ use crate::service::flight::channels::{Channels, RATE_HZ, schema};
 use crate::service::flight::cycle::{Cycle, encode};
 use crate::service::flight::start::{Event, Logged};
 use mcap::records::Metadata;
-use mcap::{Attachment, Channel, McapResult, Message, Schema, WriteOptions, Writer};
+use mcap::{Attachment, Channel, McapError, McapResult, Message, Schema, WriteOptions, Writer};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -29,7 +29,15 @@ pub struct FlightFile {
     shown: Channels,
     /// When the channels were shown last, on the loop's clock, s.
     shown_s: f64,
-    /// Time of the loop's zero, ns since 1970.
+    /// What the operating system says, where an error is one of its.
+pub fn reason(error: &McapError) -> String {
+    match error {
+        McapError::Io(io) => io.to_string(),
+        other => other.to_string(),
+    }
+}
+
+/// Time of the loop's zero, ns since 1970.
     zero_unix_ns: u64,
     first: u64,
     cycles: Vec<Cycle>,
