@@ -29,19 +29,19 @@ pub struct FlightFile {
     shown: Channels,
     /// When the channels were shown last, on the loop's clock, s.
     shown_s: f64,
-    /// What the operating system says, where an error is one of its.
+    /// Time of the loop's zero, ns since 1970.
+    zero_unix_ns: u64,
+    first: u64,
+    cycles: Vec<Cycle>,
+    step_mm: f64,
+}
+
+/// What the operating system says, where an error is one of its.
 pub fn reason(error: &McapError) -> String {
     match error {
         McapError::Io(io) => io.to_string(),
         other => other.to_string(),
     }
-}
-
-/// Time of the loop's zero, ns since 1970.
-    zero_unix_ns: u64,
-    first: u64,
-    cycles: Vec<Cycle>,
-    step_mm: f64,
 }
 
 /// Time of the loop's zero, ns since 1970, if it is `t_s` now.
