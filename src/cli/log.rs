@@ -3,7 +3,7 @@
 use crate::cli::replay::flight_of;
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::estimation::fusion::health::ImuReading;
-use crate::log::columns;
+use crate::log::columns::{self, Column};
 use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::page::Page;
 use crate::report::svg::Ink;
@@ -220,7 +220,9 @@ fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<Com
         output::write(csv, log)?;
     }
     if let Some(path) = parquet {
-        output::write(path, columns::parquet(record::HEADER, &rows).into_diagnostic()?)?;
+        let column = |(k, name)| (name, Column::Numbers(rows.iter().map(|row| row[k]).collect()));
+        let table: Vec<(&str, Column)> = record::HEADER.trim_end().split(',').enumerate().map(column).collect();
+        output::write(path, columns::write(&table).into_diagnostic()?)?;
     }
     let ending = ending.map_or_else(String::new, |ending| format!("; {ending}"));
     eprintln!("{last_s:.3} s{ending}");

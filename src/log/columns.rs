@@ -1,37 +1,90 @@
-//! A table of numbers as a Parquet file.
+//! Tables as Parquet files.
 
-use parquet::basic::{Compression, ZstdLevel};
-use parquet::data_type::DoubleType;
+use parquet::basic::{Compression, Type, ZstdLevel};
+use parquet::data_type::{ByteArray, ByteArrayType, DoubleType};
 use parquet::errors::Result;
 use parquet::file::properties::WriterProperties;
+use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
+use parquet::record::Field;
 use parquet::schema::parser::parse_message_type;
+use parquet::schema::types::ColumnDescPtr;
+use std::fs::File;
 use std::sync::Arc;
 
 /// Rows of a row group: what a reader takes at once.
 const GROUP: usize = 1 << 16;
 
-/// The file of a table with the columns of the header line of a CSV file. What is not a number is null.
+/// A column of a table.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Column {
+    /// Numbers; what is not finite is null.
+    Numbers(Vec<f64>),
+    /// Texts.
+    Texts(Vec<String>),
+}
+
+/// The file of a table whose columns have these names and equal lengths.
 ///
 /// # Errors
 /// Those of the crate `parquet`.
-pub fn parquet<const N: usize>(header: &str, rows: &[[f64; N]]) -> Result<Vec<u8>> {
-    let fields = header.trim_end().replace(',', "; optional double ");
-    let schema = parse_message_type(&format!("message log {{ optional double {fields}; }}"))?;
+pub fn write<N: AsRef<str>>(table: &[(N, Column)]) -> Result<Vec<u8>> {
+    let field = |(name, column): &(N, Column)| match column {
+        Column::Numbers(_) => format!("optional double {};", name.as_ref()),
+        Column::Texts(_) => format!("required binary {} (STRING);", name.as_ref()),
+    };
+    let schema = parse_message_type(&format!("message log {{ {} }}", table.iter().map(field).collect::<String>()))?;
     let zstd = Compression::ZSTD(ZstdLevel::default());
     let properties = Arc::new(WriterProperties::builder().set_compression(zstd).build());
     let mut writer = SerializedFileWriter::new(Vec::new(), Arc::new(schema), properties)?;
-    for rows in rows.chunks(GROUP) {
+    let rows = table.first().map_or(0, |(_, column)| match column {
+        Column::Numbers(all) => all.len(),
+        Column::Texts(all) => all.len(),
+    });
+    for from in (0..rows).step_by(GROUP) {
+        let part = from..rows.min(from + GROUP);
         let mut group = writer.next_row_group()?;
-        for k in 0..N {
-            let Some(mut column) = group.next_column()? else { break };
-            let mut values: Vec<f64> = rows.iter().map(|row| row[k]).collect();
-            let present: Vec<i16> = values.iter().map(|x| x.is_finite().into()).collect();
-            values.retain(|x| x.is_finite());
-            column.typed::<DoubleType>().write_batch(&values, Some(&present), None)?;
-            column.close()?;
+        for (_, column) in table {
+            let Some(mut writer) = group.next_column()? else { break };
+            match column {
+                Column::Numbers(all) => {
+                    let mut values = all[part.clone()].to_vec();
+                    let present: Vec<i16> = values.iter().map(|x| x.is_finite().into()).collect();
+                    values.retain(|x| x.is_finite());
+                    writer.typed::<DoubleType>().write_batch(&values, Some(&present), None)?;
+                }
+                Column::Texts(all) => {
+                    let values: Vec<ByteArray> = all[part.clone()].iter().map(|text| text.as_str().into()).collect();
+                    writer.typed::<ByteArrayType>().write_batch(&values, None, None)?;
+                }
+            }
+            writer.close()?;
         }
         group.close()?;
     }
     writer.into_inner()
+}
+
+/// Reads the table of a file. A null text is empty.
+///
+/// # Errors
+/// Those of the crate `parquet`.
+pub fn read(file: File) -> Result<Vec<(String, Column)>> {
+    let reader = SerializedFileReader::new(file)?;
+    let column = |of: &ColumnDescPtr| match of.physical_type() {
+        Type::BYTE_ARRAY => (of.name().to_owned(), Column::Texts(Vec::new())),
+        _ => (of.name().to_owned(), Column::Numbers(Vec::new())),
+    };
+    let mut table: Vec<(String, Column)> = reader.metadata().file_metadata().schema_descr().columns().iter().map(column).collect();
+    for row in reader.get_row_iter(None)? {
+        for ((_, column), (_, field)) in table.iter_mut().zip(row?.get_column_iter()) {
+            match (column, field) {
+                (Column::Texts(all), Field::Str(text)) => all.push(text.clone()),
+                (Column::Texts(all), _) => all.push(String::new()),
+                (Column::Numbers(all), Field::Double(value)) => all.push(*value),
+                (Column::Numbers(all), _) => all.push(f64::NAN),
+            }
+        }
+    }
+    Ok(table)
 }

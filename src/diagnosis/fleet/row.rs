@@ -1,0 +1,96 @@
+//! One row per diagnosed log.
+
+use crate::diagnosis::diagnose::Diagnosed;
+use crate::log::columns::Column;
+use crate::model::chain::lines;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Names of the gains in [`Row::numbers`]: k_ε and k_λ of the channels, and the lag of the pistons.
+pub const GAINS: [&str; 7] = ["k_epsilon_1", "k_epsilon_2", "k_epsilon_3", "k_lambda_1_mm", "k_lambda_2_mm", "k_lambda_3_mm", "lag_s"];
+
+/// What is kept of the diagnosis of a log. A text that does not apply is empty.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Path of the log below its folder.
+    pub log: String,
+    /// Hash of the log.
+    pub content: String,
+    /// Hash of what else decides the row: version of the program, board, calibration, seed.
+    pub settings: String,
+    /// Unit that the log is of.
+    pub unit: String,
+    /// Lot of the unit.
+    pub lot: String,
+    /// Day of the log, `YYYY-MM-DD`.
+    pub date: String,
+    /// Why the log cannot be diagnosed.
+    pub refused: String,
+    /// Kind of the verdict.
+    pub verdict: String,
+    /// Effects that the verdict names, with `+` between them.
+    pub names: String,
+    /// Gap, degrees; probability of each effect, `p_NAME`, and of an unknown one; gains. What is absent is unknown.
+    #[serde(flatten)]
+    pub numbers: BTreeMap<String, f64>,
+}
+
+impl Row {
+    /// Fills in the result of a diagnosis.
+    pub fn tell(&mut self, done: &Diagnosed) {
+        let document = &done.document;
+        self.verdict = document.verdict.kind.name().to_owned();
+        self.names = document.verdict.names.join("+");
+        let gap = &document.gap;
+        let theta = &done.chosen.fitted.theta;
+        let lines = lines(theta);
+        let gains = lines.iter().map(|l| l.k_epsilon).chain(lines.iter().map(|l| l.k_lambda_mm)).chain([theta[6]]);
+        let named = [
+            ("as_configured_deg", gap.as_configured_deg),
+            ("recalibrated_deg", gap.recalibrated_deg),
+            ("explained_deg", gap.explained_deg),
+            ("noise_floor_deg", gap.noise_floor_deg),
+            ("p_unknown", document.unknown.probability),
+        ];
+        let effects = document.effects.iter().map(|e| (format!("p_{}", e.name), e.probability));
+        let named = named.into_iter().chain(GAINS.into_iter().zip(gains)).map(|(name, value)| (name.to_owned(), value));
+        self.numbers = named.chain(effects).filter(|(_, value)| value.is_finite()).collect();
+    }
+}
+
+/// Rows as the columns of a table, texts first.
+pub fn table(rows: &[Row]) -> Vec<(String, Column)> {
+    let objects: Vec<Value> = rows.iter().map(|row| serde_json::to_value(row).unwrap_or_default()).collect();
+    let cells = objects.iter().filter_map(Value::as_object).flatten();
+    let names: BTreeSet<(bool, &String)> = cells.map(|(name, value)| (value.is_number(), name)).collect();
+    let column = |(number, name): (bool, &String)| {
+        let cells = objects.iter().map(|object| &object[name.as_str()]);
+        let column = match number {
+            true => Column::Numbers(cells.map(|cell| cell.as_f64().unwrap_or(f64::NAN)).collect()),
+            false => Column::Texts(cells.map(|cell| cell.as_str().unwrap_or_default().to_owned()).collect()),
+        };
+        (name.clone(), column)
+    };
+    names.into_iter().map(column).collect()
+}
+
+/// Rows of a table.
+///
+/// # Errors
+/// A column that is missing or has the wrong type.
+pub fn rows(table: &[(String, Column)]) -> Result<Vec<Row>, serde_json::Error> {
+    let length = |column: &Column| match column {
+        Column::Numbers(all) => all.len(),
+        Column::Texts(all) => all.len(),
+    };
+    let cell = |column: &Column, k: usize| match column {
+        Column::Numbers(all) => all[k].is_finite().then(|| all[k].into()),
+        Column::Texts(all) => Some(all[k].as_str().into()),
+    };
+    let row = |k| {
+        let cells = table.iter().filter_map(|(name, column)| Some((name.clone(), cell(column, k)?)));
+        serde_json::from_value(Value::Object(cells.collect::<Map<String, Value>>()))
+    };
+    (0..table.iter().map(|(_, column)| length(column)).min().unwrap_or(0)).map(row).collect()
+}
