@@ -12,7 +12,7 @@ pub const GROUPS: [(&str, &str); 7] = [
     ("Move", "run arm bend stream play steer page hold stop relax disarm status monitor subscribe reset-fault reload"),
     ("Bring up", "accept board doctor release jog home commission bench"),
     ("Calibrate", "zero calibrate imu"),
-    ("Diagnose", "record log replay gap"),
+    ("Diagnose", "record log replay gap fleet"),
     ("Simulate", "demo evaluate"),
     ("Prove", "drill"),
     ("Other", "completions man help"),

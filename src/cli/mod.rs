@@ -13,6 +13,7 @@ pub mod demo;
 pub mod doctor;
 pub mod drill;
 pub mod evaluate;
+pub mod fleet;
 pub mod gap;
 pub mod help;
 pub mod home;
@@ -66,6 +67,8 @@ enum Command {
     /// Diagnose the gap between model and machine.
     #[command(subcommand)]
     Gap(gap::Gap),
+    /// Show what the rows of `gap diagnose --rows` tell about the lots of a fleet and about its next unit.
+    Fleet(fleet::Args),
     /// Identify the errors of the IMU, or the transmission of a running service.
     #[command(subcommand)]
     Calibrate(calibrate::Calibrate),
@@ -122,6 +125,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Jog(args) => jog::run(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Gap(command) => gap::run(&command),
+        Command::Fleet(args) => fleet::run(&args),
         Command::Calibrate(command) => calibrate::run(&command),
         Command::Imu(command) => imu::run(&command),
         Command::Run(args) => run::run(&args),

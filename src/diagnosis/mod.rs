@@ -16,6 +16,7 @@ pub mod document;
 pub mod exam;
 pub mod excite;
 pub mod fit;
+pub mod fleet;
 pub mod forecast;
 pub mod holdout;
 pub mod interval;

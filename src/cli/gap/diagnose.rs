@@ -1,5 +1,6 @@
 //! `retroflex gap diagnose`: diagnoses a log, prints the answer and writes it to files.
 
+use crate::cli::gap::rows::{self, RowsArgs, Settings};
 use crate::cli::gap::{input, map};
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::diagnosis::diagnose::{Diagnosed, diagnose};
@@ -40,6 +41,8 @@ pub struct Args {
     /// `evaluate --feedforward` and `--plant model:`.
     #[arg(long, value_name = "MODEL.toml")]
     save: Option<PathBuf>,
+    #[command(flatten)]
+    many: RowsArgs,
     /// Seed of the block bootstrap.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -50,6 +53,15 @@ pub struct Args {
 /// # Errors
 /// A report that names the faulty input.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
+    let lines = || inputs::calibration(args.calib.as_deref()).map(|calib| calib.lines());
+    if let Some(table) = &args.many.rows {
+        let settings = Settings { rig: input::rig(args.board.as_deref())?, lines: lines()?, seed: args.seed };
+        return rows::run(&args.logs, &settings, &args.many, table);
+    }
+    if let Some(folder) = args.logs.iter().find(|log| log.is_dir()) {
+        let folder = folder.display();
+        return Err(miette!("{folder}: this is a folder; `gap diagnose {folder} --rows rows.parquet` diagnoses every log in it"));
+    }
     let results = [("--json", args.json.as_deref()), ("--html", args.html.as_deref()), ("--save", args.save.as_deref())];
     let inputs = args.logs.iter().chain(&args.fresh).chain(&args.map).chain(&args.board).chain(&args.calib);
     output::check(&results, &inputs.map(PathBuf::as_path).collect::<Vec<_>>())?;
@@ -59,7 +71,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         };
         return map::run(log, map, &args.fresh, args.json.as_deref(), args.seed);
     }
-    let lines = inputs::calibration(args.calib.as_deref())?.lines();
+    let lines = lines()?;
     let observed = input::observe_together(&args.logs, &input::rig(args.board.as_deref())?)?;
     let done = diagnose(&observed, &catalogue(), &lines, args.seed);
     for (path, text) in files(args, &observed, &done)? {

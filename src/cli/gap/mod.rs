@@ -7,6 +7,7 @@ pub mod exam;
 pub mod excite;
 pub mod input;
 pub mod map;
+pub mod rows;
 
 use crate::cli::CommandOutcome;
 use miette::Result;

@@ -37,14 +37,17 @@ pub fn at_least(hits: usize, drawn: usize, all_hits: usize, all: usize) -> f64 {
     let ln_choose = |n: usize, k: usize| lgamma(n as f64 + 1.0) - lgamma(k as f64 + 1.0) - lgamma((n - k) as f64 + 1.0);
     let term = |k: usize| {
         let others = drawn - k;
-        if others > all - all_hits { 0.0 } else { (ln_choose(all_hits, k) + ln_choose(all - all_hits, others) - ln_choose(all, drawn)).exp() }
+        if others > all - all_hits {
+            0.0
+        } else {
+            (ln_choose(all_hits, k) + ln_choose(all - all_hits, others) - ln_choose(all, drawn)).exp()
+        }
     };
     (hits..=drawn.min(all_hits)).map(term).sum::<f64>().min(1.0)
 }
 
-/// Corrects the p-values of several comparisons for their number (Holm 1979). Sorts them, the least first.
+/// Corrects the p-values of several comparisons for their number (Holm 1979).
 pub fn correct<T>(all: &mut [T], p: impl Fn(&mut T) -> &mut f64) {
-    all.sort_by_key(|_| 0);
     let mut order: Vec<(usize, f64)> = all.iter_mut().map(|t| *p(t)).enumerate().collect();
     order.sort_by(|a, b| a.1.total_cmp(&b.1));
     let (mut least, count) = (0.0_f64, order.len());

@@ -12,6 +12,7 @@ pub const GAINS: [&str; 7] = ["k_epsilon_1", "k_epsilon_2", "k_epsilon_3", "k_la
 
 /// What is kept of the diagnosis of a log. A text that does not apply is empty.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Row {
     /// Path of the log below its folder.
     pub log: String,
@@ -37,6 +38,12 @@ pub struct Row {
 }
 
 impl Row {
+    /// Takes over the result of another row of the same log.
+    pub fn take_result(&mut self, other: &Self) {
+        self.numbers.clone_from(&other.numbers);
+        (self.refused, self.verdict, self.names) = (other.refused.clone(), other.verdict.clone(), other.names.clone());
+    }
+
     /// Fills in the result of a diagnosis.
     pub fn tell(&mut self, done: &Diagnosed) {
         let document = &done.document;

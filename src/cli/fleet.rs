@@ -1,0 +1,143 @@
+//! `retroflex fleet`: what the rows of many diagnoses tell about the lots of a fleet and about its next unit.
+
+use crate::cli::gap::rows::read;
+use crate::cli::{CommandOutcome, output};
+use crate::config::calib::{Calibration, DynamicsSection, TransmissionSection};
+use crate::diagnosis::fleet::row::{self, Row};
+use crate::diagnosis::fleet::{Finding, Lot, Survey};
+use crate::log::columns;
+use crate::report::bars::{self, Bar};
+use crate::report::page::Page;
+use crate::report::svg::Ink;
+use miette::{IntoDiagnostic, Result, bail, miette};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Least standard deviation that the prior states: more certainty than a calibration needs.
+const SIGMA_MIN: f64 = 0.001;
+
+/// Arguments of `fleet`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Tables of `gap diagnose --rows`; those of several shards are merged.
+    #[arg(required = true, value_name = "ROWS.parquet")]
+    tables: Vec<PathBuf>,
+    /// Write the merged table.
+    #[arg(long, value_name = "ROWS.parquet")]
+    merged: Option<PathBuf>,
+    /// Write a calibration file for a new unit: the gains of the fleet and their spread, with which `calibrate transmission --short`
+    /// needs fewer poses.
+    #[arg(long, value_name = "CALIB.toml")]
+    prior: Option<PathBuf>,
+    /// Write the result as JSON; `-` is standard output.
+    #[arg(long)]
+    json: Option<PathBuf>,
+    /// Write the result as one printable page.
+    #[arg(long)]
+    html: Option<PathBuf>,
+}
+
+/// Surveys the rows.
+///
+/// # Errors
+/// A report that names the faulty file.
+pub fn run(args: &Args) -> Result<CommandOutcome> {
+    let (json, html) = (args.json.as_deref(), args.html.as_deref());
+    let results = [("--merged", args.merged.as_deref()), ("--prior", args.prior.as_deref()), ("--json", json), ("--html", html)];
+    output::check(&results, &args.tables.iter().map(PathBuf::as_path).collect::<Vec<_>>())?;
+    let mut rows: BTreeMap<String, Row> = BTreeMap::new();
+    for table in &args.tables {
+        for row in read(table)? {
+            let log = row.log.clone();
+            if rows.get(&log).is_some_and(|known| *known != row) {
+                bail!("{}: {log} has another row in another table; diagnose it again, with the same settings everywhere", table.display());
+            }
+            rows.insert(log, row);
+        }
+    }
+    let rows: Vec<Row> = rows.into_values().collect();
+    let survey = Survey::new(&rows);
+    if let Some(path) = &args.merged {
+        output::write(path, columns::write(&row::table(&rows)).into_diagnostic()?)?;
+    }
+    if let Some(path) = &args.prior {
+        output::write(path, toml::to_string(&prior(&survey)?).into_diagnostic()?)?;
+    }
+    output::json(json, &survey)?;
+    if let Some(path) = html {
+        output::write(path, page(&survey).html())?;
+    }
+    output::show(&summary(&survey), json);
+    Ok(CommandOutcome::Good)
+}
+
+/// A calibration file of the fleet's gains and their spread.
+fn prior(survey: &Survey) -> Result<Calibration> {
+    let none = || miette!("--prior: no log of these tables is without an effect, so that nothing is known of a sound unit");
+    let of = |name: &str| survey.gains.get(name).copied().ok_or_else(none);
+    let each = |name: &str, unit: &str| -> Result<[[f64; 3]; 2]> {
+        let [a, b, c] = [of(&format!("{name}_1{unit}"))?, of(&format!("{name}_2{unit}"))?, of(&format!("{name}_3{unit}"))?];
+        Ok([[a[0], b[0], c[0]], [a[1], b[1], c[1]].map(|sigma| sigma.max(SIGMA_MIN))])
+    };
+    let ([k_epsilon, k_epsilon_sigma], [k_lambda_mm, k_lambda_sigma_mm]) = (each("k_epsilon", "")?, each("k_lambda", "_mm")?);
+    let sound = survey.lots[0].shares.iter().find(|(name, _)| name == "none").map_or(0.0, |(_, share)| share * survey.lots[0].logs as f64);
+    let source = format!("median and spread of {sound:.0} logs without an effect");
+    Ok(Calibration {
+        transmission: TransmissionSection {
+            k_epsilon,
+            k_lambda_mm,
+            k_epsilon_sigma,
+            k_lambda_sigma_mm,
+            source,
+            ..TransmissionSection::default()
+        },
+        dynamics: DynamicsSection { lag_s: of("lag_s")?[0].max(0.001), ..DynamicsSection::default() },
+        ..Calibration::default()
+    })
+}
+
+/// A finding in words.
+fn words(f: &Finding) -> String {
+    let (here, elsewhere) = match f.what.starts_with("k_") || f.what == "lag_s" {
+        true => (format!("{:.3}", f.here), format!("{:.3}", f.elsewhere)),
+        false => (format!("{:.0} %", f.here * 100.0), format!("{:.0} %", f.elsewhere * 100.0)),
+    };
+    match &f.lot {
+        Some(lot) => format!("{}: {here} in lot {lot}, {elsewhere} elsewhere (p = {:.1e})", f.what, f.p),
+        None => format!("{}: {here} in the later half of each lot, {elsewhere} in the earlier (p = {:.1e})", f.what, f.p),
+    }
+}
+
+fn summary(survey: &Survey) -> String {
+    let row = |lot: &Lot| {
+        let shares: Vec<String> = lot.shares.iter().take(4).map(|(name, share)| format!("{name} {:.0} %", share * 100.0)).collect();
+        [lot.name.clone(), lot.logs.to_string(), shares.join(", ")]
+    };
+    let mut text = format!("{}\n", output::table(&["lot", "logs", "verdicts"], 1..2, survey.lots.iter().map(row)));
+    for (name, [median, sigma]) in &survey.gains {
+        text += &format!("{name}: {median:.3} ± {sigma:.3}\n");
+    }
+    if survey.findings.is_empty() {
+        text += "no lot differs from the others, and nothing drifts\n";
+    }
+    survey.findings.iter().for_each(|f| text += &format!("{}\n", words(f)));
+    if survey.refused > 0 {
+        text += &format!("{} logs cannot be diagnosed; the column `refused` says why\n", survey.refused);
+    }
+    text
+}
+
+fn page(survey: &Survey) -> Page {
+    let mut page = Page::new("Fleet");
+    page.heading("Findings");
+    page.output(&summary(survey));
+    page.quiet("p is the probability of a difference as large by chance, corrected for the number of comparisons; from 0.01 on nothing is claimed.");
+    page.heading("Verdicts by lot");
+    let bar = |(name, share): &(String, f64)| Bar { name: name.clone(), share: *share, interval: None, strong: true };
+    let chart = |lot: &Lot| {
+        let bars: Vec<Bar> = lot.shares.iter().map(bar).collect();
+        (bars::svg(&lot.name, Ink::GREEN, &bars), format!("{} logs", lot.logs))
+    };
+    page.charts(&survey.lots.iter().map(chart).collect::<Vec<_>>());
+    page
+}

@@ -1,0 +1,220 @@
+//! `retroflex gap diagnose --rows`: diagnoses many logs, each alone, and keeps a row of each.
+//!
+//! A row is written to a journal as soon as it is known. When the command is given again, after a kill or with new logs, only
+//! logs without a row are diagnosed.
+
+use crate::cli::gap::input;
+use crate::cli::{CommandOutcome, output};
+use crate::diagnosis::diagnose::diagnose;
+use crate::diagnosis::fleet::row::{self, Row};
+use crate::diagnosis::rig::Rig;
+use crate::log::columns;
+use crate::model::effects::catalogue;
+use crate::model::transmission::Line;
+use crate::service::flight::cycle::fnv;
+use miette::{IntoDiagnostic, Result, bail, miette};
+use rayon::ThreadPoolBuilder;
+use serde::Deserialize;
+use std::collections::HashMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::thread;
+
+/// A part of many logs: `K/N`, the K-th of N. The path of a log in its folder alone decides to which part it belongs.
+#[derive(Debug, Clone, Copy)]
+pub struct Shard(u64, u64);
+
+impl std::str::FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let parts = text.split_once('/').and_then(|(k, n)| Some(Self(k.parse().ok()?, n.parse().ok()?)));
+        parts.filter(|s| (1..=s.1).contains(&s.0)).ok_or_else(|| "expected K/N with K from 1 to N, for example 2/8".to_owned())
+    }
+}
+
+/// A log and its row, which may not be filled in yet.
+struct Task {
+    path: PathBuf,
+    row: Row,
+}
+
+/// Options of a run over many logs.
+#[derive(Debug, clap::Args)]
+pub struct RowsArgs {
+    /// Diagnose each log alone, and every log in a LOG that is a folder, and write a row of each as a Parquet table. Rows that
+    /// the table has already are kept, also after a kill.
+    #[arg(long, value_name = "ROWS.parquet", conflicts_with_all = ["map", "json", "html", "save"])]
+    pub rows: Option<PathBuf>,
+    /// With --rows: diagnose only the K-th of N parts of the logs.
+    #[arg(long, value_name = "K/N", requires = "rows")]
+    shard: Option<Shard>,
+    /// With --rows: table `log,unit,lot,date` of what the logs are of; by default a log is a unit and its folder the lot.
+    #[arg(long, value_name = "UNITS.csv", requires = "rows")]
+    units: Option<PathBuf>,
+}
+
+/// What every row depends on beside its log.
+pub struct Settings {
+    /// Machine.
+    pub rig: Rig,
+    /// Calibration that the logs were driven with.
+    pub lines: [Line; 3],
+    /// Seed of the bootstrap.
+    pub seed: u64,
+}
+
+/// What a table `--units` says of a log.
+#[derive(Deserialize)]
+struct Unit {
+    log: String,
+    unit: String,
+    #[serde(default)]
+    lot: String,
+    #[serde(default)]
+    date: String,
+}
+
+/// Diagnoses what has no row yet and writes the table.
+///
+/// # Errors
+/// A report that names the faulty file. A log that cannot be diagnosed has a row that says why.
+pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path) -> Result<CommandOutcome> {
+    output::check(&[("--rows", Some(table))], &logs.iter().chain(&args.units).map(PathBuf::as_path).collect::<Vec<_>>())?;
+    let text = format!("{} {:?} {:?} {}", env!("CARGO_PKG_VERSION"), settings.rig, settings.lines, settings.seed);
+    let hash = format!("{:016x}", fnv(text.into_bytes()));
+    let mut tasks = tasks(logs, args)?;
+    let journal = table.with_extension("journal");
+    let known = known(table, &journal)?;
+    let mut open = Vec::new();
+    for task in &mut tasks {
+        let bytes = fs::read(&task.path).map_err(|e| miette!("{}: {e}", task.path.display()))?;
+        (task.row.content, task.row.settings) = (format!("{:016x}", fnv(bytes)), hash.clone());
+        match known.get(&task.row.log) {
+            Some(old) if old.content == task.row.content && old.settings == hash => task.row.take_result(old),
+            _ => open.push(task),
+        }
+    }
+    let new = open.len();
+    diagnose_all(settings, open, &journal)?;
+    let rows: Vec<Row> = tasks.into_iter().map(|task| task.row).collect();
+    output::write(table, columns::write(&row::table(&rows)).into_diagnostic()?)?;
+    // the table holds all that it holds
+    let _ = fs::remove_file(&journal);
+    let refused = rows.iter().filter(|row| !row.refused.is_empty()).count();
+    eprintln!("{}: {} logs, {new} of them diagnosed now; {refused} cannot be diagnosed", table.display(), rows.len());
+    Ok(CommandOutcome::Good)
+}
+
+/// The logs, in the order of their names, with what is known of their units.
+fn tasks(logs: &[PathBuf], args: &RowsArgs) -> Result<Vec<Task>> {
+    let mut tasks = Vec::new();
+    for path in logs {
+        let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
+        collect(path, folder, &mut tasks).map_err(|(path, e)| miette!("{}: {e}", path.display()))?;
+    }
+    tasks.sort_by(|a, b| a.row.log.cmp(&b.row.log));
+    if let Some([a, b]) = tasks.windows(2).find(|two| two[0].row.log == two[1].row.log) {
+        bail!("{} and {} have the same name; give the folder that holds both", a.path.display(), b.path.display());
+    }
+    if let Some(units) = &args.units {
+        let file = units.display();
+        let mut reader = csv::Reader::from_path(units).map_err(|e| miette!("{file}: {e}"))?;
+        for record in reader.deserialize() {
+            let Unit { log, unit, lot, date } = record.map_err(|e| miette!("{file}: {e}"))?;
+            let task = tasks.binary_search_by(|task| task.row.log.cmp(&log));
+            let row = &mut tasks[task.map_err(|_| miette!("{file}: {log}: there is no such log"))?].row;
+            (row.unit, row.lot, row.date) = (unit, lot, date);
+        }
+    }
+    if let Some(Shard(k, n)) = args.shard {
+        tasks.retain(|task| fnv(task.row.log.bytes()) % n == k - 1);
+    }
+    if tasks.is_empty() {
+        bail!("there is no log to diagnose: logs are *.csv and *.csv.gz files, also in folders of folders");
+    }
+    Ok(tasks)
+}
+
+/// Every log at or below a path. Unless a table says otherwise, the file is the unit and its folder the lot.
+fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> std::result::Result<(), (PathBuf, std::io::Error)> {
+    let failed = |e| (path.to_owned(), e);
+    if path.is_dir() {
+        for entry in fs::read_dir(path).map_err(failed)? {
+            collect(&entry.map_err(failed)?.path(), folder, into)?;
+        }
+        return Ok(());
+    }
+    let log = path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
+    if let Some(unit) = log.strip_suffix(".csv.gz").or_else(|| log.strip_suffix(".csv")) {
+        let (lot, unit) = unit.rsplit_once('/').unwrap_or(("", unit));
+        let row = Row { unit: unit.to_owned(), lot: lot.to_owned(), log: log.clone(), ..Row::default() };
+        into.push(Task { path: path.to_owned(), row });
+    }
+    Ok(())
+}
+
+/// Rows of an earlier run, by log: those of its table, and those of its journal if it did not end.
+fn known(table: &Path, journal: &Path) -> Result<HashMap<String, Row>> {
+    let mut rows = if table.is_file() { read(table)? } else { Vec::new() };
+    if let Ok(text) = fs::read_to_string(journal) {
+        // a row that was being written as the run ended is no row
+        rows.extend(text.lines().filter_map(|line| serde_json::from_str::<Row>(line).ok()));
+    }
+    Ok(rows.into_iter().map(|row| (row.log.clone(), row)).collect())
+}
+
+/// Rows of a table.
+///
+/// # Errors
+/// A report that names the file.
+pub fn read(table: &Path) -> Result<Vec<Row>> {
+    let file = table.display();
+    let columns = File::open(table).map_err(|e| miette!("{file}: {e}"))?;
+    let columns = columns::read(columns).map_err(|e| miette!("{file}: this is no table of `gap diagnose --rows`: {e}"))?;
+    row::rows(&columns).map_err(|e| miette!("{file}: this is no table of `gap diagnose --rows`: {e}"))
+}
+
+/// Fills in the rows, one log a core at a time.
+fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Result<()> {
+    let failed = |e: std::io::Error| miette!("{}: {e}", journal.display());
+    let mut file = OpenOptions::new().create(true).append(true).open(journal).map_err(failed)?;
+    // ends a row that was being written as an earlier run ended
+    file.write_all(b"\n").map_err(failed)?;
+    let bar = output::bar(open.len() as u64, "{pos} of {len} logs, {eta} left,");
+    let (open, file) = (Mutex::new(open.into_iter()), Mutex::new(file));
+    let work = || -> std::io::Result<()> {
+        // cores share logs out, not the parts of one log: that scales better and holds few logs in memory
+        let pool = ThreadPoolBuilder::new().num_threads(1).build().map_err(std::io::Error::other)?;
+        while let Some(task) = next(&open) {
+            pool.install(|| diagnose_one(settings, task));
+            let line = serde_json::to_string(&task.row)? + "\n";
+            let mut file = file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            file.write_all(line.as_bytes())?;
+            file.sync_data()?;
+            bar.inc(1);
+        }
+        Ok(())
+    };
+    let cores = thread::available_parallelism().map_or(1, usize::from);
+    let results: Vec<_> = thread::scope(|scope| {
+        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().map(|w| w.join().unwrap_or_else(|_| Err(std::io::Error::other("a diagnosis failed")))).collect()
+    });
+    bar.finish_and_clear();
+    results.into_iter().collect::<std::io::Result<Vec<()>>>().map_err(failed)?;
+    Ok(())
+}
+
+fn next<'a>(open: &Mutex<std::vec::IntoIter<&'a mut Task>>) -> Option<&'a mut Task> {
+    open.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next()
+}
+
+fn diagnose_one(settings: &Settings, task: &mut Task) {
+    match input::observe(&task.path, &settings.rig) {
+        Ok(log) => task.row.tell(&diagnose(&log, &catalogue(), &settings.lines, settings.seed)),
+        Err(e) => task.row.refused = e.to_string(),
+    }
+}
