@@ -12,9 +12,10 @@ use retroflex::diagnosis::fleet::Survey;
 use retroflex::diagnosis::fleet::row::{GAINS, Row, rows, table};
 use retroflex::log::columns;
 use std::io::Read;
+use std::net::TcpListener;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
-use std::time::Duration;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 fn retroflex(folder: &Path, line: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_retroflex"));
@@ -33,7 +34,7 @@ fn good(folder: &Path, line: &str) -> String {
 fn short_logs(folder: &Path) {
     let mut text = String::new();
     GzDecoder::new(std::fs::File::open(repo("examples/leak.csv.gz")).unwrap()).read_to_string(&mut text).unwrap();
-    for (name, lines) in [("a/one", 4000), ("a/two", 4500), ("b/three", 5000), ("b/four", 3)] {
+    for (name, lines) in [("a/one", 4000), ("a/two", 4500), ("b/three", 5000), ("b/four", 3), ("b/five", 4200), ("a/six", 4600)] {
         let path = folder.join("logs").join(name).with_extension("csv");
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         let part: Vec<&str> = text.lines().take(lines).collect();
@@ -47,7 +48,7 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     let folder = folder.path();
     short_logs(folder);
     let text = good(folder, "gap diagnose logs --rows all.parquet");
-    assert!(text.contains("4 logs, 4 of them diagnosed now; 1 cannot be diagnosed"), "{text}");
+    assert!(text.contains("6 logs, 6 of them diagnosed now; 1 cannot be diagnosed"), "{text}");
     let whole = std::fs::read(folder.join("all.parquet")).unwrap();
     let told = rows(&columns::read(std::fs::File::open(folder.join("all.parquet")).unwrap()).unwrap()).unwrap();
     let of = |log: &str| told.iter().find(|row| row.log == log).unwrap();
@@ -55,7 +56,7 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     assert!(of("b/four.csv").verdict.is_empty() && of("b/four.csv").refused.contains("four.csv"), "{:?}", of("b/four.csv"));
     assert!(of("a/one.csv").numbers["p_leak"] >= 0.0 && !of("a/one.csv").verdict.is_empty());
     // nothing is diagnosed twice
-    assert!(good(folder, "gap diagnose logs --rows all.parquet").contains("4 logs, 0 of them diagnosed now"));
+    assert!(good(folder, "gap diagnose logs --rows all.parquet").contains("6 logs, 0 of them diagnosed now"));
 
     // killed as soon as the first row is kept
     let journal = folder.join("killed.journal");
@@ -68,7 +69,7 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     run.wait().unwrap();
     assert!(!folder.join("killed.parquet").exists());
     let text = good(folder, "gap diagnose logs --rows killed.parquet");
-    assert!(!text.contains("4 of them diagnosed now"), "{text}");
+    assert!(!text.contains("6 of them diagnosed now"), "{text}");
     assert!(std::fs::read(folder.join("killed.parquet")).unwrap() == whole);
 
     for k in 1..=3 {
@@ -81,6 +82,50 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     good(folder, &format!("fleet {} --merged merged.parquet --html fleet.html", parts.join(" ")));
     assert!(std::fs::read(folder.join("merged.parquet")).unwrap() == whole);
     assert!(std::fs::read_to_string(folder.join("fleet.html")).unwrap().contains("<svg"));
+}
+
+/// A process that ends with the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill().and_then(|()| self.0.wait());
+    }
+}
+
+/// Dask on two workers, one of which is killed in the middle, gives the table of a run on one machine.
+#[test]
+fn dask_gives_the_same_rows_although_a_worker_dies() {
+    let Some(python) = std::env::var_os("RETROFLEX_DASK_PYTHON") else {
+        eprintln!("skipped: RETROFLEX_DASK_PYTHON names no Python with the package `distributed`");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    short_logs(folder);
+    good(folder, "gap diagnose logs --rows all.parquet");
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let address = format!("tcp://127.0.0.1:{port}");
+    let start = |args: &[&str]| {
+        let mut command = Command::new(&python);
+        command.args(args).current_dir(folder).env("RETROFLEX", env!("CARGO_BIN_EXE_retroflex"));
+        Running(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+    };
+    let _scheduler = start(&["-m", "distributed.cli.dask_scheduler", "--port", &port.to_string(), "--no-dashboard"]);
+    let worker = || start(&["-m", "distributed.cli.dask_worker", &address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]);
+    let (mut first, _second) = (worker(), worker());
+    let example = repo("examples/fleet_dask.py");
+    let mut run = start(&[example.to_str().unwrap(), "logs", "dask.parquet", "--parts", "4", "--scheduler", &address]);
+    // in the middle: some part has a row
+    let parts = || (1..=4).map(|k| folder.join(format!("dask.{k}.journal")));
+    let begun = Instant::now();
+    while !parts().any(|journal| std::fs::read_to_string(journal).is_ok_and(|text| text.lines().count() > 1)) {
+        assert!(begun.elapsed() < Duration::from_secs(120) && run.0.try_wait().unwrap().is_none(), "no part began");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    first.0.kill().unwrap();
+    assert!(run.0.wait().unwrap().success());
+    assert!(std::fs::read(folder.join("dask.parquet")).unwrap() == std::fs::read(folder.join("all.parquet")).unwrap());
 }
 
 /// Rows of 1,000 sound units in four lots, 4 % of which have one of five effects.
