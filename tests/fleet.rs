@@ -146,8 +146,8 @@ fn fleet(rng: &mut StdRng) -> Vec<Row> {
     (0..1000).map(row).collect()
 }
 
-fn found(rows: &[Row]) -> Vec<(String, Option<String>)> {
-    let mut found: Vec<_> = Survey::new(rows).findings.into_iter().map(|f| (f.what, f.lot)).collect();
+fn found(rows: &[Row]) -> Vec<(String, Option<String>, bool)> {
+    let mut found: Vec<_> = Survey::new(rows).findings.into_iter().map(|f| (f.what, f.lot, f.drifts)).collect();
     found.sort();
     found
 }
@@ -180,8 +180,8 @@ fn every_planted_difference_is_found_and_no_other() {
                 row.numbers.entry("k_epsilon_2".to_owned()).and_modify(|k| *k += 0.04);
             }
         }
-        let lot = |what: &str, lot: &str| (what.to_owned(), Some(lot.to_owned()));
-        let planted = [lot("k_epsilon_2", "C"), lot("leak", "B"), ("line_lag".to_owned(), None), lot("line_lag", "D")];
+        let lot = |what: &str, lot: &str, drifts| (what.to_owned(), Some(lot.to_owned()), drifts);
+        let planted = [lot("k_epsilon_2", "C", false), lot("leak", "B", false), lot("line_lag", "D", false), lot("line_lag", "D", true)];
         complete += usize::from(found(&rows) == planted);
     }
     assert!(complete >= 19, "{complete} of 20");

@@ -112,7 +112,7 @@ fn algorithm_1_converges_within_the_papers_count_to_the_effective_gains() {
 fn short_against_full(seed: u64, open: fn(u64, u64) -> Sim) -> f64 {
     let prior = source::read::<Calibration>(&repo("calib/paper.toml")).unwrap().prior();
     let config = for_world(&uncalibrated(), &open(seed, 0));
-    let brief = algorithm_1(&config, &mut open(seed, 60), &short(), Some(&prior), &mut |_| ()).unwrap();
+    let brief = algorithm_1(&config, &mut open(seed, 60), &short(24), Some(&prior), &mut |_| ()).unwrap();
     let alone = prior.map(|p| Prior { k_epsilon_sigma: 1e3, k_lambda_sigma_mm: 1e3, ..p });
     let full = algorithm_1(&config, &mut open(seed, 60), &paper(), Some(&alone), &mut |_| ()).unwrap();
     let off = [0, 1, 2].map(|i: usize| brief.lines()[i].k_epsilon / full.lines()[i].k_epsilon - 1.0);

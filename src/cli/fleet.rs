@@ -74,7 +74,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 /// A calibration file of the fleet's gains and their spread.
 fn prior(survey: &Survey) -> Result<Calibration> {
     let none = || miette!("--prior: no log of these tables is without an effect, so that nothing is known of a sound unit");
-    let of = |name: &str| survey.gains.get(name).copied().ok_or_else(none);
+    let rounded = |gain: &[f64; 2]| gain.map(|x| (x * 1e4).round() / 1e4);
+    let of = |name: &str| survey.gains.get(name).map(rounded).ok_or_else(none);
     let each = |name: &str, unit: &str| -> Result<[[f64; 3]; 2]> {
         let [a, b, c] = [of(&format!("{name}_1{unit}"))?, of(&format!("{name}_2{unit}"))?, of(&format!("{name}_3{unit}"))?];
         Ok([[a[0], b[0], c[0]], [a[1], b[1], c[1]].map(|sigma| sigma.max(SIGMA_MIN))])
@@ -102,9 +103,10 @@ fn words(f: &Finding) -> String {
         true => (format!("{:.3}", f.here), format!("{:.3}", f.elsewhere)),
         false => (format!("{:.0} %", f.here * 100.0), format!("{:.0} %", f.elsewhere * 100.0)),
     };
-    match &f.lot {
-        Some(lot) => format!("{}: {here} in lot {lot}, {elsewhere} elsewhere (p = {:.1e})", f.what, f.p),
-        None => format!("{}: {here} in the later half of each lot, {elsewhere} in the earlier (p = {:.1e})", f.what, f.p),
+    let lot = f.lot.as_ref().map_or("each lot".to_owned(), |lot| format!("lot {lot}"));
+    match f.drifts {
+        false => format!("{}: {here} in {lot}, {elsewhere} elsewhere (p = {:.1e})", f.what, f.p),
+        true => format!("{}: {here} in the later half of {lot}, {elsewhere} in the earlier (p = {:.1e})", f.what, f.p),
     }
 }
 

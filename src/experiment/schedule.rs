@@ -56,17 +56,17 @@ pub fn arrivals(directions: usize) -> Vec<Pose> {
         .collect()
 }
 
-/// The 24 poses of a calibration with a prior: in every direction out to 70° and back to 40°, so that each bellow is
+/// The poses of a calibration with a prior, at most 24: in a direction out to 75° and back to 50°, so that each bellow is
 /// strained on both sides of its backlash; poses from one side only cannot separate extension from backlash. Opposite
-/// directions follow each other, so that a drift does not appear as a gain.
-pub fn short() -> Vec<Pose> {
-    (0..24)
-        .map(|n| {
-            let (turn, outward) = (n / 2, n % 2 == 0);
-            let dir_deg = f64::from((turn / 2) * 30 + (turn % 2) * 180);
-            Pose { bend_deg: if outward { 70.0 } else { 40.0 }, dir_deg, outward, scored: true }
-        })
-        .collect()
+/// directions follow each other, so that a drift does not appear as a gain. The first 12 poses already go around.
+pub fn short(poses: usize) -> Vec<Pose> {
+    let directions = [0.0, 180.0, 60.0, 240.0, 120.0, 300.0].map(|d| [d, d + 30.0]);
+    let all = [0, 1].into_iter().flat_map(|k| directions.iter().map(move |d| d[k]));
+    let both = |dir_deg| {
+        let pose = |bend_deg, outward| Pose { bend_deg, dir_deg, outward, scored: true };
+        [pose(75.0, true), pose(50.0, false)]
+    };
+    all.flat_map(both).take(poses).collect()
 }
 
 #[cfg(test)]
@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn the_short_schedule_has_24_different_poses() {
-        let all = short();
+        let all = short(24);
         assert_eq!(all.len(), 24);
         for (i, a) in all.iter().enumerate() {
             assert!(all[i + 1..].iter().all(|b| a.bend_deg != b.bend_deg || a.dir_deg != b.dir_deg));

@@ -68,9 +68,9 @@ impl Session {
         Self::new(Round::new(geometry, schedule::paper()), step_mm, None, [none; 3], before)
     }
 
-    /// One pass of 24 poses with a prior.
-    pub fn short(geometry: Geometry, step_mm: f64, prior: [Prior; 3], before: Found) -> Self {
-        Self::new(Round::new(geometry, schedule::short()), step_mm, Some(prior), prior.map(|p| p.line), before)
+    /// One pass with a prior, of as many poses as are given with it.
+    pub fn short(geometry: Geometry, step_mm: f64, (prior, poses): ([Prior; 3], usize), before: Found) -> Self {
+        Self::new(Round::new(geometry, schedule::short(poses)), step_mm, Some(prior), prior.map(|p| p.line), before)
     }
 
     fn new(round: Round, step_mm: f64, prior: Option<[Prior; 3]>, lines: [Line; 3], before: Found) -> Self {

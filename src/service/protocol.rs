@@ -11,6 +11,7 @@
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use std::ops::RangeInclusive;
 
 /// Version of the protocol.
 pub const VERSION: u64 = 1;
@@ -96,8 +97,11 @@ pub enum Request {
     },
     /// Identify, accept or discard transmission gains.
     Calibrate {
-        /// Which of the three.
+        /// What to do.
         action: CalibrateAction,
+        /// Poses of a short one, 6 to 24.
+        #[serde(default = "short_poses")]
+        poses: usize,
     },
     /// Report the largest bend in each direction at the rest length, and the dimensions of the bending section.
     Reach {},
@@ -126,6 +130,13 @@ pub enum Frame {
     World,
 }
 
+/// Poses of a short calibration.
+pub const POSES: RangeInclusive<usize> = 6..=24;
+
+fn short_poses() -> usize {
+    *POSES.end()
+}
+
 /// Argument of `record`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -142,7 +153,7 @@ pub enum RecordAction {
 pub enum CalibrateAction {
     /// Algorithm 1 from zero gains: 120 poses per pass.
     Full,
-    /// One pass of 24 poses with the present calibration as prior.
+    /// One pass of a few poses with the present calibration as prior.
     Short,
     /// Apply the proposed gains, now and after every restart.
     Accept,
@@ -230,7 +241,7 @@ mod tests {
     #[test]
     fn a_request_survives_the_round_trip() {
         let bend = Request::Bend { bend_deg: 40.5, dir_deg: -30.0, length_mm: None, speed_deg_s: Some(10.0), frame: Frame::World };
-        for request in [Request::Arm {}, bend, Request::Calibrate { action: CalibrateAction::Short }] {
+        for request in [Request::Arm {}, bend, Request::Calibrate { action: CalibrateAction::Short, poses: 12 }] {
             let (id, parsed) = parse(request_line(7, &request).trim());
             assert_eq!((id, parsed), (json!(7), Ok(request)));
         }

@@ -2,6 +2,8 @@
 
 use super::connection::At;
 use crate::cli::inputs::within;
+use crate::service::protocol::POSES;
+use clap::builder::TypedValueParser;
 use std::path::PathBuf;
 
 /// Arguments of `bend`.
@@ -91,9 +93,12 @@ pub struct SubscribeArgs {
 pub struct TransmissionArgs {
     #[command(flatten)]
     pub(super) at: At,
-    /// Use 24 poses and the present calibration as prior, instead of Algorithm 1 from zero gains.
+    /// Use a few poses and the present calibration as prior, instead of Algorithm 1 from zero gains.
     #[arg(long, conflicts_with_all = ["accept", "discard"])]
     pub(super) short: bool,
+    /// Poses of a short calibration, 6 to 24. With the prior of a fleet (`retroflex fleet --prior`), 12 do.
+    #[arg(long, requires = "short", default_value_t = *POSES.end(), value_parser = clap::value_parser!(u8).range(6..=24).map(usize::from))]
+    pub(super) poses: usize,
     /// Apply the proposed calibration.
     #[arg(long, conflicts_with = "discard")]
     pub(super) accept: bool,

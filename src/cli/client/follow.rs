@@ -101,7 +101,7 @@ pub fn transmission(args: &TransmissionArgs) -> Result<CommandOutcome> {
         (.., true) => CalibrateAction::Short,
         _ => CalibrateAction::Full,
     };
-    if ask(&mut connection, &Request::Calibrate { action })?.is_none() {
+    if ask(&mut connection, &Request::Calibrate { action, poses: args.poses })?.is_none() {
         return Ok(NotGoodEnough);
     }
     if args.accept || args.discard {

@@ -214,6 +214,7 @@ fn next<'a>(open: &Mutex<std::vec::IntoIter<&'a mut Task>>) -> Option<&'a mut Ta
 fn diagnose_one(settings: &Settings, task: &mut Task) {
     match input::observe(&task.path, &settings.rig) {
         Ok(log) => task.row.tell(&diagnose(&log, &catalogue(), &settings.lines, settings.seed)),
-        Err(e) => task.row.refused = e.to_string(),
+        // where the folder lies does not matter
+        Err(e) => task.row.refused = e.to_string().replace(&task.path.display().to_string(), &task.row.log),
     }
 }

@@ -45,14 +45,3 @@ pub fn at_least(hits: usize, drawn: usize, all_hits: usize, all: usize) -> f64 {
     };
     (hits..=drawn.min(all_hits)).map(term).sum::<f64>().min(1.0)
 }
-
-/// Corrects the p-values of several comparisons for their number (Holm 1979).
-pub fn correct<T>(all: &mut [T], p: impl Fn(&mut T) -> &mut f64) {
-    let mut order: Vec<(usize, f64)> = all.iter_mut().map(|t| *p(t)).enumerate().collect();
-    order.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let (mut least, count) = (0.0_f64, order.len());
-    for (n, (k, raw)) in order.into_iter().enumerate() {
-        least = least.max((raw * (count - n) as f64).min(1.0));
-        *p(&mut all[k]) = least;
-    }
-}

@@ -3,7 +3,7 @@
 pub mod chance;
 pub mod row;
 
-use crate::diagnosis::fleet::chance::{at_least, correct, rank_z, two_sided};
+use crate::diagnosis::fleet::chance::{at_least, rank_z, two_sided};
 use crate::diagnosis::fleet::row::{GAINS, Row};
 use crate::model::effects::catalogue;
 use serde::Serialize;
@@ -21,11 +21,13 @@ const SIGMA_PER_MAD: f64 = 1.4826;
 pub struct Finding {
     /// Effect or gain.
     pub what: String,
-    /// The lot that differs from the others; `None` for a drift over time within the lots.
+    /// The lot that differs or drifts; `None` for a drift within all lots.
     pub lot: Option<String>,
-    /// Share of logs with the effect, or median of the gain: in the lot, or in the later half of every lot.
+    /// Whether it changes over time.
+    pub drifts: bool,
+    /// Share of logs with the effect, or median of the gain: in the lot or, of a drift, in the later half.
     pub here: f64,
-    /// The same in the other lots, or in the earlier half of every lot.
+    /// The same in the other lots, or in the earlier half.
     pub elsewhere: f64,
     /// Probability of such a difference by chance, corrected for the number of comparisons.
     pub p: f64,
@@ -55,10 +57,44 @@ pub struct Survey {
     pub findings: Vec<Finding>,
 }
 
-/// An effect or a gain with its value by row; `None` where a row does not tell.
-struct Quantity {
-    name: &'static str,
-    values: Vec<Option<f64>>,
+/// What rows are compared by.
+#[derive(Debug, Clone, Copy)]
+enum Quantity {
+    /// Whether the verdict names an effect, 0 or 1.
+    Effect(&'static str),
+    /// A gain of a row without an effect: an effect distorts it.
+    Gain(&'static str),
+}
+
+impl Quantity {
+    fn all() -> Vec<Self> {
+        catalogue().into_iter().map(|e| Self::Effect(e.name())).chain(GAINS.map(Self::Gain)).collect()
+    }
+
+    /// Its value; `None` if the row does not tell.
+    fn of(self, row: &Row) -> Option<f64> {
+        match self {
+            Self::Effect(name) => Some(f64::from(u8::from(row.names.split('+').any(|n| n == name)))),
+            Self::Gain(name) => row.numbers.get(name).copied().filter(|_| row.verdict == "none"),
+        }
+    }
+
+    /// A finding; `None` if there are too few values, or if chance explains it.
+    fn finding(self, (lot, drifts): (Option<&str>, bool), here: &[f64], elsewhere: &[f64], p: f64) -> Option<Finding> {
+        let (what, middle): (_, fn(&[f64]) -> f64) = match self {
+            Self::Effect(name) => (name, |side| side.iter().sum::<f64>() / side.len() as f64),
+            Self::Gain(name) => (name, |side| spread(side.iter().copied()).map_or(f64::NAN, |s| s[0])),
+        };
+        let enough = here.len().min(elsewhere.len()) >= VALUES_MIN && p <= LEVEL;
+        enough.then(|| Finding {
+            what: what.to_owned(),
+            lot: lot.map(str::to_owned),
+            drifts,
+            here: middle(here),
+            elsewhere: middle(elsewhere),
+            p,
+        })
+    }
 }
 
 impl Lot {
@@ -84,69 +120,59 @@ impl Survey {
         let names: BTreeSet<&str> = told.iter().map(|row| row.lot.as_str()).collect();
         let mut lots = vec![Lot::new("all", told.iter().copied())];
         lots.extend(names.iter().map(|name| Lot::new(name, told.iter().copied().filter(|row| row.lot == *name))));
-        let gains = gains(&told);
+        let quantities = Quantity::all();
+        // every lot beside the others, its drift, and the common drift, of every quantity (Bonferroni)
+        let comparisons = (quantities.len() * (2 * names.len() + 1)) as f64;
         let mut findings = Vec::new();
-        for q in effects(&told).iter().chain(&gains) {
-            findings.extend(names.iter().filter_map(|lot| differs(&told, q, lot)).chain(drifts(&told, q)));
+        for q in quantities {
+            findings.extend(lots_apart(&told, q, &names, comparisons));
+            let drifting: Vec<Finding> = names.iter().filter_map(|lot| drifts(&told, q, Some(lot), comparisons)).collect();
+            let all = if drifting.is_empty() { drifts(&told, q, None, comparisons) } else { None };
+            findings.extend(drifting.into_iter().chain(all));
         }
-        correct(&mut findings, |f| &mut f.p);
-        findings.retain(|f| f.p <= LEVEL);
         findings.sort_by(|a, b| a.p.total_cmp(&b.p));
-        let gains = gains.iter().filter_map(|q| Some((q.name.to_owned(), spread(q.values.iter().flatten().copied())?))).collect();
+        let gain = |name| Some((name, spread(told.iter().filter_map(|row| Quantity::Gain(name).of(row)))?));
+        let gains = GAINS.iter().filter_map(|name| gain(*name)).map(|(name, spread)| (name.to_owned(), spread)).collect();
         Self { refused: rows.len() - told.len(), lots, gains, findings }
     }
 }
 
-/// Whether the verdict of a row names an effect, as 0 or 1.
-fn effects(rows: &[&Row]) -> Vec<Quantity> {
-    let names = catalogue().into_iter().map(|e| e.name());
-    let has = |row: &Row, name| f64::from(u8::from(row.names.split('+').any(|n| n == name)));
-    names.map(|name| Quantity { name, values: rows.iter().map(|row| Some(has(row, name))).collect() }).collect()
-}
-
-/// Gains of the rows without an effect: an effect distorts them.
-fn gains(rows: &[&Row]) -> Vec<Quantity> {
-    let value = |row: &Row, name| row.numbers.get(name).copied().filter(|_| row.verdict == "none");
-    GAINS.iter().map(|name| Quantity { name, values: rows.iter().map(|row| value(row, *name)).collect() }).collect()
-}
-
-impl Quantity {
-    /// Rows that tell the value, with it.
-    fn told<'a>(&'a self, rows: &'a [&'a Row]) -> impl Iterator<Item = (&'a Row, f64)> {
-        rows.iter().zip(&self.values).filter_map(|(row, value)| Some((*row, (*value)?)))
+/// The lots that differ, the clearest first. A lot that was found is left out of the comparisons of the others: beside it they
+/// would differ too.
+fn lots_apart(rows: &[&Row], q: Quantity, lots: &BTreeSet<&str>, comparisons: f64) -> Vec<Finding> {
+    let (mut found, mut rows, mut left) = (Vec::new(), rows.to_vec(), lots.clone());
+    while left.len() > 1 {
+        let clearest = left.iter().filter_map(|lot| differs(&rows, q, lot, comparisons)).min_by(|a, b| a.p.total_cmp(&b.p));
+        let Some(finding) = clearest else { break };
+        left.retain(|lot| finding.lot.as_deref() != Some(lot));
+        rows.retain(|row| left.contains(row.lot.as_str()));
+        found.push(finding);
     }
-
-    /// A finding; `None` if there are too few values.
-    fn finding(&self, lot: Option<&str>, here: &[f64], elsewhere: &[f64], p: f64) -> Option<Finding> {
-        let middle = |side: &[f64]| match GAINS.contains(&self.name) {
-            true => spread(side.iter().copied()).map_or(f64::NAN, |s| s[0]),
-            false => side.iter().sum::<f64>() / side.len().max(1) as f64,
-        };
-        let enough = here.len().min(elsewhere.len()) >= VALUES_MIN;
-        let (what, lot) = (self.name.to_owned(), lot.map(str::to_owned));
-        enough.then(|| Finding { what, lot, here: middle(here), elsewhere: middle(elsewhere), p })
-    }
+    found
 }
 
 /// Compares a lot with the others: whether it has an effect more often, or another gain.
-fn differs(rows: &[&Row], q: &Quantity, lot: &str) -> Option<Finding> {
-    let (inside, outside): (Vec<_>, Vec<_>) = q.told(rows).partition(|(row, _)| row.lot == lot);
-    let [here, elsewhere] = [inside, outside].map(|side| side.into_iter().map(|(_, value)| value).collect::<Vec<f64>>());
-    let p = if GAINS.contains(&q.name) {
-        let side: Vec<f64> = here.iter().map(|_| 1.0).chain(elsewhere.iter().map(|_| 0.0)).collect();
-        two_sided(rank_z(&side, &[here.as_slice(), &elsewhere].concat()))
-    } else {
-        let hits = |side: &[f64]| side.iter().filter(|x| **x > 0.0).count();
-        at_least(hits(&here), here.len(), hits(&here) + hits(&elsewhere), here.len() + elsewhere.len())
+fn differs(rows: &[&Row], q: Quantity, lot: &str, comparisons: f64) -> Option<Finding> {
+    let side = |inside| rows.iter().filter(move |row| (row.lot == lot) == inside).filter_map(|row| q.of(row)).collect::<Vec<f64>>();
+    let [here, elsewhere] = [true, false].map(side);
+    let p = match q {
+        Quantity::Effect(_) => {
+            let hits = |side: &[f64]| side.iter().filter(|x| **x > 0.0).count();
+            at_least(hits(&here), here.len(), hits(&here) + hits(&elsewhere), here.len() + elsewhere.len())
+        }
+        Quantity::Gain(_) => {
+            let side: Vec<f64> = here.iter().map(|_| 1.0).chain(elsewhere.iter().map(|_| 0.0)).collect();
+            two_sided(rank_z(&side, &[here.as_slice(), &elsewhere].concat()))
+        }
     };
-    q.finding(Some(lot), &here, &elsewhere, p)
+    q.finding((Some(lot), false), &here, &elsewhere, p * comparisons)
 }
 
-/// Compares later with earlier logs within every lot, so that a difference between lots is no drift.
-fn drifts(rows: &[&Row], q: &Quantity) -> Option<Finding> {
+/// Compares later with earlier logs of a lot, or within every lot, so that a difference between lots is no drift.
+fn drifts(rows: &[&Row], q: Quantity, lot: Option<&str>, comparisons: f64) -> Option<Finding> {
     let mut lots: BTreeMap<&str, Vec<(&str, f64)>> = BTreeMap::new();
-    for (row, value) in q.told(rows).filter(|(row, _)| !row.date.is_empty()) {
-        lots.entry(&row.lot).or_default().push((&row.date, value));
+    for row in rows.iter().filter(|row| !row.date.is_empty() && lot.is_none_or(|lot| row.lot == lot)) {
+        lots.entry(&row.lot).or_default().extend(q.of(row).map(|value| (row.date.as_str(), value)));
     }
     let (mut here, mut elsewhere, mut sum) = (Vec::new(), Vec::new(), 0.0);
     for dated in lots.values_mut() {
@@ -160,7 +186,7 @@ fn drifts(rows: &[&Row], q: &Quantity) -> Option<Finding> {
     }
     // a weighted sum of independent standard normal numbers (Stouffer et al. 1949)
     let z = sum / ((here.len() + elsewhere.len()).max(1) as f64).sqrt();
-    q.finding(None, &here, &elsewhere, two_sided(z))
+    q.finding((lot, true), &here, &elsewhere, two_sided(z) * comparisons)
 }
 
 /// Median and robust standard deviation.

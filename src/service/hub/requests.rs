@@ -11,7 +11,7 @@ use crate::primitives::units::Mm;
 use crate::service::calibrate::{Found, Session};
 use crate::service::flight::start::Event;
 use crate::service::port::Incoming;
-use crate::service::protocol::{CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, PathRow, Request};
+use crate::service::protocol::{CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow, Request};
 use crate::service::rt_loop::Message;
 use crate::service::start::{RunConfig, with_gains};
 use crate::supervisor::cycle::SupervisorConfig;
@@ -81,7 +81,7 @@ impl Hub {
             Request::Status {} | Request::Reach {} | Request::Subscribe { .. } => return self.read_request(caller, request),
             Request::Record { action, ref name, owned } => return self.record(action, name.as_deref(), owned, caller),
             Request::Reload {} => return self.reload(),
-            Request::Calibrate { action } => return self.calibrate(action, caller),
+            Request::Calibrate { action, poses } => return self.calibrate(action, poses, caller),
             Request::Path { ref rows, more } => match self.path(rows, more, caller.client) {
                 Ok(true) => Order::Play,
                 Ok(false) => return Some(Ok(json!({}))),
@@ -189,7 +189,7 @@ impl Hub {
         Ok(json!({"gains": self.config.gains}))
     }
 
-    fn calibrate(&mut self, action: CalibrateAction, caller: &Caller) -> Reply {
+    fn calibrate(&mut self, action: CalibrateAction, poses: usize, caller: &Caller) -> Reply {
         let SupervisorConfig { tick, gate, .. } = &self.config.supervisor;
         let (geometry, step_mm, prior) = (tick.geometry, gate.step_mm, self.config.calibration.prior());
         let session = match action {
@@ -202,7 +202,10 @@ impl Hub {
             CalibrateAction::Accept => return self.accept(caller),
             _ if self.calibration.is_some() => return refuse("a calibration is already running"),
             CalibrateAction::Full => Session::full(geometry, step_mm, self.in_use()),
-            CalibrateAction::Short => Session::short(geometry, step_mm, prior, self.in_use()),
+            CalibrateAction::Short if !POSES.contains(&poses) => {
+                return refuse(format!("`poses` is {poses}; a short calibration has {} to {}", POSES.start(), POSES.end()));
+            }
+            CalibrateAction::Short => Session::short(geometry, step_mm, (prior, poses), self.in_use()),
         };
         if self.mode() != Mode::Holding {
             let mode = self.mode();
