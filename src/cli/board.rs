@@ -6,7 +6,7 @@ use crate::config::gains::Gains;
 use crate::config::pressure_bound::PressureBound;
 use crate::config::sections::Header;
 use crate::config::{shipped, show};
-use crate::primitives::parameters::{Check, Parameters};
+use crate::primitives::{Check, Parameters};
 use crate::report::wiring::{self, Device, Wire};
 use miette::{Result, bail};
 use serde::de::DeserializeOwned;

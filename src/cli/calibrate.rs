@@ -7,7 +7,7 @@ use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, output};
 use crate::estimation::imu_calibration::{ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still};
 use crate::log::bend_log;
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use miette::{IntoDiagnostic, Result, miette};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};

@@ -12,7 +12,7 @@ use crate::experiment::arm::ArmResult;
 use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, Track};
 use crate::experiment::path;
 use crate::experiment::track::TrackResult;
-use crate::model::described::DescribedMachine;
+use crate::model::DescribedMachine;
 use crate::report::evaluation as pictures;
 use crate::simulation::described::Described;
 use crate::simulation::link::Link;

@@ -4,7 +4,7 @@ use crate::cli::{CommandOutcome, inputs, manual_motion, output};
 use crate::config::board::Board;
 use crate::config::sections::HomingMethod;
 use crate::control::tick::RestartState;
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 use crate::service::memory::Memory;
 use crate::service::paths::Paths;
 use crate::service::store::Store;

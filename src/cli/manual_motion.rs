@@ -5,7 +5,7 @@ use crate::config::board::Board;
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
 use crate::hardware::pins::OpenError;
 use crate::hardware::rt;
-use crate::primitives::units::Seconds;
+use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};

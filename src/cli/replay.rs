@@ -6,7 +6,7 @@ use crate::cli::{CommandOutcome, output};
 use crate::config::gains::Gains;
 use crate::control::tick::LoopConfig;
 use crate::log::error::why_unreadable;
-use crate::model::transmission::Line;
+use crate::model::Line;
 use crate::service::flight::cycle::Cycle;
 use crate::service::flight::file::{FlightFile, TOPICS, reason};
 use crate::service::flight::log::{part_path, run_and_part};

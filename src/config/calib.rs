@@ -3,10 +3,9 @@
 use crate::control::learning::batch::Prior;
 use crate::control::pi::{Dynamics, DynamicsPrior};
 use crate::estimation::imu_calibration::ImuCalibration;
-use crate::model::transmission::Line;
+use crate::model::Line;
 use crate::parameters;
-use crate::primitives::check::Checker;
-use crate::primitives::parameters::{Check, Parameters, Table};
+use crate::primitives::{Check, Checker, Parameters, Table};
 
 parameters! {
     /// A calibration: what this tip is.

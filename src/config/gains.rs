@@ -7,10 +7,9 @@ use crate::control::standstill::StandstillConfig;
 use crate::control::tick::FeedbackConfig;
 use crate::estimation::fusion::health::{HealthCause, Policy};
 use crate::estimation::fusion::tip::FuseConfig;
-use crate::model::transmission::Side;
+use crate::model::Side;
 use crate::parameters;
-use crate::primitives::check::Checker;
-use crate::primitives::parameters::{Check, Parameters, Table};
+use crate::primitives::{Check, Checker, Parameters, Table};
 
 parameters! {
     /// Gains: how the loop behaves. Every key may be left out; its default then applies.

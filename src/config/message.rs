@@ -1,6 +1,6 @@
 //! The messages of serde and TOML in the words of whoever wrote the file: keys, values, lists and tables instead of types.
 
-use crate::primitives::parameters::{Allowed, Row};
+use crate::primitives::{Allowed, Row};
 
 /// Longest list of known keys in a message; `board show` prints longer ones.
 const LISTED_MAX: usize = 9;

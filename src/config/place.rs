@@ -1,6 +1,6 @@
 //! Where a dotted key stands in the text of a TOML file, and which key stands at a place.
 
-use crate::primitives::parameters::join;
+use crate::primitives::join;
 use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 

@@ -7,8 +7,7 @@ use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
 use crate::motion::MotionLimits;
 use crate::motion::stop::longest_stop_mm;
-use crate::primitives::check::{Checker, Invalid, shown};
-use crate::primitives::parameters::{Check, Parameters, Table};
+use crate::primitives::{Check, Checker, Invalid, Parameters, Table, shown};
 use crate::simulation::plant::PlantError;
 
 impl Check for Board {

@@ -1,8 +1,7 @@
 //! The tables of a board file that describe the machine.
 
 use crate::hardware::imu::ChipConfig;
-use crate::model::arc::Geometry;
-use crate::model::drive::Drive;
+use crate::model::{Drive, Geometry};
 use crate::{choices, parameters};
 use nalgebra::{UnitQuaternion, Vector3};
 

@@ -1,6 +1,6 @@
 //! A resolved file as TOML, with the paragraph, default and range of every key.
 
-use crate::primitives::parameters::{Allowed, Parameters, Row, Shape, Table, join};
+use crate::primitives::{Allowed, Parameters, Row, Shape, Table, join};
 use std::fmt::Write;
 use toml::{Table as Values, Value};
 

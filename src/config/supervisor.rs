@@ -3,7 +3,7 @@
 use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
-use crate::model::drive::Drive;
+use crate::model::Drive;
 use crate::supervisor::cycle::SupervisorConfig;
 use crate::supervisor::machine::MachineInfo;
 

@@ -6,13 +6,9 @@
 //! last solution with the last slope, so a tick needs one or two evaluations of the laws and never more than five. Nothing
 //! allocates after [`FeedforwardState::new`].
 
-use crate::model::arc::Shape;
-use crate::model::bend::Bend;
-use crate::model::chain::Chain;
-use crate::model::described::{DescribedMachine, orientation};
 use crate::model::effects::{Effect, Memory, Moment};
-use crate::primitives::frames::Rotation;
-use crate::primitives::units::Mm;
+use crate::model::{Bend, Chain, DescribedMachine, Shape, orientation};
+use crate::primitives::{Mm, Rotation};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::sync::Arc;
 

@@ -3,9 +3,7 @@
 //! The range of a bellow, 14 to 29 mm, limits the target shape, not the command: feedback must be able to overdrive a
 //! lossy line. Travel and pressure limit the piston itself.
 
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
-use crate::model::transmission::Line;
+use crate::model::{Bend, Geometry, Line, Shape};
 use nalgebra::Vector3;
 
 /// Static limits of a board and its tip.

@@ -3,11 +3,9 @@
 use crate::control::follow::Pace;
 use crate::control::limits::ActuatorLimits;
 use crate::control::tick::Reference;
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
-use crate::model::transmission::Line;
+use crate::model::{Bend, Geometry, Line, Shape};
 use crate::motion::limits::MotionLimits;
-use crate::primitives::units::Mm;
+use crate::primitives::Mm;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Interval at which a path is compared with what the pistons can do, s.

@@ -5,9 +5,8 @@
 //! than τ₀. [`crate::diagnosis::sense`] turns the motion into readings.
 
 use crate::diagnosis::observe::{Observed, Segment};
-use crate::model::bend::Bend;
-use crate::model::chain::{Chain, NOMINAL, places};
 use crate::model::effects::{Effect, Memory, Pose};
+use crate::model::{Bend, Chain, NOMINAL, places};
 use nalgebra::{Matrix3, Vector3};
 use std::borrow::Cow;
 

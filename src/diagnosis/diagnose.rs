@@ -12,9 +12,8 @@ use crate::diagnosis::observe::{Observed, Segment};
 use crate::diagnosis::quantity::Quantity;
 use crate::diagnosis::search::{Candidate, Candidates, search};
 use crate::diagnosis::sense::{every_bin, sense};
-use crate::model::chain::{lines, nominal_theta};
 use crate::model::effects::Effect;
-use crate::model::transmission::Line;
+use crate::model::{Line, lines, nominal_theta};
 use nalgebra::Vector3;
 
 /// Share of the gap by which energies must differ for their probabilities to differ by a factor e.

@@ -4,8 +4,7 @@ use crate::diagnosis::document::{QuantityShare, Region, When};
 use crate::diagnosis::holdout::HeldOut;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::quantity::Quantity;
-use crate::model::bend::Bend;
-use crate::model::transmission::Line;
+use crate::model::{Bend, Line};
 use nalgebra::Vector3;
 
 /// Regions: rings of bend × sectors of direction.

@@ -9,7 +9,7 @@ use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::diagnosis::refuse::{ObserveError, refuse};
 use crate::diagnosis::rig::Rig;
 use crate::log::bend_log::BendLog;
-use crate::model::described::RestReadings;
+use crate::model::RestReadings;
 use nalgebra::Vector3;
 use std::ops::Range;
 

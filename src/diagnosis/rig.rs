@@ -1,7 +1,6 @@
 //! The machine that a log was recorded on, as far as a diagnosis depends on it.
 
-use crate::model::arc::Geometry;
-use crate::model::transmission::Line;
+use crate::model::{Geometry, Line};
 
 /// Geometry, prior gains and limits of a machine.
 #[derive(Debug, Clone, Copy, PartialEq)]

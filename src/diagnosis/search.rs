@@ -11,9 +11,8 @@ use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::{Point, Problem};
 use crate::diagnosis::start::{best_start, dated_again};
 use crate::diagnosis::tangent::{BaseFit, Tangent};
-use crate::model::chain::nominal_theta;
 use crate::model::effects::Effect;
-use crate::model::transmission::Line;
+use crate::model::{Line, nominal_theta};
 use rayon::prelude::*;
 
 /// Rounds of a fit.

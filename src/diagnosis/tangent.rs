@@ -5,7 +5,7 @@
 
 use crate::diagnosis::chain::run;
 use crate::diagnosis::problem::{PRIOR_SLOPE, Point, Problem};
-use crate::model::chain::NOMINAL;
+use crate::model::NOMINAL;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 

@@ -15,7 +15,7 @@
 use crate::estimation::fusion::{FilterName, OrientationFilter, Periods};
 use crate::log::error::ReadError;
 use crate::log::recording::{self, Recording};
-use crate::primitives::frames::{Rotation, Sensor, World};
+use crate::primitives::{Rotation, Sensor, World};
 use comfy_table::{CellAlignment, Table};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;

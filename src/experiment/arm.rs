@@ -6,10 +6,8 @@
 use crate::control::tick::Command;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
-use crate::model::bend::Bend;
-use crate::model::transmission::Line;
-use crate::primitives::frames::{Base, Rotation, Tip};
-use crate::primitives::units::Mm;
+use crate::model::{Bend, Line};
+use crate::primitives::{Base, Mm, Rotation, Tip};
 use serde::Serialize;
 
 /// Result of one held state.

@@ -11,7 +11,7 @@ use crate::diagnosis::search::recalibrated;
 use crate::experiment::identify::IdentifyError;
 use crate::experiment::rig::RigError;
 use crate::log::bend_log::{BendLog, ImuColumns};
-use crate::model::described::DescribedMachine;
+use crate::model::DescribedMachine;
 use crate::model::effects::{by_name, catalogue};
 use crate::simulation::world::World;
 use crate::supervisor::machine::MachineError;

@@ -10,7 +10,7 @@ use crate::diagnosis::refuse::ObserveError;
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::Pose;
-use crate::model::transmission::Line;
+use crate::model::Line;
 use crate::simulation::world::World;
 use thiserror::Error;
 

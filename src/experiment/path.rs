@@ -4,9 +4,7 @@ use crate::control::limits::ActuatorLimits;
 use crate::control::path::Path;
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
-use crate::model::arc::Geometry;
-use crate::model::bend::Bend;
-use crate::model::transmission::Line;
+use crate::model::{Bend, Geometry, Line};
 
 const SCHEMA: Schema<'_> = Schema {
     required: &["t_s", "bend_deg", "dir_deg"],

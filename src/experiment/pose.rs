@@ -11,9 +11,8 @@ use crate::control::learning::sides::Sides;
 use crate::control::pi::DynamicsPrior;
 use crate::control::tick::{Command, Frame, TickPhase};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
-use crate::primitives::units::Mm;
+use crate::model::{Bend, Geometry, Shape};
+use crate::primitives::Mm;
 use nalgebra::{Vector2, Vector3};
 
 /// Time for which the set-point must have rested before a pose is measured, s.

@@ -1,7 +1,7 @@
 //! A loop and a world in lockstep. The pistons follow the loop's targets as those of the hardware do ([`Lockstep`]).
 
 use crate::control::tick::{Command, Frame, Input, LoopConfig, LoopState, Reference, tick};
-use crate::primitives::units::Seconds;
+use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::world::World;
 use crate::supervisor::machine::{Machine, MachineError, Sensed};

@@ -5,7 +5,7 @@
 //! to the next direction. The arms visit 80° between the two states at 75°, without a score: otherwise the second one would
 //! be no arrival.
 
-use crate::model::bend::Bend;
+use crate::model::Bend;
 
 /// A pose to be held.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,7 +4,7 @@ use crate::control::path::Path;
 use crate::control::tick::Command;
 use crate::experiment::arm::{percentile, root_mean};
 use crate::experiment::rig::{Rig, RigError};
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use nalgebra::Vector2;
 use serde::Serialize;
 

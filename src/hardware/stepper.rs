@@ -22,7 +22,7 @@ use crate::motion::pulse::{PulseAction, StepCore};
 use crate::motion::queue::{self, FeedError, Feeder, SyncStatus, TimedSegment};
 use crate::motion::report::{StepperOrder, StepperReport};
 use crate::motion::segment::Segment;
-use crate::primitives::check::Invalid;
+use crate::primitives::Invalid;
 use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 

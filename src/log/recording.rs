@@ -13,9 +13,7 @@
 
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
-use crate::primitives::frames::{Rotation, Sensor, World};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
+use crate::primitives::{ImuSample, Rotation, Seconds, Sensor, World};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::f64::consts::FRAC_PI_2;
 use std::io::Read;

@@ -4,8 +4,7 @@
 //! Eq. 7 reads `R = Rz(−δ) Ry(β) Rz(δ)`, which is the single rotation by β about the axis
 //! `(sin δ, cos δ, 0)`; in terms of `b` the rotation vector is `(b_y, b_x, 0)`.
 
-use crate::primitives::frames::{Base, Rotation, Tip};
-use crate::primitives::units::Rad;
+use crate::primitives::{Base, Rad, Rotation, Tip};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// Bend vector `β (cos δ, sin δ)` in radians.

@@ -3,7 +3,7 @@
 //! One turn of the pinion moves the rack by π times its pitch diameter. The paper's 200-step motor,
 //! 16 microsteps and 30 mm pinion give 0.02945 mm a microstep (the paper prints 0.0294).
 
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 use nalgebra::Vector3;
 
 /// The drive train of one channel; all three are alike.

@@ -7,3 +7,10 @@ pub mod described;
 pub mod drive;
 pub mod effects;
 pub mod transmission;
+
+pub use arc::{Geometry, Shape};
+pub use bend::Bend;
+pub use chain::{Chain, NOMINAL, lines, nominal_theta, places};
+pub use described::{DescribedMachine, RestReadings, orientation};
+pub use drive::Drive;
+pub use transmission::{Line, Side, SideState, Wanted, realised};

@@ -3,8 +3,7 @@
 //! [`crate::motion::MotionLimits`] and [`crate::motion::lines::PulseTiming`] are what the rest computes with.
 
 use crate::parameters;
-use crate::primitives::check::{Checker, Invalid};
-use crate::primitives::parameters::Parameters;
+use crate::primitives::{Checker, Invalid, Parameters};
 
 parameters! {
     /// Speed of the pistons: one set for all three channels.

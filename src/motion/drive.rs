@@ -11,7 +11,7 @@ use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperRepo
 use crate::motion::segment::Segment;
 use crate::motion::state::MotionState;
 use crate::motion::stop::longest_stop_mm;
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 
 /// Most segments queued in one update.
 const TOP_UP_MAX: u32 = 16;

@@ -6,8 +6,7 @@
 
 use crate::motion::config::MotionConfig;
 use crate::motion::state::MotionState;
-use crate::primitives::check::{Checker, Invalid};
-use crate::primitives::parameters::Parameters;
+use crate::primitives::{Checker, Invalid, Parameters};
 
 /// Relative tolerance of every comparison with a limit.
 pub const TOLERANCE: f64 = 1e-9;

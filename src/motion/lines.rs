@@ -7,7 +7,7 @@
 //! *before* the later one. The true interval is never shorter, however long the writes take.
 
 use crate::motion::config::StepperConfig;
-use crate::primitives::check::Invalid;
+use crate::primitives::Invalid;
 
 /// Logical levels of all output lines. The pin backend applies polarity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

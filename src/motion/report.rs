@@ -2,7 +2,7 @@
 
 use crate::motion::histogram::Histogram;
 use crate::motion::lines::Inputs;
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 
 /// Why the step core has stopped.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]

@@ -5,3 +5,9 @@ pub mod frames;
 pub mod parameters;
 pub mod sample;
 pub mod units;
+
+pub use check::{Checker, Invalid, shown};
+pub use frames::{Base, Rotation, Sensor, Tip, World};
+pub use parameters::{Allowed, Check, Parameters, Row, Setting, Shape, Table, join};
+pub use sample::ImuSample;
+pub use units::{Mm, Rad, Seconds, Steps};

@@ -1,7 +1,7 @@
 //! The state that survives a restart. [`crate::service::store`] writes it to the disk.
 
 use crate::control::tick::RestartState;
-use crate::model::transmission::Line;
+use crate::model::Line;
 use serde::{Deserialize, Serialize};
 use std::io;
 

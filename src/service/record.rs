@@ -9,7 +9,7 @@
 
 use crate::config::service::ServiceSection;
 use crate::estimation::fusion::health::ImuReading;
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use crate::service::disk::{free_bytes, mib};
 use crate::service::flight::cycle::Cycle;
 use crate::service::flight::file::FlightFile;

@@ -4,7 +4,7 @@
 use crate::control::path::Path;
 use crate::control::tick::RestartState;
 use crate::hardware::rt::{monotonic_ns, sleep_until_ns};
-use crate::primitives::units::Seconds;
+use crate::primitives::Seconds;
 use crate::service::connection::UNANSWERED_MAX;
 use crate::service::server::CLIENTS_MAX;
 use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};

@@ -2,7 +2,7 @@
 
 use crate::control::saturation::Saturation;
 use crate::control::tick::Frame;
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use crate::service::protocol::VERSION;
 use crate::supervisor::cycle::{CycleOutput, Guidance, SupervisorConfig};
 use crate::supervisor::gate::TripCause;

@@ -4,11 +4,9 @@
 //! It runs the catalogue's laws, with which it was diagnosed, and is therefore no test of the diagnosis; the built-in plant has
 //! laws of its own.
 
-use crate::model::described::{DescribedMachine, orientation};
 use crate::model::effects::{ImuPrediction, Memory, Moment};
-use crate::primitives::frames::Rotation;
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::{Seconds, Steps};
+use crate::model::{DescribedMachine, orientation};
+use crate::primitives::{ImuSample, Rotation, Seconds, Steps};
 use crate::simulation::world::{Reply, World};
 use crate::supervisor::machine::{MachineError, MachineInfo};
 use nalgebra::{UnitQuaternion, Vector3};

@@ -3,9 +3,7 @@
 //! The link is the program's stdin and stdout; its stderr goes to the terminal. A reader thread passes its lines
 //! through a channel, so that a read can time out.
 
-use crate::primitives::frames::{Base, Rotation, Tip};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::{Seconds, Steps};
+use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
 use crate::simulation::world::{Reply, World};
 use crate::supervisor::machine::{MachineError, MachineInfo};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};

@@ -7,7 +7,7 @@
 use crate::estimation::fusion::health::ImuReading;
 use crate::motion::lines::Inputs;
 use crate::motion::{Drive, DriveLimits};
-use crate::primitives::units::{Seconds, Steps};
+use crate::primitives::{Seconds, Steps};
 use crate::simulation::stepper::SimulatedStepper;
 use crate::simulation::world::World;
 use crate::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};

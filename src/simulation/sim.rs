@@ -1,6 +1,6 @@
 //! The built-in plant as a [`World`].
 
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 use crate::simulation::plant::{Output, Plant, PlantConfig, PlantError};
 use crate::simulation::world::{Reply, World};
 use crate::supervisor::machine::{MachineError, MachineInfo};

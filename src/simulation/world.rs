@@ -3,9 +3,7 @@
 //! A world takes microstep counts, advances by one period, and returns the sensor reading. The *true* orientation
 //! is returned beside the reading, for scoring only; it never becomes part of [`crate::control::tick::Input`].
 
-use crate::primitives::frames::{Base, Rotation, Tip};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::{Seconds, Steps};
+use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
 use crate::simulation::plant::PlantError;
 use crate::supervisor::machine::{MachineError, MachineInfo};
 

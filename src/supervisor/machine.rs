@@ -16,9 +16,7 @@ use crate::estimation::fusion::health::ImuReading;
 use crate::motion::lines::Inputs;
 use crate::motion::report::{StepperFault, StepperMode};
 use crate::motion::{Drive, DriveState, StepGenerator};
-use crate::primitives::frames::{Base, Rotation, Tip};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::{Seconds, Steps};
+use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
 use thiserror::Error;
 
 /// What the machine reports in one cycle.

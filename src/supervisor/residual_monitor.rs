@@ -18,7 +18,7 @@
 
 pub use crate::supervisor::suspicion::{Suspicion, SuspicionKind};
 
-use crate::model::arc::Geometry;
+use crate::model::Geometry;
 use crate::parameters;
 use nalgebra::Vector2;
 

@@ -8,7 +8,7 @@ use super::play::halted;
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::Unreachable;
 use crate::cli::inputs::within;
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::Request;
 use input::{Event, Input};

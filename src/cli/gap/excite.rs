@@ -5,8 +5,7 @@ use crate::cli::{CommandOutcome, inputs, output};
 use crate::diagnosis::confusion::separable;
 use crate::diagnosis::excite::design::{APART, Design, LONGEST_S, Pair, Request, design};
 use crate::diagnosis::excite::rows::{Machine, csv};
-use crate::primitives::check::Checker;
-use crate::primitives::parameters::Check;
+use crate::primitives::{Check, Checker};
 use miette::{Result, miette};
 use std::path::PathBuf;
 

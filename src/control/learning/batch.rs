@@ -6,7 +6,7 @@
 //! (Eq. 26). Huber's rule (1964), iterated, reduces the weight of outliers, such as poses against an obstacle. A prior
 //! from earlier units adds one more pair of rows per channel.
 
-use crate::model::transmission::Line;
+use crate::model::Line;
 use nalgebra::{Matrix2, Vector2, Vector3};
 use thiserror::Error;
 

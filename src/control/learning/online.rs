@@ -14,7 +14,7 @@
 //!    further than `step_max` per pose; the caller compensates the difference in its integrator.
 
 use crate::control::learning::batch::Prior;
-use crate::model::transmission::Line;
+use crate::model::Line;
 use crate::parameters;
 use nalgebra::{Matrix3, Vector2, Vector3};
 

@@ -15,8 +15,7 @@
 //! little while it moves; an observation far from what the parameters can explain (an obstacle, a pinched line) is not learned
 //! from; and after an obstruction the caller returns to the state before it.
 
-use crate::model::arc::Geometry;
-use crate::model::transmission::Line;
+use crate::model::{Geometry, Line};
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
 /// Number of parameters, and where each kind begins; ρ is first.

@@ -11,9 +11,8 @@ use crate::control::learning::static_error::Observed;
 use crate::control::limits::Cut;
 use crate::control::pi::{PiGains, PiState};
 use crate::control::standstill::StandstillLatch;
-use crate::model::arc::Shape;
-use crate::model::bend::Bend;
-use crate::primitives::units::{Mm, Steps};
+use crate::model::{Bend, Shape};
+use crate::primitives::{Mm, Steps};
 use nalgebra::{Vector1, Vector2, Vector3};
 
 /// Share of the pace by which the lead may raise the speed of the command: pistons that follow the pace have that much to

@@ -26,9 +26,8 @@ pub use types::{Command, FeedbackConfig, Frame, Input, LoopConfig, Reference, Se
 use crate::control::limits::Cut;
 use crate::estimation::fusion::health::HealthAction;
 use crate::estimation::fusion::tip::TipEstimate;
-use crate::model::arc::Shape;
-use crate::model::bend::Bend;
-use crate::primitives::units::Mm;
+use crate::model::{Bend, Shape};
+use crate::primitives::Mm;
 use observation::Observation;
 use pistons::PistonOutput;
 

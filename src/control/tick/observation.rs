@@ -1,7 +1,7 @@
 //! What one tick has measured and modelled.
 
 use crate::estimation::fusion::tip::TipEstimate;
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use nalgebra::Vector2;
 
 /// Measured and modelled bends of one tick, rad.

@@ -4,13 +4,11 @@ use super::state::{LoopState, SetPoint};
 use super::types::{LoopConfig, Reference};
 use crate::control::follow::{Follower, Pace};
 use crate::control::limits::{ActuatorLimits, Cut};
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
-use crate::model::transmission::{Line, SideState};
+use crate::model::{Bend, Geometry, Line, Shape, SideState};
 use crate::motion::limits::MotionLimits;
 use crate::motion::state::MotionState;
 use crate::motion::stop::Stop;
-use crate::primitives::units::Mm;
+use crate::primitives::Mm;
 use nalgebra::{Vector1, Vector2, Vector3};
 
 /// Motion of the play output that the crossing of a backlash may cost, mm.

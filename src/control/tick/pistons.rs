@@ -5,10 +5,8 @@ use super::state::{Hold, LoopState, SetPoint};
 use super::types::LoopConfig;
 use crate::control::backlash_adaptation::Patience;
 use crate::control::limits::Cut;
-use crate::model::arc::Shape;
-use crate::model::bend::Bend;
-use crate::model::transmission::{Wanted, realised};
-use crate::primitives::units::{Mm, Steps};
+use crate::model::{Bend, Shape, Wanted, realised};
+use crate::primitives::{Mm, Steps};
 use nalgebra::{Vector2, Vector3};
 
 /// Longest time between two targets of a stream, s; a target that has lasted for longer is at rest.

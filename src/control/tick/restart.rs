@@ -4,9 +4,8 @@ use super::state::LoopState;
 use super::types::LoopConfig;
 use crate::control::hunting::HuntingDetector;
 use crate::control::pi::{Dynamics, DynamicsPrior};
-use crate::model::bend::Bend;
-use crate::model::transmission::Line;
-use crate::primitives::units::Steps;
+use crate::model::{Bend, Line};
+use crate::primitives::Steps;
 use serde::{Deserialize, Serialize};
 
 /// State to be remembered for a restart.

@@ -6,7 +6,7 @@ use crate::control::pi::PiState;
 use crate::estimation::fusion::base_watch::{Watch, WatchInput};
 use crate::estimation::fusion::health::ImuReading;
 use crate::estimation::fusion::tip::FusionInput;
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use nalgebra::{Vector2, Vector3};
 
 /// Time since the last step after which the tip counts as still, s.

@@ -15,10 +15,8 @@ use crate::control::saturation::SaturationMonitor;
 use crate::control::standstill::StandstillLatch;
 use crate::estimation::fusion::base_watch::Watch;
 use crate::estimation::fusion::tip::Fusion;
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
-use crate::model::transmission::{Line, SideState};
-use crate::primitives::units::{Mm, Steps};
+use crate::model::{Bend, Geometry, Line, Shape, SideState};
+use crate::primitives::{Mm, Steps};
 use nalgebra::{Vector1, Vector2, Vector3};
 
 /// Time for which the pistons of a restart count as having stood, s.

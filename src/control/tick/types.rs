@@ -12,15 +12,10 @@ use crate::estimation::fusion::health::{CauseSet, HealthAction, ImuReading};
 use crate::estimation::fusion::tip::{FuseConfig, TipEstimate};
 use crate::estimation::imu_calibration::Correction;
 use crate::estimation::imu_calibration::motor::MotorField;
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
-use crate::model::described::DescribedMachine;
-use crate::model::drive::Drive;
-use crate::model::transmission::{Line, Side};
+use crate::model::{Bend, DescribedMachine, Drive, Geometry, Line, Shape, Side};
 use crate::motion::DriveLimits;
 use crate::parameters;
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::{Mm, Seconds, Steps};
+use crate::primitives::{ImuSample, Mm, Seconds, Steps};
 use nalgebra::{Vector2, Vector3};
 use std::sync::Arc;
 

@@ -13,9 +13,8 @@ use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::Problem;
 use crate::diagnosis::search::{Candidate, Candidates};
 use crate::diagnosis::tangent::{BaseFit, Tangent};
-use crate::model::chain::{NOMINAL, nominal_theta};
 use crate::model::effects::Effect;
-use crate::model::transmission::Line;
+use crate::model::{Line, NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
 
 /// Residuals are correlated over about this long, s.

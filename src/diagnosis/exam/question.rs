@@ -6,7 +6,7 @@
 
 use crate::diagnosis::exam::record::record;
 use crate::log::bend_log::BendLog;
-use crate::model::transmission::Line;
+use crate::model::Line;
 use crate::simulation::plant::config::BaseConfig;
 use crate::simulation::plant::imu::chip::ImuConfig;
 use crate::simulation::plant::spread::Spread;

@@ -2,8 +2,8 @@
 
 use crate::diagnosis::exam::schedule::{self, DT_S, drive};
 use crate::log::bend_log::{BendLog, ImuColumns};
-use crate::model::transmission::Line;
-use crate::primitives::units::Steps;
+use crate::model::Line;
+use crate::primitives::Steps;
 use crate::simulation::plant::{Plant, PlantConfig, PlantError};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::rngs::StdRng;

@@ -5,8 +5,7 @@
 //! at the speed of the fastest piston, with rounded corners.
 
 use crate::diagnosis::excite::rows::{Row, rounded};
-use crate::model::arc::Geometry;
-use crate::model::transmission::Line;
+use crate::model::{Geometry, Line};
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand::rngs::StdRng;

@@ -12,7 +12,7 @@ use crate::diagnosis::excite::rows::{Machine, Row};
 use crate::diagnosis::excite::synthetic;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::sense::{every_bin, sense};
-use crate::model::chain::{NOMINAL, nominal_theta};
+use crate::model::{NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 

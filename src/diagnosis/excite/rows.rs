@@ -7,10 +7,8 @@
 use crate::diagnosis::rig::Rig;
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
-use crate::model::transmission::{Line, Side, SideState, Wanted};
-use crate::primitives::units::Mm;
+use crate::model::{Bend, Geometry, Line, Shape, Side, SideState, Wanted};
+use crate::primitives::Mm;
 use nalgebra::Vector3;
 use std::fmt::Write as _;
 use std::path::Path;

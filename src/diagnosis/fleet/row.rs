@@ -2,7 +2,7 @@
 
 use crate::diagnosis::diagnose::Diagnosed;
 use crate::log::columns::Column;
-use crate::model::chain::lines;
+use crate::model::lines;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};

@@ -5,7 +5,7 @@
 //! mean rate is the gyroscope bias. Motion restarts the window, and the reason is kept for the status.
 
 use crate::parameters;
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use nalgebra::Vector3;
 
 parameters! {

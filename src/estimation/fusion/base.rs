@@ -16,7 +16,7 @@
 use crate::estimation::fusion::align::{AlignConfig, AlignState, Alignment};
 use crate::estimation::fusion::intake::{self, Step};
 use crate::parameters;
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Rotation of the base since alignment.

@@ -5,8 +5,8 @@ use crate::estimation::fusion::bend::{BendFilter, BendFilterConfig};
 use crate::estimation::fusion::filter::{Periods, TipEstimator};
 use crate::estimation::fusion::generic::Generic;
 use crate::estimation::fusion::registry::FilterName;
-use crate::model::bend::Bend;
-use crate::primitives::parameters::{Setting, Shape};
+use crate::model::Bend;
+use crate::primitives::{Setting, Shape};
 use serde::{Deserialize, Serialize};
 use std::ops::{Deref, DerefMut};
 

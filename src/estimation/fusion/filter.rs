@@ -1,9 +1,8 @@
 //! Interfaces of the generic orientation filters and of the estimators in the loop.
 
 use crate::estimation::fusion::base::BaseTurn;
-use crate::model::bend::Bend;
-use crate::primitives::frames::{Base, Rotation, Sensor, Tip, World};
-use crate::primitives::sample::ImuSample;
+use crate::model::Bend;
+use crate::primitives::{Base, ImuSample, Rotation, Sensor, Tip, World};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// Status of an orientation filter.

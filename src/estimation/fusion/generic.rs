@@ -11,10 +11,8 @@ use crate::estimation::fusion::filter::{FilterFlags, MeasurementMask, Periods, T
 use crate::estimation::fusion::health::FieldReference;
 use crate::estimation::fusion::intake::GAP_MAX_S;
 use crate::estimation::fusion::registry::{Filter, FilterName};
-use crate::model::bend::Bend;
-use crate::primitives::frames::{Base, Rotation, Tip};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
+use crate::model::Bend;
+use crate::primitives::{Base, ImuSample, Rotation, Seconds, Tip};
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Step of the priming, s.

@@ -4,7 +4,7 @@
 //! recursive, so one such value would corrupt it for good. These checks remove values that no sensor can measure.
 //! Readings that are merely inaccurate are weighted by the filters.
 
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use nalgebra::Vector3;
 
 /// Longest step that is integrated, s. After a longer one a filter levels itself again.

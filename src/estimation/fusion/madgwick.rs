@@ -19,8 +19,7 @@ use super::field_gate::FieldGate;
 use super::filter::{FilterFlags, OrientationFilter, level};
 use super::intake::{self, Step};
 use super::standstill::StandstillDetector;
-use crate::primitives::frames::{Rotation, Sensor, World};
-use crate::primitives::sample::ImuSample;
+use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use ahrs::Ahrs;
 use nalgebra::{UnitQuaternion, Vector3};
 

@@ -9,7 +9,7 @@ use crate::estimation::fusion::base::BaseTurn;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::filter::{MeasurementMask, TipEstimator};
 use crate::parameters;
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use nalgebra::{UnitQuaternion, Vector3};
 
 parameters! {

@@ -16,8 +16,7 @@
 
 use super::filter::{FilterFlags, OrientationFilter, Periods};
 use super::intake::{self, Step};
-use crate::primitives::frames::{Rotation, Sensor, World};
-use crate::primitives::sample::ImuSample;
+use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// Magnetometer time constant of `vqf-long`, seconds.

@@ -5,7 +5,7 @@
 
 use super::refusal::Refusal;
 use super::still;
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use nalgebra::Vector3;
 
 const BLOCKS: usize = 10;

@@ -28,8 +28,7 @@ pub use ellipsoid::SAMPLES_MIN as ELLIPSOID_SAMPLES_MIN;
 pub use entry::{Entry, Pedigree, Rows};
 pub use refusal::Refusal;
 
-use crate::primitives::parameters::{Setting, Shape};
-use crate::primitives::sample::ImuSample;
+use crate::primitives::{ImuSample, Setting, Shape};
 use entry::{matrix, rows};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};

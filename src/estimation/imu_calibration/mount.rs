@@ -10,8 +10,7 @@
 //! directions this does not tilt the normal, and [`Mount::twist_per_bend`] reports it.
 
 use super::refusal::Refusal;
-use crate::primitives::frames::{Rotation, Sensor, Tip};
-use crate::primitives::sample::ImuSample;
+use crate::primitives::{ImuSample, Rotation, Sensor, Tip};
 use nalgebra::{Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
 /// Smallest bend that is used, degrees.

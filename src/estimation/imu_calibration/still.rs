@@ -4,7 +4,7 @@
 //! the two ends of the stretch can.
 
 use super::refusal::Refusal;
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use nalgebra::Vector3;
 
 /// Largest standard deviation of the gyroscope, rad/s per axis: four times the noise of the supported parts.

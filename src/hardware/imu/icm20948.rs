@@ -27,7 +27,7 @@ pub use config::{BASE_RATE_HZ, IcmConfig, Settings, scale};
 
 use super::port::Port;
 use super::{ChipId, Identity, Imu, ImuError, Part, RawImu, Scale};
-use crate::primitives::check::Invalid;
+use crate::primitives::Invalid;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 

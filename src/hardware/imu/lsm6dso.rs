@@ -12,7 +12,7 @@ pub use config::{LsmConfig, RATES_HZ, Settings, scale};
 use super::lis2mdl::Lis2mdl;
 use super::port::Port;
 use super::{Identity, Imu, ImuError, Part, RawImu, Scale};
-use crate::primitives::check::Invalid;
+use crate::primitives::Invalid;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 

@@ -41,8 +41,7 @@ pub use part::{ChipId, Identity, Part};
 pub use raw::{Axes, Axis, RawImu, STANDARD_GRAVITY_M_S2, Scale};
 pub use recovery::{ImuRecovery, POLL_SHARE};
 
-use crate::primitives::check::Invalid;
-use crate::primitives::parameters::{Parameters, Setting, Shape};
+use crate::primitives::{Invalid, Parameters, Setting, Shape};
 use embedded_hal::i2c::I2c;
 use serde::{Deserialize, Serialize};
 

@@ -2,9 +2,7 @@
 
 use super::ImuError;
 use crate::estimation::fusion::health::Quality;
-use crate::primitives::parameters::{Setting, Shape};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
+use crate::primitives::{ImuSample, Seconds, Setting, Shape};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 

@@ -16,7 +16,7 @@
 use super::bus_clear::BusState;
 use super::{Identity, Imu, ImuError};
 use crate::estimation::fusion::health::{ImuReading, ReadFault};
-use crate::primitives::units::Seconds;
+use crate::primitives::Seconds;
 use embedded_hal::delay::DelayNs;
 
 /// Consecutive failed readings after which the chip is initialised again: 50 ms at 500 Hz. A chip that

@@ -3,7 +3,7 @@
 use crate::hardware::imu::ImuError;
 use crate::hardware::pins::OpenError;
 use crate::hardware::stepper::StartError;
-use crate::primitives::check::Invalid;
+use crate::primitives::Invalid;
 use std::path::PathBuf;
 
 /// Why a machine could not be opened.

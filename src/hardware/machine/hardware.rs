@@ -10,8 +10,7 @@ use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::{StartError, Stepper};
 use crate::motion::lines::EmergencyStop;
 use crate::motion::{Drive, DriveLimits, MotionConfig, MotionLimits, StepGenerator, StepperConfig};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::{Seconds, Steps};
+use crate::primitives::{ImuSample, Seconds, Steps};
 use crate::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Configuration of a machine made of hardware.

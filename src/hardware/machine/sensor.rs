@@ -8,7 +8,7 @@ use crate::estimation::fusion::health::ImuReading;
 use crate::hardware::imu::{self, ChipConfig, Identity, Imu, ImuRecovery, POLL_SHARE};
 use crate::hardware::machine::error::HardwareError;
 use crate::hardware::rt::{self, RtRequest, monotonic_ns};
-use crate::primitives::units::Seconds;
+use crate::primitives::Seconds;
 use embedded_hal::delay::DelayNs;
 use nalgebra::UnitQuaternion;
 use std::sync::Arc;

@@ -1,6 +1,6 @@
 //! The wiring: which line does what, and its polarity.
 
-use crate::primitives::check::{Invalid, shown};
+use crate::primitives::{Invalid, shown};
 use crate::{choices, parameters};
 
 choices! {

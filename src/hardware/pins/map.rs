@@ -7,7 +7,7 @@
 use crate::hardware::pins::PinError;
 use crate::hardware::pins::config::{InputPin, PinsConfig, Pull};
 use crate::motion::lines::{Inputs, Levels};
-use crate::primitives::check::Invalid;
+use crate::primitives::Invalid;
 
 /// The lines of a board and their functions.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]

@@ -13,8 +13,7 @@ mod motion;
 mod values;
 
 use crate::log::bend_log::BendLog;
-use crate::model::arc::Geometry;
-use crate::model::transmission::Line;
+use crate::model::{Geometry, Line};
 use motion::Motion;
 use thiserror::Error;
 

@@ -2,8 +2,7 @@
 
 use super::values::{Finding, finding, finite};
 use crate::log::bend_log::BendLog;
-use crate::model::arc::Geometry;
-use crate::model::transmission::Line;
+use crate::model::{Geometry, Line};
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Longest window over which rotations are compared, s: much longer than the lag of a line, short against gyroscope drift.

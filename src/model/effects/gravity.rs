@@ -22,7 +22,7 @@
 use crate::model::arc::{Geometry, Shape};
 use crate::model::bend::Bend;
 use crate::model::effects::prelude::*;
-use crate::primitives::units::Mm;
+use crate::primitives::Mm;
 
 /// Sag under the tip's weight.
 pub struct Gravity;

@@ -25,7 +25,7 @@ use crate::motion::queue::TimedSegment;
 use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
 use crate::motion::state::MotionState;
 use crate::motion::steps::StepStream;
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 
 /// What the step thread must do next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

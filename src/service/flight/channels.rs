@@ -1,6 +1,6 @@
 //! The channels of a flight log that people look at: JSON, with a schema that is taken from the first message.
 
-use crate::model::arc::{Geometry, Shape};
+use crate::model::{Geometry, Shape};
 use crate::service::status;
 use crate::supervisor::cycle::CycleOutput;
 use serde_json::{Map, Value, json};

@@ -2,7 +2,7 @@
 
 use crate::control::tick::Frame;
 use crate::estimation::fusion::health::ImuReading;
-use crate::model::arc::Shape;
+use crate::model::Shape;
 use crate::supervisor::cycle::CycleOutput;
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::machine::Sensed;

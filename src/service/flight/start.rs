@@ -2,7 +2,7 @@
 
 use crate::control::pi::DynamicsPrior;
 use crate::control::tick::RestartState;
-use crate::model::transmission::Line;
+use crate::model::Line;
 use crate::service::belief::Belief;
 use crate::service::flight::cycle::fnv;
 use crate::supervisor::cycle::CycleOutput;

@@ -1,8 +1,6 @@
 //! The running plant: one step from counts to orientation and samples.
 
-use crate::primitives::frames::{Base, Rotation, Tip, World};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::{Seconds, Steps};
+use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip, World};
 use crate::simulation::plant::bellows::Bellows;
 use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::config::PlantConfig;

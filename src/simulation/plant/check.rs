@@ -1,6 +1,6 @@
 //! Errors of a plant's configuration.
 
-use crate::primitives::check::{Checker, Invalid};
+use crate::primitives::{Checker, Invalid};
 use std::ops::RangeInclusive;
 use thiserror::Error;
 

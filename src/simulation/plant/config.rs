@@ -3,9 +3,8 @@
 //! `PlantConfig::default()` is the ideal plant: the transmission, lag and IMU noise of the nominal
 //! model and nothing else. Angles are degrees, lengths mm, as in every file.
 
-use crate::model::drive::Drive;
-use crate::primitives::frames::{Rotation, World};
-use crate::primitives::parameters::{Setting, Shape};
+use crate::model::Drive;
+use crate::primitives::{Rotation, Setting, Shape, World};
 use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::effects::{Effects, effect_names};
 use crate::simulation::plant::imu::chip::ImuConfig;

@@ -3,7 +3,7 @@
 //! A fault acts from the step after its injection until all are cleared. Clearing ends the cause, not the
 //! consequence: lost steps stay lost, escaped air is gone, a base that was turned stays turned.
 
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use crate::simulation::plant::bellows::BellowFaults;
 use crate::simulation::plant::chain::Plant;
 use crate::simulation::plant::drive::DriveFaults;

@@ -3,7 +3,7 @@
 //! A running effect is a [`Law`]: a place in the chain is one method, which an effect overrides where it acts.
 //! The stages call every law at every place, in the order that the table of all effects states.
 
-use crate::primitives::frames::{Rotation, World};
+use crate::primitives::{Rotation, World};
 use crate::simulation::plant::check::PlantError;
 use crate::simulation::plant::imu::stimulus::Stimulus;
 use crate::simulation::plant::parameters::Table;

@@ -1,7 +1,7 @@
 //! The tables of the plant's parameters: rows as in [`primitives::parameters`](crate::primitives::parameters), whose keys name
 //! the unit, and the size of an effect.
 
-use crate::primitives::parameters::{Allowed, Parameters};
+use crate::primitives::{Allowed, Parameters};
 use crate::simulation::plant::check::PlantError;
 
 /// Type of a parameter that states the size of an effect.

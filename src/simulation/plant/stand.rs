@@ -1,6 +1,6 @@
 //! The attitude of the base in the world, and the turns that faults give it.
 
-use crate::primitives::frames::{Rotation, World};
+use crate::primitives::{Rotation, World};
 use crate::simulation::plant::law::Laws;
 use crate::simulation::plant::shape::arc::Plate;
 use nalgebra::{UnitQuaternion, Vector3};

@@ -3,7 +3,7 @@
 //! The count at the second slow closing becomes the position that the board file states for the switch. The difference
 //! between the two slow closings is the repeatability and must stay within its limit.
 
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 
 /// Parameters of the search.

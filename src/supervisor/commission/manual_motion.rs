@@ -3,7 +3,7 @@
 //! A move requests positions along a ramp of constant speed; the machine itself limits acceleration and travel. Any
 //! fault ends the move, and the pistons stay where they stopped.
 
-use crate::primitives::units::{Seconds, Steps};
+use crate::primitives::{Seconds, Steps};
 use crate::supervisor::machine::{Alarm, Machine, MachineError, Sensed};
 
 /// Longest time for the counts to reach the target at the end of a move, s.

@@ -5,8 +5,8 @@
 //! bend vector is (w_y, w_x) of the rotation vector w.
 
 use crate::estimation::fusion::health::ImuReading;
-use crate::model::bend::Bend;
-use crate::primitives::sample::ImuSample;
+use crate::model::Bend;
+use crate::primitives::ImuSample;
 use crate::supervisor::machine::Sensed;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 

@@ -1,6 +1,6 @@
 //! The commissioning procedure: each channel in turn bends the tip a little and holds it.
 
-use crate::model::arc::Geometry;
+use crate::model::Geometry;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
 use crate::supervisor::commission::rotation::{GyroBias, TipRotation};
 use crate::supervisor::commission::wiring::{self, Wiring};

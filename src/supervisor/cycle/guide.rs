@@ -3,9 +3,8 @@
 use crate::control::follow::Pace;
 use crate::control::path::expected;
 use crate::control::tick::Reference;
-use crate::model::arc::Shape;
-use crate::primitives::frames::{Rotation, Tip, World};
-use crate::primitives::units::Mm;
+use crate::model::Shape;
+use crate::primitives::{Mm, Rotation, Tip, World};
 use nalgebra::Vector3;
 
 /// Set-points that are remembered.

@@ -2,9 +2,8 @@
 
 use crate::control::path::Path;
 use crate::control::tick::{Command, Reference};
-use crate::model::arc::Shape;
-use crate::model::bend::Bend;
-use crate::primitives::frames::{Base, Rotation, Tip};
+use crate::model::{Bend, Shape};
+use crate::primitives::{Base, Rotation, Tip};
 use crate::supervisor::cycle::guide::Guide;
 use crate::supervisor::cycle::order::Refusal;
 use crate::supervisor::cycle::state::Supervisor;

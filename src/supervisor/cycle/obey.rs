@@ -2,9 +2,8 @@
 
 use crate::control::follow::Pace;
 use crate::control::tick::Command;
-use crate::model::arc::Shape;
-use crate::model::transmission::Line;
-use crate::primitives::units::Steps;
+use crate::model::{Line, Shape};
+use crate::primitives::Steps;
 use crate::supervisor::cycle::guide::Guide;
 use crate::supervisor::cycle::order::{BEND_MAX_RAD, Order, Refusal};
 use crate::supervisor::cycle::state::{ModeState, Position, Supervisor};

@@ -1,7 +1,7 @@
 //! Orders to the supervisor, and the reasons for refusing them.
 
 use crate::control::tick::Command;
-use crate::model::transmission::Line;
+use crate::model::Line;
 use crate::supervisor::mode::Mode;
 
 /// Largest bend that may be ordered, rad (135°).

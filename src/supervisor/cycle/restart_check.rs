@@ -5,7 +5,7 @@
 //! with, the position of the pistons counts as unknown.
 
 use crate::control::tick::{LoopConfig, LoopState, RestartState};
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use crate::parameters;
 use nalgebra::Vector3;
 

@@ -1,6 +1,6 @@
 //! Couples a supervisor to its machine.
 
-use crate::primitives::units::{Seconds, Steps};
+use crate::primitives::{Seconds, Steps};
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::cycle::state::Supervisor;
 use crate::supervisor::cycle::types::CycleOutput;

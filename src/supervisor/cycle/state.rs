@@ -3,9 +3,8 @@
 use crate::control::follow::Pace;
 use crate::control::path::Path;
 use crate::control::tick::{Command, FeedbackConfig, LoopState, RestartRest, RestartState};
-use crate::model::arc::Shape;
-use crate::model::bend::Bend;
-use crate::primitives::units::{Mm, Steps};
+use crate::model::{Bend, Shape};
+use crate::primitives::{Mm, Steps};
 use crate::supervisor::cycle::guide::{Guide, Recent};
 use crate::supervisor::cycle::order::Refusal;
 use crate::supervisor::cycle::sensor_watch::SensorWatch;

@@ -2,9 +2,8 @@
 
 use crate::control::tick::{Frame, Input, TickPhase, tick};
 use crate::estimation::fusion::health::CauseSet;
-use crate::model::arc::Shape;
-use crate::model::bend::Bend;
-use crate::primitives::units::{Seconds, Steps};
+use crate::model::{Bend, Shape};
+use crate::primitives::{Seconds, Steps};
 use crate::supervisor::cycle::order::Order;
 use crate::supervisor::cycle::restart_check;
 use crate::supervisor::cycle::state::{ModeState, Position, Supervisor};

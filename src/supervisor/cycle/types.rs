@@ -2,7 +2,7 @@
 
 use crate::control::tick::{Frame, Input, LoopConfig};
 use crate::estimation::fusion::health::CauseSet;
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 use crate::supervisor::cycle::order::{Order, Refusal};
 use crate::supervisor::cycle::restart_check::RestartCheckConfig;
 use crate::supervisor::gate::{GateLimits, TripCause};

@@ -7,7 +7,7 @@
 
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "NaN exceeds every limit")]
 
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 
 /// Ticks of one window.
 const WINDOW: usize = 16;

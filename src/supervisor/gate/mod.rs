@@ -17,7 +17,7 @@ mod limits;
 pub use following::Following;
 pub use limits::{GateLimits, SafeState, SafeStates, TripCause};
 
-use crate::primitives::units::Steps;
+use crate::primitives::Steps;
 use following::FollowingError;
 use history::History;
 

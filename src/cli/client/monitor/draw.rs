@@ -2,9 +2,8 @@
 
 use super::super::status;
 use super::view::{CHART_S, View};
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
-use crate::primitives::units::Mm;
+use crate::model::{Bend, Geometry, Shape};
+use crate::primitives::Mm;
 use ratatui::Frame;
 use ratatui::layout::Constraint::{Fill, Length};
 use ratatui::layout::{Layout, Rect};

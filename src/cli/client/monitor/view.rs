@@ -1,6 +1,6 @@
 //! What the monitor shows: the last status, the error of the last minute, and the last events.
 
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use crate::service::flight::channels::Changes;
 use serde_json::Value;
 use std::collections::VecDeque;

@@ -6,9 +6,8 @@ use super::laws::{Turn, bend_by_turn, velocity};
 use crate::estimation::fusion::align::Alignment;
 use crate::estimation::fusion::base::BaseTurn;
 use crate::estimation::fusion::filter::{MeasurementMask, TipEstimator};
-use crate::model::bend::Bend;
-use crate::primitives::frames::{Base, Rotation, Tip};
-use crate::primitives::sample::ImuSample;
+use crate::model::Bend;
+use crate::primitives::{Base, ImuSample, Rotation, Tip};
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 
 /// Initial uncertainty of the orientation, rad, 1 σ: zero by definition, but not singular.

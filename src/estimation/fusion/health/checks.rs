@@ -3,7 +3,7 @@
 use super::cause::{CauseSet, HealthCause};
 use super::config::HealthConfig;
 use super::reading::{FieldReference, ImuReading, Quality, ReadFault, dip};
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use nalgebra::{Rotation3, Vector3};
 
 /// Standard gravity, m/s²: assumed until the alignment has measured the norm of the specific force.

@@ -2,7 +2,7 @@
 
 use super::cause::HealthCause;
 use crate::parameters;
-use crate::primitives::parameters::{Setting, Shape};
+use crate::primitives::{Setting, Shape};
 use serde::{Deserialize, Serialize};
 
 /// Reaction while a cause is present.

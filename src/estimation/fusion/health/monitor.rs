@@ -5,7 +5,7 @@ use super::checks::{Checks, Findings, KnownErrors};
 use super::config::{HealthConfig, Policy};
 use super::reading::ImuReading;
 use super::verdict::{HealthVerdict, Recovered};
-use crate::primitives::units::Seconds;
+use crate::primitives::Seconds;
 use nalgebra::Vector3;
 
 /// A disturbance that returns within this time counts as the same one, s.

@@ -1,6 +1,6 @@
 //! Readings of the sensor, and the field reference of the alignment.
 
-use crate::primitives::sample::ImuSample;
+use crate::primitives::ImuSample;
 use nalgebra::Vector3;
 
 /// How a transfer failed, as the driver reports it.

@@ -3,9 +3,7 @@
 mod disturbances;
 
 use super::*;
-use crate::primitives::parameters::Parameters;
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
+use crate::primitives::{ImuSample, Parameters, Seconds};
 use nalgebra::{Rotation3, Vector3};
 use rand::SeedableRng;
 use rand::rngs::StdRng;

@@ -20,10 +20,8 @@ use crate::estimation::fusion::base::BaseTracker;
 use crate::estimation::fusion::bend::BendFilter;
 use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::health::{CauseSet, HealthCause, HealthVerdict, ImuReading, KnownErrors, Quality, SensorMonitor};
-use crate::model::bend::Bend;
-use crate::primitives::frames::{Base, Rotation, World};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
+use crate::model::Bend;
+use crate::primitives::{Base, ImuSample, Rotation, Seconds, World};
 use nalgebra::Vector3;
 use tracking::Tracker;
 

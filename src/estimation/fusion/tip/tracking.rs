@@ -9,9 +9,8 @@ use crate::estimation::fusion::estimator::Estimator;
 use crate::estimation::fusion::filter::MeasurementMask;
 use crate::estimation::fusion::health::{HealthCause, HealthConfig, HealthVerdict, ImuReading, KnownErrors, Quality};
 use crate::estimation::fusion::second::Second;
-use crate::model::bend::Bend;
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
+use crate::model::Bend;
+use crate::primitives::{ImuSample, Seconds};
 use nalgebra::{Vector2, Vector3};
 
 /// Standard deviations of the estimated sensor errors by which the limits of the sensor monitor are widened.

@@ -7,11 +7,9 @@ use crate::estimation::fusion::bend::BendFilterConfig;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::estimation::fusion::health::{HealthConfig, ImuReading};
 use crate::estimation::fusion::second::SecondConfig;
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use crate::parameters;
-use crate::primitives::frames::{Base, Rotation, Tip};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
+use crate::primitives::{Base, ImuSample, Rotation, Seconds, Tip};
 use nalgebra::Vector3;
 
 parameters! {

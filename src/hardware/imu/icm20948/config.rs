@@ -2,8 +2,7 @@
 
 use crate::hardware::imu::{Axes, STANDARD_GRAVITY_M_S2, Scale};
 use crate::parameters;
-use crate::primitives::check::Invalid;
-use crate::primitives::parameters::Parameters;
+use crate::primitives::{Invalid, Parameters};
 
 /// Base conversion rate of both inertial sensors with enabled filters, Hz.
 pub const BASE_RATE_HZ: f64 = 1125.0;

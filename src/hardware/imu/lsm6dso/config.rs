@@ -2,8 +2,7 @@
 
 use crate::hardware::imu::{Axes, STANDARD_GRAVITY_M_S2, Scale, lis2mdl};
 use crate::parameters;
-use crate::primitives::check::{Checker, Invalid};
-use crate::primitives::parameters::Parameters;
+use crate::primitives::{Checker, Invalid, Parameters};
 
 /// Conversion rates by ODR code 1 to 10, Hz (p. 10).
 pub const RATES_HZ: [f64; 10] = [12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1666.0, 3332.0, 6664.0];

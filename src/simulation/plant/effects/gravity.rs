@@ -4,7 +4,7 @@
 //! sits `com` beyond the tip plate along the tip's axis, in the world as the base is held now. It is solved
 //! by fixed-point iteration from the last solution; each round shrinks the error about tenfold.
 
-use crate::primitives::frames::{Rotation, World};
+use crate::primitives::{Rotation, World};
 use crate::simulation::plant::prelude::*;
 use crate::simulation::plant::shape::arc::{Plate, Terms};
 

@@ -4,8 +4,7 @@
 //! Gauss-Markov wander per axis is added. Defaults are the ICM-20948's (DS-000189 rev 1.3, tables 1-3) at
 //! ±500 °/s and ±4 g, with its AK09916 at 100 Hz.
 
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
+use crate::primitives::{ImuSample, Seconds};
 use crate::simulation::plant::imu::stimulus::{GRAVITY_M_S2, Stimulus};
 use crate::simulation::plant::memory::Wander;
 use crate::simulation::plant::parameters::parameters;

@@ -7,9 +7,7 @@
 pub mod chip;
 pub(crate) mod stimulus;
 
-use crate::primitives::frames::{Rotation, Tip, World};
-use crate::primitives::sample::ImuSample;
-use crate::primitives::units::Seconds;
+use crate::primitives::{ImuSample, Rotation, Seconds, Tip, World};
 use crate::simulation::plant::law::{Laws, Moment};
 use crate::simulation::plant::rng::{PlantRng, Stream};
 use chip::{Chip, ImuConfig};

@@ -5,8 +5,8 @@
 
 pub(crate) mod arc;
 
-use crate::model::bend::Bend;
-use crate::primitives::frames::{Rotation, Tip, World};
+use crate::model::Bend;
+use crate::primitives::{Rotation, Tip, World};
 use crate::simulation::plant::config::ShapeConfig;
 use crate::simulation::plant::effects::contact::Touching;
 use crate::simulation::plant::law::{Law, Laws, Moment, SectionState};
