@@ -2,8 +2,7 @@
 //! what they printed.
 
 use crate::cli::{CommandOutcome, demo, inputs, output};
-use crate::config::board::Board;
-use crate::config::sections::HomingMethod;
+use crate::config::{Board, HomingMethod};
 use crate::drill::process::daemon::Daemon;
 use crate::report::page::Page;
 use miette::{IntoDiagnostic, Result, bail};

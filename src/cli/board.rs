@@ -1,10 +1,7 @@
 //! `retroflex board`: a file with everything that it leaves out, and whether a board is safe to run.
 
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::config::calib::Calibration;
-use crate::config::gains::Gains;
-use crate::config::pressure_bound::PressureBound;
-use crate::config::sections::Header;
+use crate::config::{Calibration, Gains, Header, PressureBound};
 use crate::config::{shipped, show};
 use crate::primitives::{Check, Parameters};
 use crate::report::wiring::{self, Device, Wire};

@@ -2,7 +2,7 @@
 
 use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, manual_motion, output};
-use crate::config::board::Board;
+use crate::config::Board;
 use crate::config::{place, source};
 use crate::supervisor::commission::trial::{self, TrialConfig, TrialError};
 use crate::supervisor::commission::wiring::{TURN_SMALL_RAD, Wiring};

@@ -1,8 +1,7 @@
 //! `retroflex doctor`: compares this computer with the board file. Each line passes, warns or fails, and names the remedy.
 
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::config::board::Board;
-use crate::config::pressure_bound::PressureBound;
+use crate::config::{Board, PressureBound};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::Sensor;
 use crate::hardware::rt::{self, Grant, RtRequest};

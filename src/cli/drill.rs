@@ -2,7 +2,7 @@
 
 use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::config::gains::Gains;
+use crate::config::Gains;
 use crate::drill::bench::BenchConfig;
 use crate::drill::process::{self, Harm};
 use crate::drill::row::Row;

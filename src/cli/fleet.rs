@@ -2,7 +2,7 @@
 
 use crate::cli::gap::rows::read;
 use crate::cli::{CommandOutcome, output};
-use crate::config::calib::{Calibration, DynamicsSection, TransmissionSection};
+use crate::config::{Calibration, DynamicsSection, TransmissionSection};
 use crate::diagnosis::fleet::row::{self, Row};
 use crate::diagnosis::fleet::{Finding, Lot, Survey};
 use crate::log::columns;

@@ -1,9 +1,8 @@
 //! `retroflex home`: finds zero with home switches, or with the help of an operator.
 
 use crate::cli::{CommandOutcome, inputs, manual_motion, output};
-use crate::config::board::Board;
-use crate::config::sections::HomingMethod;
-use crate::control::tick::RestartState;
+use crate::config::{Board, HomingMethod};
+use crate::control::RestartState;
 use crate::primitives::Steps;
 use crate::service::memory::Memory;
 use crate::service::paths::Paths;

@@ -1,8 +1,6 @@
 //! Inputs that several commands share: configuration files with their built-in defaults, and foreign plants.
 
-use crate::config::board::Board;
-use crate::config::calib::Calibration;
-use crate::config::gains::Gains;
+use crate::config::{Board, Calibration, Gains};
 use crate::config::{shipped, source};
 use crate::diagnosis::saved::SavedModel;
 use crate::model::DescribedMachine;

@@ -1,15 +1,15 @@
 //! Shared by the commands that move a machine manually: opening it, its clock, and its errors.
 
 use crate::cli::{Unreachable, inputs};
-use crate::config::board::Board;
+use crate::config::Board;
 use crate::hardware::machine::{Hardware, HardwareError, MachineConfig};
 use crate::hardware::pins::OpenError;
 use crate::hardware::rt;
 use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
+use crate::supervisor::Machine;
 use crate::supervisor::commission::manual_motion::{ManualMotion, ManualMotionError};
-use crate::supervisor::machine::Machine;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::Path;
 use std::sync::Arc;

@@ -5,7 +5,7 @@ use crate::cli::{CommandOutcome, inputs, manual_motion, output};
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::{self, OpenError, PinError};
-use crate::motion::lines::Levels;
+use crate::motion::Levels;
 use miette::{IntoDiagnostic, Result, miette};
 use std::path::PathBuf;
 

@@ -3,8 +3,8 @@
 pub mod settings;
 
 use crate::cli::{CommandOutcome, output};
-use crate::config::gains::Gains;
-use crate::control::tick::LoopConfig;
+use crate::config::Gains;
+use crate::control::LoopConfig;
 use crate::log::error::why_unreadable;
 use crate::model::Line;
 use crate::service::flight::cycle::Cycle;
@@ -14,7 +14,7 @@ use crate::service::flight::read::{Entry, messages};
 use crate::service::flight::start::{Event, Header, Logged, hash};
 use crate::service::record::flight_path;
 use crate::service::start::{Start, with_gains};
-use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
+use crate::supervisor::{CycleOutput, Supervisor, SupervisorConfig};
 use mcap::McapError;
 use miette::{Result, bail, miette};
 use nalgebra::Vector2;

@@ -2,11 +2,9 @@
 
 use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, Unreachable, inputs, logging, manual_motion};
-use crate::config::board::Board;
-use crate::config::calib::Calibration;
-use crate::config::pressure_bound::PressureBound;
 use crate::config::show;
 use crate::config::supervisor::assemble;
+use crate::config::{Board, Calibration, PressureBound};
 use crate::hardware::machine::Hardware;
 use crate::service::error::ServiceError;
 use crate::service::flight::start::hash;
@@ -15,7 +13,7 @@ use crate::service::{Claim, Setup, serve};
 use crate::simulation::link::Link;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
-use crate::supervisor::machine::Machine;
+use crate::supervisor::Machine;
 use miette::{IntoDiagnostic, Result, bail, miette};
 use std::path::{Path, PathBuf};
 

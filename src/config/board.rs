@@ -3,16 +3,15 @@
 use crate::config::power::PowerSection;
 use crate::config::sections::{BusBackend, DriveSection, GeometrySection, HomingSection, ImuSection, LimitsSection, MachineSection};
 use crate::config::service::{SafetySection, ServiceSection};
-use crate::control::limits::ActuatorLimits;
+use crate::control::ActuatorLimits;
 use crate::hardware::machine::{GaugeConfig, MachineConfig, SensorConfig};
 use crate::hardware::pins::PinsConfig;
 use crate::hardware::pressure::PressureSection;
-use crate::motion::lines::EmergencyStop;
+use crate::motion::EmergencyStop;
 use crate::motion::{DriveLimits, MotionConfig, MotionLimits, StepperConfig};
 use crate::parameters;
 use crate::simulation::plant::PlantConfig;
-use crate::supervisor::gate::SafeState;
-use crate::supervisor::machine::MachineInfo;
+use crate::supervisor::{MachineInfo, SafeState};
 
 parameters! {
     /// A board: what the machine is. Every key may be left out; its default then applies. A board without `[pins]` has no

@@ -1,7 +1,7 @@
 //! Calibration files: what this tip is.
 
 use crate::control::learning::batch::Prior;
-use crate::control::pi::{Dynamics, DynamicsPrior};
+use crate::control::{Dynamics, DynamicsPrior};
 use crate::estimation::imu_calibration::ImuCalibration;
 use crate::model::Line;
 use crate::parameters;

@@ -1,10 +1,8 @@
 //! Gains files: how the loop behaves.
 
-use crate::control::follow::Pace;
 use crate::control::learning::online::RefineConfig;
 use crate::control::obstruction::ObstructionConfig;
-use crate::control::standstill::StandstillConfig;
-use crate::control::tick::FeedbackConfig;
+use crate::control::{FeedbackConfig, Pace, StandstillConfig};
 use crate::estimation::fusion::health::{HealthCause, Policy};
 use crate::estimation::fusion::tip::FuseConfig;
 use crate::model::Side;

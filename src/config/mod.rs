@@ -19,10 +19,14 @@ pub mod show;
 pub mod source;
 pub mod supervisor;
 
-use crate::config::board::Board;
-use crate::config::calib::Calibration;
-use crate::config::gains::Gains;
-use crate::control::tick::LoopConfig;
+pub use board::{Board, PlantSection};
+pub use calib::{Calibration, DynamicsSection, TransmissionSection};
+pub use gains::Gains;
+pub use pressure_bound::PressureBound;
+pub use sections::{Header, HomingMethod};
+pub use service::ServiceSection;
+
+use crate::control::LoopConfig;
 
 /// Puts the three files together into what [`crate::control::tick::tick`] runs on.
 pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains) -> LoopConfig {

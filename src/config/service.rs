@@ -1,11 +1,10 @@
 //! `[service]` and `[safety]` of a board file: who may command, and what is safe.
 
+use crate::control::LoopConfig;
 use crate::control::limits;
-use crate::control::tick::LoopConfig;
 use crate::parameters;
 use crate::supervisor::cycle::restart_check::RestartCheckConfig;
-use crate::supervisor::gate::{GateLimits, SafeStates};
-use crate::supervisor::residual_monitor::ResidualConfig;
+use crate::supervisor::{GateLimits, ResidualConfig, SafeStates};
 use std::path::PathBuf;
 
 parameters! {

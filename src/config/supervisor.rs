@@ -4,8 +4,7 @@ use crate::config::board::Board;
 use crate::config::calib::Calibration;
 use crate::config::gains::Gains;
 use crate::model::Drive;
-use crate::supervisor::cycle::SupervisorConfig;
-use crate::supervisor::machine::MachineInfo;
+use crate::supervisor::{MachineInfo, SupervisorConfig};
 
 /// Board, calibration and gains for a machine.
 pub fn assemble(board: &Board, calibration: &Calibration, gains: &Gains, info: &MachineInfo) -> SupervisorConfig {

@@ -12,3 +12,10 @@ pub mod pi;
 pub mod saturation;
 pub mod standstill;
 pub mod tick;
+
+pub use follow::Pace;
+pub use limits::ActuatorLimits;
+pub use path::Path;
+pub use pi::{Dynamics, DynamicsPrior};
+pub use standstill::StandstillConfig;
+pub use tick::{Command, FeedbackConfig, Frame, Input, LoopConfig, LoopState, Reference, RestartRest, RestartState, TickPhase};

@@ -4,7 +4,7 @@ use crate::control::follow::Pace;
 use crate::control::limits::ActuatorLimits;
 use crate::control::tick::Reference;
 use crate::model::{Bend, Geometry, Line, Shape};
-use crate::motion::limits::MotionLimits;
+use crate::motion::MotionLimits;
 use crate::primitives::Mm;
 use nalgebra::{Matrix3, Vector2, Vector3};
 

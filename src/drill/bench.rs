@@ -1,22 +1,17 @@
 //! A supervisor on a simulated plant, with fault injection at sensor, lines and clock.
 
-use crate::config::board::Board;
-use crate::config::calib::Calibration;
-use crate::config::gains::Gains;
 use crate::config::supervisor::assemble;
-use crate::control::tick::{Command, RestartState};
+use crate::config::{Board, Calibration, Gains};
+use crate::control::{Command, RestartState};
 use crate::estimation::fusion::health::{ImuReading, ReadFault};
 use crate::model::Bend;
 use crate::motion::DriveLimits;
-use crate::motion::lines::Inputs;
+use crate::motion::Inputs;
 use crate::primitives::{Base, Mm, Rotation, Seconds, Steps, Tip};
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::plant::{Channel, InjectedFault, PlantError};
 use crate::simulation::sim::Sim;
-use crate::supervisor::cycle::order::Order;
-use crate::supervisor::cycle::runner::Runner;
-use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
-use crate::supervisor::machine::{Alarm, Machine, MachineError, MachineInfo, Sensed};
+use crate::supervisor::{Alarm, CycleOutput, Machine, MachineError, MachineInfo, Order, Runner, Sensed, Supervisor, SupervisorConfig};
 
 /// A simulated machine with fault injection.
 #[derive(Debug)]

@@ -1,6 +1,6 @@
 //! The table of faults in flight.
 
-use crate::control::tick::Command;
+use crate::control::Command;
 use crate::drill::bench::bend;
 use crate::drill::spec::Bound::{self, Brakes, Continues, Copes, Freezes, Holds};
 use crate::drill::spec::Detector::{self, Trip};
@@ -9,10 +9,7 @@ use crate::estimation::fusion::health::{HealthCause, ReadFault as Read};
 use crate::model::Bend;
 use crate::primitives::Mm;
 use crate::simulation::plant::{Channel, InjectedFault as Fault};
-use crate::supervisor::cycle::order::{Order, Refusal};
-use crate::supervisor::gate::TripCause;
-use crate::supervisor::machine::Alarm;
-use crate::supervisor::residual_monitor::SuspicionKind;
+use crate::supervisor::{Alarm, Order, Refusal, SuspicionKind, TripCause};
 
 /// Channel of the faults that concern one channel.
 const CHANNEL: Channel = Channel::Two;

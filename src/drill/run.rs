@@ -3,11 +3,7 @@
 use crate::drill::bench::{Bench, BenchConfig, bend};
 use crate::drill::row::Row;
 use crate::drill::spec::{Bound, Detector, Injection, Situation, Spec};
-use crate::supervisor::cycle::CycleOutput;
-use crate::supervisor::cycle::order::{Order, Refusal};
-use crate::supervisor::gate::SafeState;
-use crate::supervisor::machine::MachineError;
-use crate::supervisor::mode::Mode;
+use crate::supervisor::{CycleOutput, MachineError, Mode, Order, Refusal, SafeState};
 
 /// From the start of the move to the injection, s.
 const MID_MOTION_S: f64 = 0.22;

@@ -3,9 +3,7 @@
 use crate::drill::bench::{Bench, BenchConfig, bend};
 use crate::drill::list::specs;
 use crate::drill::spec::{Injection, Spec};
-use crate::supervisor::cycle::order::Order;
-use crate::supervisor::machine::MachineError;
-use crate::supervisor::mode::Mode;
+use crate::supervisor::{MachineError, Mode, Order};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use serde::Serialize;

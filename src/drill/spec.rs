@@ -5,12 +5,7 @@ use crate::estimation::fusion::health::{HealthCause, ReadFault};
 use crate::named;
 use crate::service::status::trip_message;
 use crate::simulation::plant::InjectedFault;
-use crate::supervisor::cycle::CycleOutput;
-use crate::supervisor::cycle::order::{Order, Refusal};
-use crate::supervisor::gate::TripCause;
-use crate::supervisor::machine::Alarm;
-use crate::supervisor::mode::Mode;
-use crate::supervisor::residual_monitor::SuspicionKind;
+use crate::supervisor::{Alarm, CycleOutput, Mode, Order, Refusal, SuspicionKind, TripCause};
 
 /// Longest time until a detection unless a row states its own, s: the whole observation.
 const WITHIN_S: f64 = 7.0;

@@ -2,7 +2,7 @@
 //!
 //! Every second unit has slow lines, because some mechanisms act on nothing else.
 
-use crate::control::tick::{FeedbackConfig, LoopConfig};
+use crate::control::{FeedbackConfig, LoopConfig};
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::estimation::fusion::registry::FilterName;
 use crate::experiment::arm::{percentile, root_mean};

@@ -3,7 +3,7 @@
 //! The true bend is that of the estimator, [`Bend::nearest`]: where the tip has twisted, half of the twist is in its
 //! direction. The bend angle β is the same in every definition.
 
-use crate::control::tick::Command;
+use crate::control::Command;
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::{Bend, Line};

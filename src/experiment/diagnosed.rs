@@ -1,6 +1,6 @@
 //! The arm `diagnosed`: a log of the standard schedule on a world of its own, and the machine that its diagnosis describes.
 
-use crate::control::tick::LoopConfig;
+use crate::control::LoopConfig;
 use crate::diagnosis::chain::Model;
 use crate::diagnosis::excite::rows::Machine;
 use crate::diagnosis::excite::standard;
@@ -14,7 +14,7 @@ use crate::log::bend_log::{BendLog, ImuColumns};
 use crate::model::DescribedMachine;
 use crate::model::effects::{by_name, catalogue};
 use crate::simulation::world::World;
-use crate::supervisor::machine::MachineError;
+use crate::supervisor::MachineError;
 use nalgebra::Vector3;
 
 /// Time of a row of the log, s.

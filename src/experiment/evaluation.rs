@@ -1,6 +1,6 @@
 //! The evaluation: identification on a plant of its own, then every arm on a fresh plant.
 
-use crate::control::tick::LoopConfig;
+use crate::control::LoopConfig;
 use crate::diagnosis;
 use crate::experiment::arm::{self, ArmResult};
 use crate::experiment::diagnosed;
@@ -12,7 +12,7 @@ use crate::experiment::track::{self, TrackResult};
 use crate::log::error::ReadError;
 use crate::model::{DescribedMachine, Drive, Line};
 use crate::simulation::world::World;
-use crate::supervisor::machine::MachineError;
+use crate::supervisor::MachineError;
 use serde::Serialize;
 use std::sync::Arc;
 use thiserror::Error;

@@ -4,8 +4,7 @@
 //! lag and dead time.
 
 use crate::control::learning::batch::{Estimate, Prior, Unidentifiable, relative_step, solve};
-use crate::control::pi::DynamicsPrior;
-use crate::control::tick::LoopConfig;
+use crate::control::{DynamicsPrior, LoopConfig};
 use crate::diagnosis::refuse::ObserveError;
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::rig::{Rig, RigError};

@@ -1,7 +1,6 @@
 //! Files of paths.
 
-use crate::control::limits::ActuatorLimits;
-use crate::control::path::Path;
+use crate::control::{ActuatorLimits, Path};
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
 use crate::model::{Bend, Geometry, Line};

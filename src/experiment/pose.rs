@@ -8,8 +8,7 @@
 use crate::control::learning::batch::Measurement;
 use crate::control::learning::dynamics::DynamicsBank;
 use crate::control::learning::sides::Sides;
-use crate::control::pi::DynamicsPrior;
-use crate::control::tick::{Command, Frame, TickPhase};
+use crate::control::{Command, DynamicsPrior, Frame, TickPhase};
 use crate::experiment::schedule::{HOLD_S, Pose, SCORED_S};
 use crate::model::{Bend, Geometry, Shape};
 use crate::primitives::Mm;

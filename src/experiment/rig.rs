@@ -4,7 +4,7 @@ use crate::control::tick::{Command, Frame, Input, LoopConfig, LoopState, Referen
 use crate::primitives::Seconds;
 use crate::simulation::lockstep::Lockstep;
 use crate::simulation::world::World;
-use crate::supervisor::machine::{Machine, MachineError, Sensed};
+use crate::supervisor::{Machine, MachineError, Sensed};
 use thiserror::Error;
 
 /// Longest duration of the alignment, s.

@@ -3,14 +3,14 @@
 //! Every row simulates several drawn units in a short form of the schedule: four directions, 40 scored states a unit. The
 //! loop has the same calibration everywhere and does not know the condition.
 
-use crate::control::tick::LoopConfig;
+use crate::control::LoopConfig;
 use crate::experiment::arm::{self, ArmResult, percentile, root_mean};
 use crate::experiment::evaluation::{Arm, for_world};
 use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::arrivals;
 use crate::simulation::plant::PlantConfig;
 use crate::simulation::sim::Sim;
-use crate::supervisor::machine::MachineError;
+use crate::supervisor::MachineError;
 use rayon::prelude::*;
 use serde::Serialize;
 

@@ -1,7 +1,6 @@
 //! A path driven in closed loop on a fresh world, scored against the true bend.
 
-use crate::control::path::Path;
-use crate::control::tick::Command;
+use crate::control::{Command, Path};
 use crate::experiment::arm::{percentile, root_mean};
 use crate::experiment::rig::{Rig, RigError};
 use crate::model::Bend;

@@ -13,15 +13,11 @@
 
 use crate::hardware::pins::{PinError, Pins};
 use crate::hardware::rt::{self, RtRequest, RtStatus, monotonic_ns};
-use crate::motion::config::{MotionConfig, StepperConfig};
-use crate::motion::drive::StepGenerator;
-use crate::motion::histogram::Histogram;
-use crate::motion::limits::MotionLimits;
-use crate::motion::lines::{EmergencyStop, Levels, PulseTiming};
-use crate::motion::pulse::{PulseAction, StepCore};
 use crate::motion::queue::{self, FeedError, Feeder, SyncStatus, TimedSegment};
-use crate::motion::report::{StepperOrder, StepperReport};
-use crate::motion::segment::Segment;
+use crate::motion::{
+    EmergencyStop, Histogram, Levels, MotionConfig, MotionLimits, PulseAction, PulseTiming, Segment, StepCore, StepGenerator,
+    StepperConfig, StepperOrder, StepperReport,
+};
 use crate::primitives::Invalid;
 use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;

@@ -41,6 +41,12 @@ pub mod state;
 pub mod steps;
 pub mod stop;
 
+pub use histogram::Histogram;
+pub use lines::{EmergencyStop, Inputs, Levels, PulseTiming};
+pub use pulse::{PulseAction, StepCore};
+pub use report::{StepperFault, StepperMode, StepperOrder, StepperReport};
+pub use stop::Stop;
+
 pub use config::{MotionConfig, StepperConfig};
 pub use drive::{Drive, DriveLimits, DriveState, StepGenerator};
 pub use follow::{Motion, MoveStatus};

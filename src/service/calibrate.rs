@@ -5,14 +5,12 @@
 //! pass with the present calibration as prior.
 
 use crate::control::learning::batch::{Prior, relative_step, solve};
-use crate::control::pi::DynamicsPrior;
-use crate::control::tick::Command;
+use crate::control::{Command, DynamicsPrior};
 use crate::experiment::identify::{CONVERGED, IdentifyError, PASSES_MAX, plausible};
 use crate::experiment::pose::{Round, Step};
 use crate::experiment::schedule;
 use crate::model::{Geometry, Line};
-use crate::supervisor::cycle::CycleOutput;
-use crate::supervisor::mode::Mode;
+use crate::supervisor::{CycleOutput, Mode};
 use nalgebra::Vector3;
 
 /// Next step of a calibration.

@@ -1,7 +1,7 @@
 //! Errors of the service.
 
 use crate::service::memory::MemoryError;
-use crate::supervisor::machine::MachineError;
+use crate::supervisor::MachineError;
 use thiserror::Error;
 
 /// Why the service could not start or ended by itself.

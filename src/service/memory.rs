@@ -1,6 +1,6 @@
 //! The state that survives a restart. [`crate::service::store`] writes it to the disk.
 
-use crate::control::tick::RestartState;
+use crate::control::RestartState;
 use crate::model::Line;
 use serde::{Deserialize, Serialize};
 use std::io;

@@ -40,7 +40,7 @@ pub mod stop;
 pub mod stop_socket;
 pub mod store;
 
-use crate::config::service::ServiceSection;
+use crate::config::ServiceSection;
 use crate::hardware::rt::{self, RtRequest, RtStatus};
 use crate::service::belief::Belief;
 use crate::service::error::ServiceError;
@@ -55,8 +55,7 @@ use crate::service::start::{RunConfig, Start};
 use crate::service::state_writer::StateWriter;
 use crate::service::stop::StopCounter;
 use crate::service::store::{Found, Recall, Store};
-use crate::supervisor::cycle::runner::Runner;
-use crate::supervisor::machine::{Machine, MachineError};
+use crate::supervisor::{Machine, MachineError, Runner};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
 use std::sync::Arc;

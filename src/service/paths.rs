@@ -1,6 +1,6 @@
 //! Where the sockets and the state are, unless the board file or an option names other paths.
 
-use crate::config::service::ServiceSection;
+use crate::config::ServiceSection;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 

@@ -7,7 +7,7 @@
 //! The hub formats the rows; a thread of the recording's own creates, compresses and writes the files. A recording that
 //! reaches its limits, or whose disk is too slow, ends and reports why.
 
-use crate::config::service::ServiceSection;
+use crate::config::ServiceSection;
 use crate::estimation::fusion::health::ImuReading;
 use crate::primitives::ImuSample;
 use crate::service::disk::{free_bytes, mib};

@@ -1,18 +1,14 @@
 //! The real-time thread: one control cycle per period. It never locks, never allocates and waits for nothing but the
 //! clock.
 
-use crate::control::path::Path;
-use crate::control::tick::RestartState;
+use crate::control::{Path, RestartState};
 use crate::hardware::rt::{monotonic_ns, sleep_until_ns};
 use crate::primitives::Seconds;
 use crate::service::connection::UNANSWERED_MAX;
 use crate::service::server::CLIENTS_MAX;
 use crate::service::shared::{HeartbeatMonitor, Shared, ThreadWatch, Watched};
 use crate::service::stop::StopCounter;
-use crate::supervisor::cycle::order::{Order, Refusal};
-use crate::supervisor::cycle::runner::Runner;
-use crate::supervisor::cycle::{CycleOutput, Supervisor, SupervisorConfig};
-use crate::supervisor::machine::{Machine, MachineError};
+use crate::supervisor::{CycleOutput, Machine, MachineError, Order, Refusal, Runner, Supervisor, SupervisorConfig};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;

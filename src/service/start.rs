@@ -1,16 +1,11 @@
 //! The configuration of a running service, and the state that a supervisor starts from.
 
-use crate::config::board::Board;
-use crate::config::calib::Calibration;
-use crate::config::gains::Gains;
-use crate::config::service::ServiceSection;
-use crate::control::pi::{Dynamics, DynamicsPrior};
-use crate::control::tick::{LoopConfig, RestartState};
+use crate::config::{Board, Calibration, Gains, ServiceSection};
+use crate::control::{Dynamics, DynamicsPrior, LoopConfig, RestartState};
 use crate::service::belief::Belief;
 use crate::service::flight::start::Header;
 use crate::service::memory::Memory;
-use crate::supervisor::cycle::{Supervisor, SupervisorConfig};
-use crate::supervisor::machine::MachineInfo;
+use crate::supervisor::{MachineInfo, Supervisor, SupervisorConfig};
 use std::path::PathBuf;
 
 /// The configuration of a running service.

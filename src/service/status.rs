@@ -1,12 +1,10 @@
 //! The status of the service as a JSON object, and the frame that subscribers receive.
 
+use crate::control::Frame;
 use crate::control::saturation::Saturation;
-use crate::control::tick::Frame;
 use crate::model::Bend;
 use crate::service::protocol::VERSION;
-use crate::supervisor::cycle::{CycleOutput, Guidance, SupervisorConfig};
-use crate::supervisor::gate::TripCause;
-use crate::supervisor::mode::Mode;
+use crate::supervisor::{CycleOutput, Guidance, Mode, SupervisorConfig, TripCause};
 use serde_json::{Value, json};
 
 /// What tripped, and the remedy.

@@ -6,7 +6,7 @@
 //! before the stop cannot release it.
 
 use crate::service::protocol::Failure;
-use crate::supervisor::cycle::order::{Order, Refusal};
+use crate::supervisor::{Order, Refusal};
 use serde_json::{Value, json};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};

@@ -8,7 +8,7 @@ use crate::model::effects::{ImuPrediction, Memory, Moment};
 use crate::model::{DescribedMachine, orientation};
 use crate::primitives::{ImuSample, Rotation, Seconds, Steps};
 use crate::simulation::world::{Reply, World};
-use crate::supervisor::machine::{MachineError, MachineInfo};
+use crate::supervisor::{MachineError, MachineInfo};
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};

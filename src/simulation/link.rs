@@ -5,7 +5,7 @@
 
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
 use crate::simulation::world::{Reply, World};
-use crate::supervisor::machine::{MachineError, MachineInfo};
+use crate::supervisor::{MachineError, MachineInfo};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, BufWriter, Read, Write};

@@ -5,12 +5,12 @@
 //! a sample and its request. A world takes the counts that are made by the end of each period.
 
 use crate::estimation::fusion::health::ImuReading;
-use crate::motion::lines::Inputs;
+use crate::motion::Inputs;
 use crate::motion::{Drive, DriveLimits};
 use crate::primitives::{Seconds, Steps};
 use crate::simulation::stepper::SimulatedStepper;
 use crate::simulation::world::World;
-use crate::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};
+use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Largest number of periods that the world advances in one cycle of a late loop.
 const CATCH_UP_MAX: u64 = 2000;

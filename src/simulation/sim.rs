@@ -3,7 +3,7 @@
 use crate::primitives::Steps;
 use crate::simulation::plant::{Output, Plant, PlantConfig, PlantError};
 use crate::simulation::world::{Reply, World};
-use crate::supervisor::machine::{MachineError, MachineInfo};
+use crate::supervisor::{MachineError, MachineInfo};
 
 /// A running built-in plant.
 #[derive(Debug, Clone)]

@@ -1,10 +1,8 @@
 //! The step core in simulated time: its pulses take no time and are never late.
 
-use crate::motion::lines::{Inputs, PulseTiming};
-use crate::motion::pulse::{PulseAction, StepCore};
 use crate::motion::queue::{self, FeedError, Feeder, SyncStatus, TimedSegment};
-use crate::motion::report::{StepperOrder, StepperReport};
 use crate::motion::{DriveLimits, Segment, StepGenerator};
+use crate::motion::{Inputs, PulseAction, PulseTiming, StepCore, StepperOrder, StepperReport};
 
 /// Capacity of the queue of segments; far more than any lead.
 const SEGMENTS: usize = 64;

@@ -5,7 +5,7 @@
 
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
 use crate::simulation::plant::PlantError;
-use crate::supervisor::machine::{MachineError, MachineInfo};
+use crate::supervisor::{MachineError, MachineInfo};
 
 /// Answer to one step.
 #[derive(Debug, Clone, Copy, PartialEq)]

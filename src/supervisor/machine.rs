@@ -13,9 +13,8 @@
 //! The built-in plant, a foreign plant and the hardware all implement [`Machine`] and are interchangeable.
 
 use crate::estimation::fusion::health::ImuReading;
-use crate::motion::lines::Inputs;
-use crate::motion::report::{StepperFault, StepperMode};
 use crate::motion::{Drive, DriveState, StepGenerator};
+use crate::motion::{Inputs, StepperFault, StepperMode};
 use crate::primitives::{Base, ImuSample, Rotation, Seconds, Steps, Tip};
 use thiserror::Error;
 

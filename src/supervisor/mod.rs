@@ -16,3 +16,11 @@ pub mod machine;
 pub mod mode;
 pub mod residual_monitor;
 pub mod suspicion;
+
+pub use cycle::order::{BEND_MAX_RAD, Order, Refusal};
+pub use cycle::runner::Runner;
+pub use cycle::{CycleOutput, Guidance, Supervisor, SupervisorConfig};
+pub use gate::{GateLimits, SafeState, SafeStates, TripCause};
+pub use machine::{Alarm, Gauges, Machine, MachineError, MachineInfo, Sensed};
+pub use mode::Mode;
+pub use residual_monitor::{ResidualConfig, SuspicionKind};

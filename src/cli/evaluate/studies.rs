@@ -2,8 +2,7 @@
 
 use crate::cli::{CommandOutcome, inputs, output};
 use crate::config::assemble;
-use crate::config::board::{Board, PlantSection};
-use crate::config::gains::Gains;
+use crate::config::{Board, Gains, PlantSection};
 use crate::experiment::ablation::{self, AblationRow, MECHANISMS};
 use crate::experiment::sweep::{self, CONDITIONS, Condition, Study, SweepRow};
 use crate::report::evaluation::settle;

@@ -3,7 +3,7 @@
 use crate::cli::calibrate::today;
 use crate::cli::gap::input;
 use crate::cli::{CommandOutcome, output};
-use crate::config::calib::{Calibration, DynamicsSection, TransmissionSection};
+use crate::config::{Calibration, DynamicsSection, TransmissionSection};
 use crate::diagnosis::saved::SavedModel;
 use crate::estimation::imu_calibration::Entry;
 use crate::model::effects::{Effect, by_name};

@@ -1,17 +1,15 @@
 //! The settings that a flight log holds, and others to replay it with.
 
 use crate::cli::inputs;
-use crate::config::board::Board;
-use crate::config::calib::Calibration;
-use crate::config::gains::Gains;
 use crate::config::supervisor::assemble;
+use crate::config::{Board, Calibration, Gains};
 use crate::config::{show, source};
-use crate::control::pi::DynamicsPrior;
+use crate::control::DynamicsPrior;
 use crate::estimation::fusion::estimator::EstimatorName;
 use crate::model::{DescribedMachine, Line};
 use crate::primitives::Check;
 use crate::service::flight::start::Header;
-use crate::supervisor::cycle::SupervisorConfig;
+use crate::supervisor::SupervisorConfig;
 use miette::{IntoDiagnostic, Result};
 use serde::de::DeserializeOwned;
 use std::path::PathBuf;

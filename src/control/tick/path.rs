@@ -5,9 +5,7 @@ use super::types::{LoopConfig, Reference};
 use crate::control::follow::{Follower, Pace};
 use crate::control::limits::{ActuatorLimits, Cut};
 use crate::model::{Bend, Geometry, Line, Shape, SideState};
-use crate::motion::limits::MotionLimits;
-use crate::motion::state::MotionState;
-use crate::motion::stop::Stop;
+use crate::motion::{MotionLimits, MotionState, Stop};
 use crate::primitives::Mm;
 use nalgebra::{Vector1, Vector2, Vector3};
 

@@ -1,12 +1,11 @@
 //! A full disk and a read-only one.
 
-use crate::control::tick::RestartState;
+use crate::control::RestartState;
 use crate::drill::bench::{BenchConfig, bend};
 use crate::drill::row::Row;
 use crate::service::memory::Memory;
 use crate::service::store::Store;
-use crate::supervisor::cycle::order::Order;
-use crate::supervisor::mode::Mode;
+use crate::supervisor::{Mode, Order};
 use std::error::Error;
 use std::io::{self, Write};
 use std::path::Path;

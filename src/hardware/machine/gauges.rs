@@ -5,7 +5,7 @@ use crate::hardware::machine::error::HardwareError;
 use crate::hardware::machine::sensor::open_bus;
 use crate::hardware::pressure::{CONVERSION_MS, PressureError, PressureSection, PressureSensor};
 use crate::hardware::rt::monotonic_ns;
-use crate::supervisor::machine::{Alarm, Gauges};
+use crate::supervisor::{Alarm, Gauges};
 use embedded_hal::i2c::I2c;
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;

@@ -8,10 +8,10 @@ use crate::hardware::machine::sensor::{Sensor, SensorConfig};
 use crate::hardware::pins::{self, Pins, PinsConfig};
 use crate::hardware::rt::monotonic_ns;
 use crate::hardware::stepper::{StartError, Stepper};
-use crate::motion::lines::EmergencyStop;
+use crate::motion::EmergencyStop;
 use crate::motion::{Drive, DriveLimits, MotionConfig, MotionLimits, StepGenerator, StepperConfig};
 use crate::primitives::{ImuSample, Seconds, Steps};
-use crate::supervisor::machine::{Machine, MachineError, MachineInfo, Sensed};
+use crate::supervisor::{Machine, MachineError, MachineInfo, Sensed};
 
 /// Configuration of a machine made of hardware.
 #[derive(Debug, Clone)]

@@ -13,7 +13,7 @@ use crate::hardware::pins::config::Pull;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::uapi::{Kernel, LINES_MAX, LineState, Request, RequestKind, Uapi};
 use crate::hardware::pins::{PinError, Pins};
-use crate::motion::lines::{Inputs, Levels};
+use crate::motion::{Inputs, Levels};
 use std::io;
 
 /// The lines of one chip.

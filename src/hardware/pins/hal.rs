@@ -2,7 +2,7 @@
 
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{PinError, Pins};
-use crate::motion::lines::{Inputs, Levels};
+use crate::motion::{Inputs, Levels};
 use embedded_hal::digital::{InputPin, OutputPin, PinState};
 
 /// One `embedded-hal` pin per line, in the order of the [`LineMap`].

@@ -1,7 +1,7 @@
 //! The trait that every backend implements.
 
 use super::PinError;
-use crate::motion::lines::{Inputs, Levels};
+use crate::motion::{Inputs, Levels};
 
 /// Output and input lines of the three drivers.
 pub trait Pins: Send {

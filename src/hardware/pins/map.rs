@@ -6,7 +6,7 @@
 
 use crate::hardware::pins::PinError;
 use crate::hardware::pins::config::{InputPin, PinsConfig, Pull};
-use crate::motion::lines::{Inputs, Levels};
+use crate::motion::{Inputs, Levels};
 use crate::primitives::Invalid;
 
 /// The lines of a board and their functions.

@@ -2,7 +2,7 @@
 
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{PinError, Pins};
-use crate::motion::lines::{Inputs, Levels};
+use crate::motion::{Inputs, Levels};
 
 /// Pins that take every write; the voltage of every input of the map is low.
 #[derive(Debug)]

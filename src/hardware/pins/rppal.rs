@@ -8,7 +8,7 @@ use crate::hardware::pins::PinError;
 use crate::hardware::pins::config::Pull;
 use crate::hardware::pins::hal::HalPins;
 use crate::hardware::pins::map::LineMap;
-use crate::motion::lines::Levels;
+use crate::motion::Levels;
 use rppal::gpio::{Error, Gpio, InputPin, Level, Mode, OutputPin, Pin};
 
 /// Device file through which `rppal` maps the registers.

@@ -7,7 +7,7 @@ use crate::hardware::pins::hal::HalPins;
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::uapi::{Kernel, LineState, Request, RequestKind};
 use crate::hardware::pins::{PinError, Pins};
-use crate::motion::lines::{Inputs, Levels};
+use crate::motion::{Inputs, Levels};
 use embedded_hal::digital;
 use std::collections::BTreeMap;
 use std::io;

@@ -2,7 +2,7 @@
 
 use crate::model::{Geometry, Shape};
 use crate::service::status;
-use crate::supervisor::cycle::CycleOutput;
+use crate::supervisor::CycleOutput;
 use serde_json::{Map, Value, json};
 use std::collections::HashMap;
 

@@ -1,11 +1,9 @@
 //! A cycle as the log holds it: the exact input of the supervisor, and digests of everything that it decided.
 
-use crate::control::tick::Frame;
+use crate::control::Frame;
 use crate::estimation::fusion::health::ImuReading;
 use crate::model::Shape;
-use crate::supervisor::cycle::CycleOutput;
-use crate::supervisor::cycle::order::Order;
-use crate::supervisor::machine::Sensed;
+use crate::supervisor::{CycleOutput, Order, Sensed};
 use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize};
 use std::mem::take;

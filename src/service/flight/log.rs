@@ -3,7 +3,7 @@
 //! The hub hands over cycles in batches and never waits. A batch that finds the queue full is dropped, and the numbers of the
 //! cycles show the gap.
 
-use crate::config::service::ServiceSection;
+use crate::config::ServiceSection;
 use crate::service::disk::{free_bytes, mib};
 use crate::service::flight::file::{FlightFile, zero_unix_ns};
 use crate::service::flight::start::{Event, Logged};

@@ -1,12 +1,10 @@
 //! What a replay starts from, and what a running supervisor is given besides orders.
 
-use crate::control::pi::DynamicsPrior;
-use crate::control::tick::RestartState;
+use crate::control::{DynamicsPrior, RestartState};
 use crate::model::Line;
 use crate::service::belief::Belief;
 use crate::service::flight::cycle::fnv;
-use crate::supervisor::cycle::CycleOutput;
-use crate::supervisor::machine::MachineInfo;
+use crate::supervisor::{CycleOutput, MachineInfo};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -7,9 +7,7 @@ use crate::service::memory::{LearnedGains, RecordedFault};
 use crate::service::protocol::Failure;
 use crate::service::rt_loop::LoopFrame;
 use crate::service::status;
-use crate::supervisor::cycle::CycleOutput;
-use crate::supervisor::cycle::order::Order;
-use crate::supervisor::mode::Mode;
+use crate::supervisor::{CycleOutput, Mode, Order};
 use serde_json::json;
 use std::time::{Duration, Instant};
 

@@ -4,8 +4,7 @@ use super::state::{Caller, Hub, Pending};
 use crate::service::memory::LearnedGains;
 use crate::service::protocol::Failure;
 use crate::service::state_writer::Completed;
-use crate::supervisor::cycle::order::Order;
-use crate::supervisor::mode::Mode;
+use crate::supervisor::{Mode, Order};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 

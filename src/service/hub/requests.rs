@@ -1,10 +1,9 @@
 //! The requests of clients.
 
 use super::state::{Caller, Hub, Reply, Subscription, too_many};
-use crate::config::gains::Gains;
+use crate::config::Gains;
 use crate::config::source;
-use crate::control::path::Path;
-use crate::control::tick::Command;
+use crate::control::{Command, Path};
 use crate::model::{Bend, Shape};
 use crate::primitives::Mm;
 use crate::service::calibrate::{Found, Session};
@@ -13,9 +12,7 @@ use crate::service::port::Incoming;
 use crate::service::protocol::{CalibrateAction, Failure, Frame, PATH_MAX_S, PATH_ROWS, POSES, PathRow, Request};
 use crate::service::rt_loop::Message;
 use crate::service::start::{RunConfig, with_gains};
-use crate::supervisor::cycle::SupervisorConfig;
-use crate::supervisor::cycle::order::{BEND_MAX_RAD, Order};
-use crate::supervisor::mode::Mode;
+use crate::supervisor::{BEND_MAX_RAD, Mode, Order, SupervisorConfig};
 use serde_json::{Value, json};
 use std::time::Instant;
 

@@ -1,8 +1,7 @@
 //! What leads the set-point in place of a target: a path, set-points with times, or an orientation in the world.
 
-use crate::control::follow::Pace;
 use crate::control::path::expected;
-use crate::control::tick::Reference;
+use crate::control::{Pace, Reference};
 use crate::model::Shape;
 use crate::primitives::{Mm, Rotation, Tip, World};
 use nalgebra::Vector3;

@@ -1,7 +1,6 @@
 //! How the supervisor leads the set-point along a path, through set-points with times, or towards an orientation in the world.
 
-use crate::control::path::Path;
-use crate::control::tick::{Command, Reference};
+use crate::control::{Command, Path, Reference};
 use crate::model::{Bend, Shape};
 use crate::primitives::{Base, Rotation, Tip};
 use crate::supervisor::cycle::guide::Guide;

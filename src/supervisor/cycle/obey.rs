@@ -1,7 +1,6 @@
 //! How the supervisor carries out each order.
 
-use crate::control::follow::Pace;
-use crate::control::tick::Command;
+use crate::control::{Command, Pace};
 use crate::model::{Line, Shape};
 use crate::primitives::Steps;
 use crate::supervisor::cycle::guide::Guide;

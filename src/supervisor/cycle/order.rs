@@ -1,6 +1,6 @@
 //! Orders to the supervisor, and the reasons for refusing them.
 
-use crate::control::tick::Command;
+use crate::control::Command;
 use crate::model::Line;
 use crate::supervisor::mode::Mode;
 

@@ -4,7 +4,7 @@
 //! the still tip measures `R(b)⁻¹ g` and `R(b)⁻¹ m`. If it measures anything else, or if there is nothing to compare
 //! with, the position of the pistons counts as unknown.
 
-use crate::control::tick::{LoopConfig, LoopState, RestartState};
+use crate::control::{LoopConfig, LoopState, RestartState};
 use crate::model::Bend;
 use crate::parameters;
 use nalgebra::Vector3;

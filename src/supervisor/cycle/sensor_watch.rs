@@ -1,6 +1,6 @@
 //! Supervision of the orientation sensor: age of the last usable sample, and drift of the gyroscope bias.
 
-use crate::control::tick::{Frame, TickPhase};
+use crate::control::{Frame, TickPhase};
 use crate::estimation::fusion::health::CauseSet;
 use crate::estimation::fusion::tip::Fusion;
 use nalgebra::Vector3;

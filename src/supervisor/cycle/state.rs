@@ -1,8 +1,6 @@
 //! State of the supervisor. Each mode owns its data; every change of mode goes through [`Supervisor::take`].
 
-use crate::control::follow::Pace;
-use crate::control::path::Path;
-use crate::control::tick::{Command, FeedbackConfig, LoopState, RestartRest, RestartState};
+use crate::control::{Command, FeedbackConfig, LoopState, Pace, Path, RestartRest, RestartState};
 use crate::model::{Bend, Shape};
 use crate::primitives::{Mm, Steps};
 use crate::supervisor::cycle::guide::{Guide, Recent};

@@ -1,6 +1,6 @@
 //! Configuration and output of the supervisor.
 
-use crate::control::tick::{Frame, Input, LoopConfig};
+use crate::control::{Frame, Input, LoopConfig};
 use crate::estimation::fusion::health::CauseSet;
 use crate::primitives::Steps;
 use crate::supervisor::cycle::order::{Order, Refusal};
