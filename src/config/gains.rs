@@ -88,19 +88,17 @@ impl Check for Gains {
     const REMEDY: &'static str = "`retroflex board show --gains` prints every key with its meaning, unit and range";
 
     fn check(&self, to: &mut Checker) {
-        to.range(
-            "standstill.open_deg",
-            self.standstill.open_deg,
-            self.standstill.close_deg..=20.0,
-            "deg",
-            "it must not be below standstill.close_deg",
-        );
+        to.at("standstill.open_deg")
+            .range(self.standstill.open_deg, self.standstill.close_deg..=20.0, "deg")
+            .hint("it must not be below standstill.close_deg");
         let watch = &self.fuse.watch;
-        to.range("fuse.watch.onset_deg", watch.onset_deg, 0.01..=watch.bend_deg.max(0.01), "deg", "it must not exceed fuse.watch.bend_deg");
+        to.at("fuse.watch.onset_deg")
+            .range(watch.onset_deg, 0.01..=watch.bend_deg.max(0.01), "deg")
+            .hint("it must not exceed fuse.watch.bend_deg");
         for cause in HealthCause::ALL {
             if let Policy::CoastOnGyro { for_s } = self.fuse.health.policy.of(cause) {
                 let key = format!("fuse.health.policy.{}.for_s", cause.name());
-                to.range(&key, for_s, 1e-3..=60.0, "s", "5 lets a knock pass");
+                to.at(&key).range(for_s, 1e-3..=60.0, "s").hint("5 lets a knock pass");
             }
         }
     }

@@ -215,8 +215,8 @@ mod tests {
     }
     impl Check for File {
         fn check(&self, to: &mut Checker) {
-            to.range("a.x_mm", self.a.x_mm, 0.0..=1.0, "mm", "measure it again");
-            to.ranges("a.many", &self.a.many, 0.0..=1.0, "", "");
+            to.at("a.x_mm").range(self.a.x_mm, 0.0..=1.0, "mm").hint("measure it again");
+            to.at("a.many").ranges(&self.a.many, 0.0..=1.0, "").hint("");
         }
     }
 

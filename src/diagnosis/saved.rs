@@ -230,22 +230,22 @@ impl Check for SavedModel {
     const REMEDY: &'static str = AGAIN;
 
     fn check(&self, to: &mut Checker) {
-        to.range("schema", f64::from(self.schema), 1.0..=1.0, "", "made by another version: diagnose the log again with --save");
+        to.at("schema").range(f64::from(self.schema), 1.0..=1.0, "").hint("made by another version: diagnose the log again with --save");
         let forecast = self.forecast.as_ref().map(|f| ("forecast.gains", &f.gains));
         for (at, g) in [("nominal", &self.nominal), ("with_effects", &self.with_effects)].into_iter().chain(forecast) {
-            to.ranges(&format!("{at}.k_epsilon"), &g.k_epsilon, 0.0..=10.0, "", AGAIN);
-            to.ranges(&format!("{at}.k_lambda_mm"), &g.k_lambda_mm, 0.0..=3.0, "mm", AGAIN);
-            to.range(&format!("{at}.lag_s"), g.lag_s, 0.0..=LAG_MAX_S + 1e-9, "s", AGAIN);
+            to.at(&format!("{at}.k_epsilon")).ranges(&g.k_epsilon, 0.0..=10.0, "").hint(AGAIN);
+            to.at(&format!("{at}.k_lambda_mm")).ranges(&g.k_lambda_mm, 0.0..=3.0, "mm").hint(AGAIN);
+            to.at(&format!("{at}.lag_s")).range(g.lag_s, 0.0..=LAG_MAX_S + 1e-9, "s").hint(AGAIN);
         }
         if let Some(rest) = &self.rest {
-            to.ranges("rest.up", &rest.up, -1.0..=1.0, "", AGAIN);
-            to.holds("rest.up", Vector3::from(rest.up).norm() > 0.5, "the direction of up has no length", AGAIN);
-            to.ranges("rest.field_ut", &rest.field_ut, -1000.0..=1000.0, "µT", AGAIN);
-            to.ranges("rest.gyro_bias_rad_s", &rest.gyro_bias_rad_s, -1.0..=1.0, "rad/s", AGAIN);
+            to.at("rest.up").ranges(&rest.up, -1.0..=1.0, "").hint(AGAIN);
+            to.at("rest.up").holds(Vector3::from(rest.up).norm() > 0.5, "the direction of up has no length").hint(AGAIN);
+            to.at("rest.field_ut").ranges(&rest.field_ut, -1000.0..=1000.0, "µT").hint(AGAIN);
+            to.at("rest.gyro_bias_rad_s").ranges(&rest.gyro_bias_rad_s, -1.0..=1.0, "rad/s").hint(AGAIN);
         }
         for (i, e) in self.effect.iter().chain(self.forecast.iter().flat_map(|f| &f.effect)).enumerate() {
             let finite = e.params.values().all(|v| v.is_finite());
-            to.holds(&format!("effect.{i}.params"), finite, "a parameter is not a finite number", AGAIN);
+            to.at(&format!("effect.{i}.params")).holds(finite, "a parameter is not a finite number").hint(AGAIN);
         }
     }
 }

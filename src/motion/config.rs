@@ -78,7 +78,7 @@ impl StepperConfig {
         let mut checker = Checker::default();
         let least = self.pulse_high_us + self.pulse_low_us;
         let hint = "a step takes at least stepper.pulse_high_us + stepper.pulse_low_us";
-        checker.range("stepper.step_interval_min_us", self.step_interval_min_us, least..=100_000.0, "µs", hint);
+        checker.at("stepper.step_interval_min_us").range(self.step_interval_min_us, least..=100_000.0, "µs").hint(hint);
         checker.done()
     }
 
@@ -92,7 +92,7 @@ impl StepperConfig {
         let problem = format!("{interval} must be at most {most_us:.1} µs, 90 % of the interval at motion.speed_max_mm_s = {speed}");
         let mut checker = Checker::default();
         let hint = "lower it, or lower motion.speed_max_mm_s";
-        checker.holds("stepper.step_interval_min_us", interval <= most_us, &problem, hint);
+        checker.at("stepper.step_interval_min_us").holds(interval <= most_us, &problem).hint(hint);
         checker.done()
     }
 }

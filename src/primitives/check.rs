@@ -35,6 +35,52 @@ pub fn shown(key: &str) -> String {
     })
 }
 
+/// A key whose value is being checked.
+#[must_use = "`hint` ends the check"]
+#[derive(Debug)]
+pub struct At<'a> {
+    checker: &'a mut Checker,
+    key: String,
+    /// Index that the key lacks, or nothing, and the problem.
+    found: Option<(String, String)>,
+}
+
+impl At<'_> {
+    /// A number must lie in a range; NaN never does.
+    pub fn range(self, value: f64, allowed: RangeInclusive<f64>, unit: &str) -> Self {
+        self.number("", value, &allowed, unit)
+    }
+
+    /// Each number of an array must lie in a range.
+    pub fn ranges(self, values: &[f64], allowed: RangeInclusive<f64>, unit: &str) -> Self {
+        values.iter().enumerate().fold(self, |at, (i, &v)| at.number(&format!(".{i}"), v, &allowed, unit))
+    }
+
+    /// A relation between values must hold.
+    pub fn holds(mut self, good: bool, problem: &str) -> Self {
+        if !good {
+            self.found.get_or_insert((String::new(), problem.to_owned()));
+        }
+        self
+    }
+
+    /// Ends the check: says how to correct a value that is refused.
+    pub fn hint(self, hint: &str) {
+        if let Some((index, problem)) = self.found {
+            self.checker.refuse(&(self.key + &index), problem, hint);
+        }
+    }
+
+    fn number(mut self, index: &str, value: f64, allowed: &RangeInclusive<f64>, unit: &str) -> Self {
+        if !allowed.contains(&value) {
+            let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+            let problem = format!("{value}{unit} is outside {} to {}{unit}", allowed.start(), allowed.end());
+            self.found.get_or_insert((index.to_owned(), problem));
+        }
+        self
+    }
+}
+
 /// Keeps the first problem.
 #[derive(Debug, Default)]
 pub struct Checker {
@@ -42,26 +88,9 @@ pub struct Checker {
 }
 
 impl Checker {
-    /// A number must lie in a range; NaN never does.
-    pub fn range(&mut self, key: &str, value: f64, allowed: RangeInclusive<f64>, unit: &str, hint: &str) {
-        if !allowed.contains(&value) {
-            let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-            self.refuse(key, format!("{value}{unit} is outside {} to {}{unit}", allowed.start(), allowed.end()), hint);
-        }
-    }
-
-    /// Each number of an array must lie in a range.
-    pub fn ranges(&mut self, key: &str, values: &[f64], allowed: RangeInclusive<f64>, unit: &str, hint: &str) {
-        for (i, &v) in values.iter().enumerate() {
-            self.range(&format!("{key}.{i}"), v, allowed.clone(), unit, hint);
-        }
-    }
-
-    /// A relation between values must hold.
-    pub fn holds(&mut self, key: &str, good: bool, problem: &str, hint: &str) {
-        if !good {
-            self.refuse(key, problem.to_owned(), hint);
-        }
+    /// Checks the value of a key. Nothing is refused before [`At::hint`].
+    pub fn at(&mut self, key: &str) -> At<'_> {
+        At { checker: self, key: key.to_owned(), found: None }
     }
 
     /// Refuses a value.

@@ -219,8 +219,8 @@ impl Row {
     fn check_number(&self, value: f64, key: &str, to: &mut Checker) {
         match self.allowed {
             Allowed::Any => {}
-            Allowed::Range(low, high) => to.range(key, value, low..=high, self.unit, self.hint),
-            Allowed::OneOf(list) => to.holds(key, list.contains(&value), &format!("{value} is not {}", self.allowed), self.hint),
+            Allowed::Range(low, high) => to.at(key).range(value, low..=high, self.unit).hint(self.hint),
+            Allowed::OneOf(list) => to.at(key).holds(list.contains(&value), &format!("{value} is not {}", self.allowed)).hint(self.hint),
         }
     }
 }

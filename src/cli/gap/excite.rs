@@ -40,7 +40,7 @@ pub struct Args {
 
 impl Check for Args {
     fn check(&self, to: &mut Checker) {
-        to.range("--rounds", self.rounds as f64, 1.0..=100_000.0, "", "leave it out for the default");
+        to.at("--rounds").range(self.rounds as f64, 1.0..=100_000.0, "").hint("leave it out for the default");
     }
 }
 

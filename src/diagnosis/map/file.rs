@@ -78,27 +78,25 @@ impl Check for MapFile {
     const REMEDY: &'static str = "docs/maps holds a map for each rig of docs/other-rigs.md";
 
     fn check(&self, to: &mut Checker) {
-        to.range("every", self.every as f64, 1.0..=10_000.0, "", "1 uses every row");
+        to.at("every").range(self.every as f64, 1.0..=10_000.0, "").hint("1 uses every row");
         if let Some(rate) = self.rate_hz {
-            to.range("rate_hz", rate, 1e-6..=1e7, "Hz", "rows per second");
-            to.holds("rate_hz", self.time.is_none(), "is given together with `time`", "a log has one clock: remove one of the two");
+            to.at("rate_hz").range(rate, 1e-6..=1e7, "Hz").hint("rows per second");
+            to.at("rate_hz").holds(self.time.is_none(), "is given together with `time`").hint("a log has one clock: remove one of the two");
         }
-        to.holds("output", !self.output.names().is_empty(), "names no column", "name the output column");
+        to.at("output").holds(!self.output.names().is_empty(), "names no column").hint("name the output column");
         let driven = self.input.as_ref().is_some_and(|i| !i.names().is_empty());
         match self.nominal {
-            Nominal::Still => {
-                to.holds("input", !driven, "is given although nominal = \"still\" has none", "remove the input, or set nominal = \"line\"")
-            }
-            Nominal::Line => to.holds("output", driven, "has no input", "name the input, or set nominal = \"still\""),
+            Nominal::Still => to
+                .at("input")
+                .holds(!driven, "is given although nominal = \"still\" has none")
+                .hint("remove the input, or set nominal = \"line\""),
+            Nominal::Line => to.at("output").holds(driven, "has no input").hint("name the input, or set nominal = \"still\""),
             Nominal::Resonance => {
                 let one = self.input.as_ref().is_some_and(|i| i.names().len() == 1);
-                to.holds("nominal", one, "an oscillator has one input", "name one column");
-                to.holds(
-                    "nominal",
-                    self.rate_hz.is_some() || self.time.is_some(),
-                    "an oscillator needs a clock",
-                    "give `time` or `rate_hz`",
-                );
+                to.at("nominal").holds(one, "an oscillator has one input").hint("name one column");
+                to.at("nominal")
+                    .holds(self.rate_hz.is_some() || self.time.is_some(), "an oscillator needs a clock")
+                    .hint("give `time` or `rate_hz`");
             }
         }
     }

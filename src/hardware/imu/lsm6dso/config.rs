@@ -79,7 +79,10 @@ impl LsmConfig {
     pub fn settings(&self) -> Result<Settings, Invalid> {
         self.checked("imu.chip")?;
         let mut checker = Checker::default();
-        checker.holds("imu.chip.mag_axes", self.mag_axes.is_permutation(), "an axis is used twice", "each of x, y and z once, with a sign");
+        checker
+            .at("imu.chip.mag_axes")
+            .holds(self.mag_axes.is_permutation(), "an axis is used twice")
+            .hint("each of x, y and z once, with a sign");
         checker.done()?;
         // every value is in its list: the searches find it
         let fs_g = GYRO.into_iter().find(|(range, _)| *range == self.gyro_range_dps).map_or(0, |(_, bits)| bits);
