@@ -42,7 +42,6 @@ impl<'a> Model<'a> {
     }
 
     /// Parameters of effect `i`.
-    #[inline]
     pub fn of<'p>(&self, theta: &'p [f64], i: usize) -> &'p [f64] {
         &theta[self.at[i]..self.at[i + 1]]
     }

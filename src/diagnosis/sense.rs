@@ -231,7 +231,6 @@ impl Late<'_> {
 }
 
 /// Rotation vector of the small rotation from `a` to `b`: half of the antisymmetric part of `aᵀ b`.
-#[inline]
 fn between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Vector3<f64> {
     let (a, b) = (a.as_slice(), b.as_slice());
     let dot = |i: usize, j: usize| a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2];
@@ -239,7 +238,6 @@ fn between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Vector3<f64> {
 }
 
 /// `aᵀ v`.
-#[inline]
 fn back(a: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {
     let a = a.as_slice();
     Vector3::new(a[0] * v.x + a[1] * v.y + a[2] * v.z, a[3] * v.x + a[4] * v.y + a[5] * v.z, a[6] * v.x + a[7] * v.y + a[8] * v.z)

@@ -40,7 +40,6 @@ pub struct Shape {
 impl Geometry {
     /// Direction of bellow `i` (0-based) as `(cos α_i, −sin α_i)`: the projection of a bend vector
     /// on it, times r, is what the bellow shortens by.
-    #[inline]
     pub fn spoke(i: usize) -> Vector2<f64> {
         /// √3/2 = sin 120°.
         const S: f64 = 0.866_025_403_784_438_6;
@@ -58,7 +57,6 @@ impl Geometry {
     }
 
     /// Inverse of [`Geometry::lengths`]: the three lengths fix bend and centre length exactly.
-    #[inline]
     pub fn shape(&self, q_mm: &Vector3<f64>) -> Shape {
         let sum = (0..3).fold(Vector2::zeros(), |a, i| a + Self::spoke(i) * q_mm[i]);
         Shape { bend: Bend(sum * (-2.0 / (3.0 * self.r_mm))), length: Mm(self.rest_length_mm + q_mm.sum() / 3.0) }

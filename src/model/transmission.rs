@@ -26,12 +26,10 @@ impl Line {
     }
 
     /// Play operator: the output `w` after the piston moves to `piston_mm`.
-    #[inline]
     pub fn play(&self, w_mm: f64, piston_mm: f64) -> f64 {
         w_mm.max(piston_mm - self.k_lambda_mm).min(piston_mm + self.k_lambda_mm)
     }
     /// Bellow length change for a play output, `q = w / (1 + k_ε)`.
-    #[inline]
     pub fn bellow_mm(&self, w_mm: f64) -> f64 {
         w_mm / (1.0 + self.k_epsilon)
     }

@@ -27,7 +27,6 @@ impl Default for Histogram {
 
 impl Histogram {
     /// Counts one duration.
-    #[inline]
     pub fn record(&mut self, ns: u64) {
         let bucket = &mut self.buckets[bucket_of(ns)];
         *bucket = bucket.saturating_add(1);

@@ -53,13 +53,11 @@ impl MotionLimits {
     }
 
     /// Whether a position is within travel.
-    #[inline]
     pub fn contains_position(&self, position_mm: f64) -> bool {
         position_mm.abs() <= self.travel_max_mm + POSITION_TOLERANCE_MM
     }
 
     /// Whether the speed and acceleration of a state are within their limits.
-    #[inline]
     pub fn contains_rates(&self, s: &MotionState) -> bool {
         s.velocity_mm_s.abs() <= self.speed_max_mm_s * (1.0 + TOLERANCE)
             && s.acceleration_mm_s2.abs() <= self.acceleration_max_mm_s2 * (1.0 + TOLERANCE)

@@ -96,7 +96,6 @@ impl ChannelPlan {
     }
 
     /// The state at a time.
-    #[inline]
     pub fn at(&self, t_s: f64) -> MotionState {
         match self.phases().iter().find(|phase| t_s < phase.end_s) {
             Some(phase) => phase.start.after(phase.jerk_mm_s3, (t_s - (phase.end_s - phase.duration_s)).max(0.0)),
@@ -105,7 +104,6 @@ impl ChannelPlan {
     }
 
     /// The part from `from_s` on that lasts `duration_s`, given the state at its start.
-    #[inline]
     pub fn cut(&self, start: MotionState, from_s: f64, duration_s: f64) -> ChannelSegment {
         let mut segment = ChannelSegment::starting(start);
         let to_s = from_s + duration_s;

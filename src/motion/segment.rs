@@ -20,7 +20,6 @@ pub struct ChannelSegment {
 
 impl ChannelSegment {
     /// An empty segment at a state.
-    #[inline]
     pub fn starting(start: MotionState) -> Self {
         Self { start, end: start, pieces: [(0.0, 0.0); PIECES_MAX], len: 0 }
     }
@@ -36,7 +35,6 @@ impl ChannelSegment {
     ///
     /// A plan never has more than [`PIECES_MAX`] pieces. A further piece would lengthen the last one;
     /// the end state given to [`ChannelSegment::ending`] would still determine the step count.
-    #[inline]
     pub fn push(&mut self, duration_s: f64, jerk_mm_s3: f64) {
         if duration_s <= 0.0 {
             return;
@@ -50,20 +48,17 @@ impl ChannelSegment {
     }
 
     /// Sets the end state.
-    #[inline]
     #[must_use]
     pub fn ending(self, end: MotionState) -> Self {
         Self { end, ..self }
     }
 
     /// Duration, s, and jerk, mm/s³, of the pieces in order.
-    #[inline]
     pub fn pieces(&self) -> &[(f64, f64)] {
         &self.pieces[..self.len]
     }
 
     /// Whether the channel is at rest at one position from start to end.
-    #[inline]
     pub fn is_still(&self) -> bool {
         self.start.is_rest() && self.end == self.start
     }

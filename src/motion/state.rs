@@ -28,7 +28,6 @@ impl MotionState {
     }
 
     /// The state after `t_s` of constant jerk.
-    #[inline]
     pub fn after(&self, jerk_mm_s3: f64, t_s: f64) -> Self {
         let (v, a, t) = (self.velocity_mm_s, self.acceleration_mm_s2, t_s);
         Self {
@@ -39,7 +38,6 @@ impl MotionState {
     }
 
     /// The instants inside (0, `duration_s`) at which the velocity changes sign, in order, s.
-    #[inline]
     pub fn reversals(&self, jerk_mm_s3: f64, duration_s: f64) -> impl Iterator<Item = f64> + use<> {
         let (v, a, j) = (self.velocity_mm_s, self.acceleration_mm_s2, jerk_mm_s3);
         let end = self.after(j, duration_s);

@@ -22,7 +22,6 @@ pub struct Step {
 }
 
 /// Step count of a position: the nearest microstep, halves away from zero.
-#[inline]
 pub fn count(position_mm: f64, step_mm: f64) -> i32 {
     // The conversion saturates far outside any travel, and NaN counts as zero.
     (position_mm / step_mm).round() as i32
@@ -167,7 +166,6 @@ impl StepStream {
     }
 
     /// Due time, ns, and direction of the next step of a channel.
-    #[inline]
     pub fn peek(&self, channel: usize) -> Option<(u64, i32)> {
         self.pending[channel].map(|s| (self.start_ns + (s.t_s * 1e9).round() as u64, s.direction))
     }

@@ -79,7 +79,6 @@ impl LineMap {
     }
 
     /// Voltages of all outputs for logical levels.
-    #[inline]
     pub fn output_bits(&self, levels: &Levels) -> u64 {
         let mut active = if levels.enable { self.enable } else { 0 };
         for channel in 0..3 {
@@ -110,7 +109,6 @@ impl LineMap {
     }
 
     /// Logical levels of all inputs for their voltages.
-    #[inline]
     pub fn inputs_from(&self, bits: u64) -> Inputs {
         let active = bits ^ self.inputs_inverted;
         Inputs { home: self.home.map(|bit| active & bit != 0), emergency_stop: active & self.emergency_stop != 0 }

@@ -4,19 +4,16 @@
 //! where the corner is rounded off; for `|x| ≫ width` they equal the function with the corner.
 
 /// |x| with a rounded tip: `√(x² + width²) − width`, exactly 0 at 0.
-#[inline]
 pub fn magnitude(x: f64, width: f64) -> f64 {
     (x * x + width * width).sqrt() - width
 }
 
 /// max(x, 0) with a rounded corner, exactly 0 at 0; far below, it is `−width/2`.
-#[inline]
 pub fn positive(x: f64, width: f64) -> f64 {
     0.5 * (x + magnitude(x, width))
 }
 
 /// max(x, 0) with a rounded corner, nowhere negative; `width/2` at 0, vanishing far below.
-#[inline]
 pub fn overshoot(x: f64, width: f64) -> f64 {
     let root = (x * x + width * width).sqrt();
     // below the corner the two terms cancel: the product form is accurate
@@ -24,20 +21,17 @@ pub fn overshoot(x: f64, width: f64) -> f64 {
 }
 
 /// sgn(x) with a rounded step.
-#[inline]
 pub fn sign(x: f64, width: f64) -> f64 {
     x / (x * x + width * width).sqrt()
 }
 
 /// Share of a gap that a first-order process closes in one step of backward Euler, `h/(1 + h)` with
 /// `h = dt/τ` or rate × dt: stable for every step, and on a ramp it lags by exactly τ.
-#[inline]
 pub fn share(h: f64) -> f64 {
     h / (1.0 + h)
 }
 
 /// Logistic onset: 0 long before `at_s`, 1 long after; 10 to 90 % takes `rise_s`.
-#[inline]
 pub fn onset(t_s: f64, at_s: f64, rise_s: f64) -> f64 {
     /// 2 ln 9: the logistic goes from 10 to 90 % in this many of its time constants.
     const DECILES: f64 = 4.394_449_154_672_439;
@@ -52,7 +46,6 @@ pub fn onset(t_s: f64, at_s: f64, rise_s: f64) -> f64 {
 }
 
 /// Cubic from 0 at `from_s` to 1 at `from_s + lasting_s`, level at both ends.
-#[inline]
 pub fn smoothstep(t_s: f64, from_s: f64, lasting_s: f64) -> f64 {
     let x = ((t_s - from_s) / lasting_s).clamp(0.0, 1.0);
     x * x * (3.0 - 2.0 * x)

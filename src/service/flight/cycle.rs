@@ -47,7 +47,6 @@ pub fn fnv(bytes: impl IntoIterator<Item = u8>) -> u64 {
 struct Hash(u64);
 
 impl Hash {
-    #[inline]
     fn mix(&mut self, word: u64) {
         let mixed = (self.0 ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         self.0 = mixed ^ (mixed >> 32);
@@ -57,7 +56,6 @@ impl Hash {
 impl Flavor for Hash {
     type Output = u64;
 
-    #[inline]
     fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
         match data.try_into() {
             Ok(word) => self.mix(u64::from_le_bytes(word)),
@@ -66,7 +64,6 @@ impl Flavor for Hash {
         Ok(())
     }
 
-    #[inline]
     fn try_push(&mut self, data: u8) -> postcard::Result<()> {
         self.mix(data.into());
         Ok(())
