@@ -49,7 +49,7 @@ fn run(rig: &Rig, args: &[&str]) -> (i32, String, String) {
 fn pulses_through_the_device_file_are_counted_one_by_one() {
     on_a_pi(world("linux-gpiochip"), |rig| {
         let board = chip_board(rig);
-        let (code, out, err) = run(rig, &["bench", "rt", "--board", &board, "--rate", "4000", "--seconds", "3", "--alone"]);
+        let (code, out, err) = run(rig, &["bench", "rt", "--board", &board, "--rate", "4000", "--seconds", "3"]);
         println!("{out}\n{err}");
         assert_eq!(code, 0);
         let world = rig.world();

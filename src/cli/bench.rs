@@ -1,9 +1,8 @@
-//! `retroflex bench rt`: timing of the step thread on this machine, compared with `cyclictest` where it is installed.
+//! `retroflex bench rt`: timing of the step thread on this machine.
 
 use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, Unreachable, inputs, manual_motion, output};
 use crate::hardware::bench_rt::{self, NoCurrent, RtBench, RtBenchConfig};
-use crate::hardware::cyclictest;
 use crate::hardware::lock::HardwareLock;
 use crate::hardware::machine::HardwareError;
 use crate::hardware::pins::map::LineMap;
@@ -39,9 +38,6 @@ pub struct Rt {
     /// Write the histograms as one SVG drawing (`-`: standard output).
     #[arg(long)]
     svg: Option<PathBuf>,
-    /// Skip the comparison with `cyclictest`.
-    #[arg(long)]
-    alone: bool,
 }
 
 /// Runs the command.
@@ -64,9 +60,6 @@ pub fn run(command: &Bench) -> Result<CommandOutcome> {
     output::print(format!("through {through}\n{}\n", bench.table()));
     if let Some(path) = &args.svg {
         output::write(path, bench.svg())?;
-    }
-    if !args.alone {
-        compare(&bench);
     }
     Ok(bench.is_good().into())
 }
@@ -102,21 +95,4 @@ fn measure<P: Pins + 'static>(config: &RtBenchConfig, pins: P) -> Result<RtBench
         Err(StartError::Config(e)) => Err(miette!("{e}")),
         Err(e) => Err(e).into_diagnostic(),
     }
-}
-
-/// Prints the latency that `cyclictest` measures at the same priority, and the ratio.
-fn compare(bench: &RtBench) {
-    let RtBenchConfig { stepper, rate_hz, load_threads, .. } = bench.config;
-    let text = match cyclictest::run(stepper.priority, rate_hz, 10.0, load_threads) {
-        Ok(theirs) => {
-            let ours = bench.steps.wake.quantile_ns(0.999) as f64 * 1e-3;
-            let (p999, most) = (theirs.p999_us, theirs.max_us);
-            let ratio = ours / p999.max(1.0);
-            format!(
-                "cyclictest at the same priority: p99.9 {p999:.0} µs, maximum {most:.0} µs; p99.9 of the wake-up lateness {ours:.1} µs, ratio {ratio:.2}\n"
-            )
-        }
-        Err(why) => format!("cyclictest: {why}\n"),
-    };
-    output::print(&text);
 }

@@ -2,8 +2,8 @@
 
 use crate::cli::gap::rows::read;
 use crate::cli::{CommandOutcome, output};
-use crate::config::{Calibration, DynamicsSection, TransmissionSection};
-use crate::diagnosis::fleet::row::{self, Row};
+use crate::config::Calibration;
+use crate::diagnosis::fleet::row::{self, GAINS, Row};
 use crate::diagnosis::fleet::{Finding, Lot, Survey};
 use crate::log::columns;
 use crate::report::bars::{self, Bar};
@@ -13,8 +13,8 @@ use miette::{IntoDiagnostic, Result, bail, miette};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Least standard deviation that the prior states: more certainty than a calibration needs.
-const SIGMA_MIN: f64 = 0.001;
+/// Least value and least standard deviation in a prior.
+const LEAST: f64 = 0.001;
 
 /// Arguments of `fleet`.
 #[derive(Debug, clap::Args)]
@@ -73,28 +73,21 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
 
 /// A calibration file of the fleet's gains and their spread.
 fn prior(survey: &Survey) -> Result<Calibration> {
-    let none = || miette!("--prior: no log of these tables is without an effect, so that nothing is known of a sound unit");
-    let rounded = |gain: &[f64; 2]| gain.map(|x| (x * 1e4).round() / 1e4);
-    let of = |name: &str| survey.gains.get(name).map(rounded).ok_or_else(none);
-    let each = |name: &str, unit: &str| -> Result<[[f64; 3]; 2]> {
-        let [a, b, c] = [of(&format!("{name}_1{unit}"))?, of(&format!("{name}_2{unit}"))?, of(&format!("{name}_3{unit}"))?];
-        Ok([[a[0], b[0], c[0]], [a[1], b[1], c[1]].map(|sigma| sigma.max(SIGMA_MIN))])
-    };
-    let ([k_epsilon, k_epsilon_sigma], [k_lambda_mm, k_lambda_sigma_mm]) = (each("k_epsilon", "")?, each("k_lambda", "_mm")?);
-    let sound = survey.lots[0].shares.iter().find(|(name, _)| name == "none").map_or(0.0, |(_, share)| share * survey.lots[0].logs as f64);
-    let source = format!("median and spread of {sound:.0} logs without an effect");
-    Ok(Calibration {
-        transmission: TransmissionSection {
-            k_epsilon,
-            k_lambda_mm,
-            k_epsilon_sigma,
-            k_lambda_sigma_mm,
-            source,
-            ..TransmissionSection::default()
-        },
-        dynamics: DynamicsSection { lag_s: of("lag_s")?[0].max(0.001), ..DynamicsSection::default() },
-        ..Calibration::default()
-    })
+    let mut gains = Vec::new();
+    for name in GAINS {
+        let gain = survey.gains.get(name).ok_or_else(|| miette!("--prior: no log of these tables is without an effect"))?;
+        gains.push(gain.map(|x| (x * 1e4).round() / 1e4));
+    }
+    let [value, sigma] = [0, 1].map(|k| move |gain: &[f64; 2]| gain[k].max(LEAST));
+    let mut prior = Calibration::default();
+    let transmission = &mut prior.transmission;
+    for i in 0..3 {
+        (transmission.k_epsilon[i], transmission.k_epsilon_sigma[i]) = (value(&gains[i]), sigma(&gains[i]));
+        (transmission.k_lambda_mm[i], transmission.k_lambda_sigma_mm[i]) = (value(&gains[3 + i]), sigma(&gains[3 + i]));
+    }
+    transmission.source = format!("median and spread of the sound ones of {} logs", survey.lots[0].logs);
+    prior.dynamics.lag_s = value(&gains[6]);
+    Ok(prior)
 }
 
 /// A finding in words.
@@ -104,10 +97,8 @@ fn words(f: &Finding) -> String {
         false => (format!("{:.0} %", f.here * 100.0), format!("{:.0} %", f.elsewhere * 100.0)),
     };
     let lot = f.lot.as_ref().map_or("each lot".to_owned(), |lot| format!("lot {lot}"));
-    match f.drifts {
-        false => format!("{}: {here} in {lot}, {elsewhere} elsewhere (p = {:.1e})", f.what, f.p),
-        true => format!("{}: {here} in the later half of {lot}, {elsewhere} in the earlier (p = {:.1e})", f.what, f.p),
-    }
+    let sides = if f.drifts { ["the later half of ", "the earlier"] } else { ["", "the others"] };
+    format!("{}: {here} in {}{lot}, {elsewhere} in {} (p = {:.1e})", f.what, sides[0], sides[1], f.p)
 }
 
 fn summary(survey: &Survey) -> String {

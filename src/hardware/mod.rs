@@ -1,7 +1,6 @@
 //! Devices: everything that touches a pin, a bus, the clock or the scheduler.
 
 pub mod bench_rt;
-pub mod cyclictest;
 pub mod imu;
 pub mod lock;
 pub mod machine;

@@ -70,7 +70,7 @@ impl<K: Kernel> Pins for CdevPins<K> {
         let bits = self.map.output_bits(levels);
         let mask = bits ^ self.bits;
         if mask != 0 {
-            self.kernel.set(&self.outputs, mask, bits).map_err(|source| PinError::Io { what: "write", source })?;
+            self.kernel.set(&self.outputs, mask, bits).map_err(PinError::io("write"))?;
             self.bits = bits;
         }
         Ok(())
@@ -85,14 +85,14 @@ impl<K: Kernel> Pins for CdevPins<K> {
         if mask == 0 {
             return Ok(());
         }
-        let found = self.kernel.get(&self.outputs, mask).map_err(|source| PinError::Io { what: "read", source })?;
+        let found = self.kernel.get(&self.outputs, mask).map_err(PinError::io("read"))?;
         self.map.compare_enable(self.bits, found)
     }
 
     fn read(&mut self) -> Result<Inputs, PinError> {
         let Some(lines) = &self.inputs else { return Ok(Inputs::default()) };
         let mask = (1_u64 << self.map.inputs().len()) - 1;
-        let bits = self.kernel.get(lines, mask).map_err(|source| PinError::Io { what: "read", source })?;
+        let bits = self.kernel.get(lines, mask).map_err(PinError::io("read"))?;
         Ok(self.map.inputs_from(bits))
     }
 }
@@ -120,7 +120,7 @@ fn open_error(error: io::Error, path: &str) -> PinError {
         (io::ErrorKind::NotFound, _) => PinError::NoChip { path: path.into() },
         (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied { path: path.into() },
         (_, Some(libc::ENOTTY | libc::EINVAL | libc::ENODEV)) => PinError::NotAChip { path: path.into() },
-        _ => PinError::Io { what: "open", source: error },
+        _ => PinError::io("open")(error),
     }
 }
 
@@ -137,7 +137,7 @@ fn request<K: Kernel>(kernel: &K, chip: &K::Chip, path: &str, request: &Request)
         }
         (_, Some(libc::ENOTTY | libc::EINVAL)) => PinError::NotAChip { path: path.into() },
         (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied { path: path.into() },
-        _ => PinError::Io { what: "request", source: error },
+        _ => PinError::io("request")(error),
     })
 }
 

@@ -79,6 +79,13 @@ pub enum PinError {
     },
 }
 
+impl PinError {
+    /// The error of a system call in an operation.
+    pub fn io(what: &'static str) -> impl Fn(std::io::Error) -> Self {
+        move |source| Self::Io { what, source }
+    }
+}
+
 fn level(high: bool) -> &'static str {
     if high { "high" } else { "low" }
 }

@@ -57,7 +57,7 @@ fn pin_error(error: Error, pin: u32) -> PinError {
         Error::PinNotAvailable(_) => PinError::NoLine { chip: "this board".into(), pin, lines: 54 },
         Error::PermissionDenied(path) => PinError::PermissionDenied { path },
         Error::Io(source) if source.kind() == std::io::ErrorKind::PermissionDenied => PinError::PermissionDenied { path: DEVICE.into() },
-        Error::Io(source) => PinError::Io { what: "open", source },
+        Error::Io(source) => PinError::io("open")(source),
         Error::ThreadPanic => PinError::Pin { what: "open", why: "a thread of the GPIO library has panicked".into() },
     }
 }

@@ -31,9 +31,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for AccelBias {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut ImuPrediction) {
         reading.acc_m_s2 += Vector3::new(p[0], p[1], p[2]);
     }

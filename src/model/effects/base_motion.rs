@@ -46,9 +46,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for BaseMotion {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     /// One slow turn from the beginning, then knocks at several times.
     fn starts(&self) -> Starts {
         let none = |t_s: f64| [t_s, 2.0, 0.0, 0.0, 0.0];

@@ -38,9 +38,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for CableStiffness {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
         let grown = pose.bend.norm() / REACH_RAD - 0.75;
         let (a, b) = (p[0] + p[2] * grown, p[1] + p[3] * grown);

@@ -33,9 +33,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Clocking {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     /// One bellow is off its place, or all are alike: the part of the angles that the nearest of these four forms leaves.
     fn unusual(&self, p: &[f64]) -> f64 {
         let size = p.iter().map(|a| a * a).sum::<f64>();

@@ -49,9 +49,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Contact {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     /// Eight directions: a wall that the tip does not touch has no gradient towards its true direction.
     fn starts(&self) -> Starts {
         (-3..=4).map(|k| vec![f64::from(k) * FRAC_PI_4, 0.45, 0.4, 0.04, 0.05]).collect()

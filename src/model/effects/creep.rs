@@ -41,9 +41,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Creep {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     /// Memory holds the two elements of each bellow.
     fn bellows(&self, p: &[f64], m: &mut Memory, at: &Moment, q_mm: &mut Vector3<f64>) {
         let (fast, slow) = (share(at.dt_s / p[2]), share(at.dt_s / (DECADE * p[2])));

@@ -39,9 +39,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Crosstalk {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn play_output(&self, p: &[f64], _m: &mut Memory, _at: &Moment, w_mm: &mut Vector3<f64>) {
         let pressed = w_mm.map(|w| positive(w, EDGE_MM));
         for ((from, to), c) in PAIRS.iter().zip(p) {

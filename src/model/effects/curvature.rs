@@ -37,9 +37,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Curvature {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
         let x = pose.bend.norm() / REACH_RAD;
         pose.bend *= 1.0 + p[0] * (x - 0.75) + p[1] * (x * x - 4.0 / 3.0 * x + 0.4);

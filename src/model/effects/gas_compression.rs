@@ -35,9 +35,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for GasCompression {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn play_output(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let full = 1.0 + at.k_epsilon[i];

@@ -40,9 +40,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for GearPeriodic {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn pistons(&self, p: &[f64], _m: &mut Memory, _at: &Moment, u_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let (sin, cos) = (TAU * u_mm[i] / p[6]).sin_cos();

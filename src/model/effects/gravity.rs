@@ -40,9 +40,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Gravity {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn shape(&self, p: &[f64], _m: &mut Memory, at: &Moment, pose: &mut Pose) {
         pose.bend -= lift(&pose.bend, &at.up_base, p[1]) * p[0];
     }

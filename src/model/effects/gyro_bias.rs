@@ -40,9 +40,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for GyroBias {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn sensor(&self, p: &[f64], _m: &mut Memory, at: &Moment, reading: &mut ImuPrediction) {
         let next = KNOTS_S.iter().position(|&k| at.t_s < k);
         let (from, to, share) = match next {

@@ -30,9 +30,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for HardIron {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn sensor(&self, p: &[f64], _m: &mut Memory, _at: &Moment, reading: &mut ImuPrediction) {
         reading.mag_ut += Vector3::new(p[0], p[1], p[2]);
     }

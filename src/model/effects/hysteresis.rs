@@ -50,9 +50,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Hysteresis {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     /// Memory holds the six plays of each bellow.
     fn bellows(&self, p: &[f64], m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         let whole = 1.0 + 2.0 * (p[0] + p[1] + p[2]);

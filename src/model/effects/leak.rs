@@ -41,9 +41,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Leak {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn play_output(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             let left_mm = w_mm[i] + m.0[i];

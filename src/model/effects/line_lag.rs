@@ -36,9 +36,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for LineLag {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     /// Memory holds where the far end of each line stands.
     fn play_output(&self, p: &[f64], m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         for i in 0..3 {

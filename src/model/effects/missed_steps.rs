@@ -53,9 +53,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for MissedSteps {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn starts(&self) -> Starts {
         let at = |t_s: [f64; 4]| {
             let offsets = [[0.2, 0.0, -0.2], [0.0; 3], [0.0; 3], [0.0; 3]];

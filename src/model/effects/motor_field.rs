@@ -52,9 +52,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for MotorField {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     /// A current that falls early, later and practically never: a fit does not recover from too early a fall.
     fn starts(&self) -> Starts {
         let after = |s: f64| [vec![0.1; 18], vec![0.5, s]].concat();

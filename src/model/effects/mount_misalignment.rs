@@ -31,9 +31,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for MountMisalignment {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn mount(&self, p: &[f64]) -> Option<UnitQuaternion<f64>> {
         let turn = Vector3::new(p[0], p[1], p[2]);
         (turn != Vector3::zeros()).then(|| UnitQuaternion::from_scaled_axis(turn))

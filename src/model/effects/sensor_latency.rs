@@ -29,9 +29,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for SensorLatency {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn latency_s(&self, p: &[f64]) -> f64 {
         p[0]
     }

@@ -51,9 +51,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Softening {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn starts(&self) -> Starts {
         [(1.0, 0.1), (4.0, 0.1), (3.0, 0.6)].map(|(reach, rejoin)| vec![0.15, 0.15, 0.15, reach, rejoin, 0.005, 0.8, 0.1]).to_vec()
     }

@@ -39,9 +39,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Stiffening {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn bellows(&self, p: &[f64], _m: &mut Memory, _at: &Moment, q_mm: &mut Vector3<f64>) {
         for i in 0..3 {
             q_mm[i] = root(q_mm[i], p[i] / (REACH_MM * REACH_MM));

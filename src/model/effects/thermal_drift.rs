@@ -34,9 +34,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for ThermalDrift {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn play_output(&self, p: &[f64], _m: &mut Memory, at: &Moment, w_mm: &mut Vector3<f64>) {
         let warm = -(-at.t_s / p[3]).exp_m1();
         *w_mm += Vector3::new(p[0], p[1], p[2]) * warm;

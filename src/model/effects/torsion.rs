@@ -33,9 +33,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for Torsion {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
         let beta = pose.bend.norm();
         pose.twist += beta * (p[0] + p[1] * beta);

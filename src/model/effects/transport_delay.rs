@@ -29,9 +29,7 @@ const INFO: EffectInfo = EffectInfo {
 };
 
 impl Effect for TransportDelay {
-    fn info(&self) -> &'static EffectInfo {
-        &INFO
-    }
+    info!();
     fn transport_s(&self, p: &[f64]) -> f64 {
         p[0]
     }
