@@ -47,6 +47,8 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     short_logs(folder);
+    // a circle of links
+    std::os::unix::fs::symlink("..", folder.join("logs/a/up")).unwrap();
     let text = good(folder, "gap diagnose logs --rows all.parquet");
     assert!(text.contains("6 logs, 6 of them diagnosed now; 1 cannot be diagnosed"), "{text}");
     let whole = std::fs::read(folder.join("all.parquet")).unwrap();
@@ -59,7 +61,7 @@ fn a_killed_run_resumes_and_shards_merge_to_the_same_table() {
     assert!(good(folder, "gap diagnose logs --rows all.parquet").contains("6 logs, 0 of them diagnosed now"));
 
     // killed as soon as the first row is kept
-    let journal = folder.join("killed.journal");
+    let journal = folder.join("killed.parquet.journal");
     let mut run = retroflex(folder, "gap diagnose logs --rows killed.parquet").stderr(Stdio::null()).spawn().unwrap();
     while std::fs::read_to_string(&journal).is_ok_and(|text| text.lines().count() < 2) || !journal.exists() {
         assert!(run.try_wait().unwrap().is_none(), "it ended before it was killed");
@@ -117,7 +119,7 @@ fn dask_gives_the_same_rows_although_a_worker_dies() {
     let example = repo("examples/fleet_dask.py");
     let mut run = start(&[example.to_str().unwrap(), "logs", "dask.parquet", "--parts", "4", "--scheduler", &address]);
     // in the middle: some part has a row
-    let parts = || (1..=4).map(|k| folder.join(format!("dask.{k}.journal")));
+    let parts = || (1..=4).map(|k| folder.join(format!("dask.{k}.parquet.journal")));
     let begun = Instant::now();
     while !parts().any(|journal| std::fs::read_to_string(journal).is_ok_and(|text| text.lines().count() > 1)) {
         assert!(begun.elapsed() < Duration::from_secs(120) && run.0.try_wait().unwrap().is_none(), "no part began");

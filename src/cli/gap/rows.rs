@@ -9,6 +9,7 @@ use crate::diagnosis::diagnose::diagnose;
 use crate::diagnosis::fleet::row::{self, Row};
 use crate::diagnosis::rig::Rig;
 use crate::log::columns;
+use crate::log::error::why_unreadable;
 use crate::model::Line;
 use crate::model::effects::catalogue;
 use crate::service::flight::cycle::fnv;
@@ -86,7 +87,7 @@ pub fn run(logs: &[PathBuf], settings: &Settings, args: &RowsArgs, table: &Path)
     let text = format!("{} {:?} {:?} {}", env!("CARGO_PKG_VERSION"), settings.rig, settings.lines, settings.seed);
     let hash = format!("{:016x}", fnv(text.into_bytes()));
     let mut tasks = tasks(logs, args)?;
-    let journal = table.with_extension("journal");
+    let journal = table.with_added_extension("journal");
     let known = known(table, &journal)?;
     let mut open = Vec::new();
     for task in &mut tasks {
@@ -113,11 +114,11 @@ fn tasks(logs: &[PathBuf], args: &RowsArgs) -> Result<Vec<Task>> {
     let mut tasks = Vec::new();
     for path in logs {
         let folder = if path.is_dir() { path } else { path.parent().unwrap_or(path) };
-        collect(path, folder, &mut tasks).map_err(|(path, e)| miette!("{}: {e}", path.display()))?;
+        collect(path, folder, &mut tasks)?;
     }
     tasks.sort_by(|a, b| a.row.log.cmp(&b.row.log));
     if let Some([a, b]) = tasks.windows(2).find(|two| two[0].row.log == two[1].row.log) {
-        bail!("{} and {} have the same name; give the folder that holds both", a.path.display(), b.path.display());
+        bail!("{:?} and {:?} have the same name; give the folder that holds both", a.path, b.path);
     }
     if let Some(units) = &args.units {
         let file = units.display();
@@ -139,11 +140,15 @@ fn tasks(logs: &[PathBuf], args: &RowsArgs) -> Result<Vec<Task>> {
 }
 
 /// Every log at or below a path. Unless a table says otherwise, the file is the unit and its folder the lot.
-fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> std::result::Result<(), (PathBuf, std::io::Error)> {
-    let failed = |e| (path.to_owned(), e);
+fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> Result<()> {
+    let failed = |e| miette!("{}: {e}", path.display());
     if path.is_dir() {
         for entry in fs::read_dir(path).map_err(failed)? {
-            collect(&entry.map_err(failed)?.path(), folder, into)?;
+            let path = entry.map_err(failed)?.path();
+            // a link to a folder may lead in a circle
+            if !(path.is_symlink() && path.is_dir()) {
+                collect(&path, folder, into)?;
+            }
         }
         return Ok(());
     }
@@ -159,10 +164,9 @@ fn collect(path: &Path, folder: &Path, into: &mut Vec<Task>) -> std::result::Res
 /// Rows of an earlier run, by log: those of its table, and those of its journal if it did not end.
 fn known(table: &Path, journal: &Path) -> Result<HashMap<String, Row>> {
     let mut rows = if table.is_file() { read(table)? } else { Vec::new() };
-    if let Ok(text) = fs::read_to_string(journal) {
-        // a row that was being written as the run ended is no row
-        rows.extend(text.lines().filter_map(|line| serde_json::from_str::<Row>(line).ok()));
-    }
+    let lines = fs::read(journal).unwrap_or_default();
+    // a row that was being written as the run ended is no row
+    rows.extend(lines.split(|b| *b == b'\n').filter_map(|line| serde_json::from_slice::<Row>(line).ok()));
     Ok(rows.into_iter().map(|row| (row.log.clone(), row)).collect())
 }
 
@@ -172,9 +176,11 @@ fn known(table: &Path, journal: &Path) -> Result<HashMap<String, Row>> {
 /// A report that names the file.
 pub fn read(table: &Path) -> Result<Vec<Row>> {
     let file = table.display();
-    let columns = File::open(table).map_err(|e| miette!("{file}: {e}"))?;
-    let columns = columns::read(columns).map_err(|e| miette!("{file}: this is no table of `gap diagnose --rows`: {e}"))?;
-    row::rows(&columns).map_err(|e| miette!("{file}: this is no table of `gap diagnose --rows`: {e}"))
+    let other = |why: &str| miette!("{file}: this is no table of `gap diagnose --rows`: {why}");
+    let open = File::open(table).map_err(|e| miette!("{file}: {}", why_unreadable(table, &e)))?;
+    let columns = columns::read(open).map_err(|e| other(&e.to_string()))?;
+    let rows = row::rows(&columns).map_err(|e| other(&e.to_string()))?;
+    if rows.iter().any(|row| row.log.is_empty()) { Err(other("it has no column `log`")) } else { Ok(rows) }
 }
 
 /// Fills in the rows, one log a core at a time.
@@ -184,15 +190,15 @@ fn diagnose_all(settings: &Settings, open: Vec<&mut Task>, journal: &Path) -> Re
     // ends a row that was being written as an earlier run ended
     file.write_all(b"\n").map_err(failed)?;
     let bar = output::bar(open.len() as u64, "{pos} of {len} logs, {eta} left,");
-    let (open, file) = (Mutex::new(open.into_iter()), Mutex::new(file));
+    let open = Mutex::new(open.into_iter());
     let work = || -> std::io::Result<()> {
         // cores share logs out, not the parts of one log: that scales better and holds few logs in memory
         let pool = ThreadPoolBuilder::new().num_threads(1).build().map_err(std::io::Error::other)?;
         while let Some(task) = next(&open) {
             pool.install(|| diagnose_one(settings, task));
             let line = serde_json::to_string(&task.row)? + "\n";
-            let mut file = file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-            file.write_all(line.as_bytes())?;
+            // one call appends one row
+            (&file).write_all(line.as_bytes())?;
             file.sync_data()?;
             bar.inc(1);
         }
