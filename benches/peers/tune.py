@@ -1,0 +1,81 @@
+"""Chooses the settings of the peers: `target/peers/bin/python benches/peers/tune.py target/release/examples/plant_server`.
+
+One setting after the other takes the value with the least error, twice round. The error is the geometric mean, over the nominal
+condition and some of the sweep, of the RMS over two units of the twin that `accuracy.py` does not score. Three directions of the
+schedule keep this short.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+
+from accuracy import CONDITIONS, Case
+from controllers import Broyden, Controller, Mpc, SlowPi
+from trial import Run, together
+
+UNITS = (101, 102)
+TUNED = ("nominal", "line lag 0.6 s", "dead time 0.12 s", "respiration 3°")
+DIRECTIONS = 3
+
+Settings = dict[str, float]
+
+ESTIMATOR = {"gain": (0.1, 0.25, 0.5, 1.0, 2.0), "acceleration": (10.0, 90.0), "magnetic": (10.0, 90.0)}
+GRIDS: dict[str, tuple[Callable[..., Controller], dict[str, tuple[float, ...]]]] = {
+    "Python stack": (
+        SlowPi,
+        {"ki": (1.0, 2.0, 4.0, 6.0), "kp": (0.0, 0.1, 0.3), "band_mm": (0.05, 0.2, 0.5, 2.0), "wait_s": (0.05, 0.1, 0.2)},
+    ),
+    "Broyden": (
+        Broyden,
+        {"gain_per_s": (2.0, 4.0, 6.0), "forgetting": (0.1, 0.3, 0.6), "band_mm": (0.05, 0.2, 0.5, 2.0), "wait_s": (0.05, 0.1, 0.2)},
+    ),
+    "MPC": (
+        Mpc,
+        {"observer": (0.02, 0.05, 0.1, 0.2), "effort": (1e-7, 1e-6, 1e-5), "band_mm": (0.05, 0.2, 0.5, 2.0)},
+    ),
+}
+
+
+def error(server: str, make: Callable[..., Controller], settings: Settings, estimator: Settings) -> float:
+    """The logarithm of the error with these settings."""
+    total = 0.0
+    for condition in TUNED:
+        plants = [Case(condition, unit).command(server) for unit in UNITS]
+        runs = [Run(plant, make(**settings), tuple(estimator.values()), DIRECTIONS) for plant in plants]
+        total += math.log(math.sqrt(sum(e * e for e in together(runs)) / len(runs)))
+    return total / len(TUNED)
+
+
+def descend(name: str, grid: dict[str, tuple[float, ...]], start: Settings, score: Callable[[Settings], Callable]) -> Settings:
+    """Settings that no change of a single one makes better, as far as two rounds find them."""
+    best, known = dict(start), {}
+    for _ in range(2):
+        for key, values in grid.items():
+            trials = {value: best | {key: value} for value in values}
+            jobs = {v: score(t) for v, t in trials.items() if tuple(t.values()) not in known}
+            known |= {tuple(trials[v].values()): job.result() for v, job in jobs.items()}
+            errors = {v: known[tuple(t.values())] for v, t in trials.items()}
+            best[key] = min(errors, key=errors.get)
+            print(name, key, ", ".join(f"{v}: {math.exp(e):.3f}°" for v, e in errors.items()), flush=True)
+    return best
+
+
+def main() -> None:
+    server = sys.argv[1]
+    assert all(condition in CONDITIONS for condition in TUNED)
+    with ProcessPoolExecutor() as pool:
+        loop = {"ki": 2.0, "kp": 0.1, "band_mm": 0.2, "wait_s": 0.1}
+        start = {"gain": 0.5, "acceleration": 10.0, "magnetic": 10.0}
+        estimator = descend("estimator", ESTIMATOR, start, lambda s: pool.submit(error, server, SlowPi, loop, s))
+        print("estimator:", estimator)
+        for name, (make, grid) in GRIDS.items():
+            start = {key: values[1] for key, values in grid.items()}
+            chosen = descend(name, grid, start, lambda s, make=make: pool.submit(error, server, make, s, estimator))
+            print(f"{name}:", chosen, flush=True)
+
+
+if __name__ == "__main__":
+    main()
