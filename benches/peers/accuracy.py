@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
-from context import Context, Unavailable, answer
+from context import Context, Unavailable, answer, pool
 from controllers import K_EPSILON, K_LAMBDA_MM
 from peers import ESTIMATOR, PEERS
 from table import Row, markdown
@@ -77,8 +77,8 @@ def measure(context: Context) -> list[Row]:
     cases = [Case(c, unit) for c in conditions for unit in _units(c, context.quick)]
     calib = calibration(context.work)
     results: dict[Case, dict[str, float]] = {}
-    with ProcessPoolExecutor() as pool:
-        jobs = {pool.submit(drive, program, case.command(server), calib): case for case in cases}
+    with pool() as workers:
+        jobs = {workers.submit(drive, program, case.command(server), calib): case for case in cases}
         for job in as_completed(jobs):
             case = jobs[job]
             results[case] = job.result()

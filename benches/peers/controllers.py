@@ -20,6 +20,7 @@ K_EPSILON = (2.22, 2.53, 2.21)
 K_LAMBDA_MM = (0.87, 0.92, 0.81)
 R_MM = 7.0 / math.sqrt(3.0)
 LAG_S = 0.03
+DEG, PER_G = 180 / math.pi, 1 / 9.80665
 SPEED_MM_S, ACCELERATION_MM_S2, TRAVEL_MM = 30.0, 600.0, 30.0
 # what each bellow shortens by for a bend vector is R_MM times this
 SPOKES = tuple((math.cos(2 * math.pi * i / 3), -math.sin(2 * math.pi * i / 3)) for i in range(3))
@@ -118,7 +119,7 @@ class Estimator:
         """A sample; the field is held between its samples. Returns the orientation."""
         if mag is not None:
             self._mag = np.array(mag)
-        self._ahrs.update(np.degrees(gyr) - self._bias, np.array(acc) / 9.80665, self._mag)
+        self._ahrs.update(np.array(gyr) * DEG - self._bias, np.array(acc) * PER_G, self._mag)
         return self._ahrs.get_quaternion()
 
     def learn_rest(self, quaternion: np.ndarray) -> None:
@@ -237,41 +238,49 @@ class Broyden:
     """Model-free Jacobian control: the Jacobian starts at that of the calibration and follows Broyden's update.
 
     A new set-point is approached by one whole Newton step. Once the pistons have arrived, what is left is taken out by a share
-    every period, and each motion since the last arrival corrects the Jacobian.
+    every period. The Jacobian learns from the motion between the ends of two states, where lag and dead time have passed, and
+    stays within half of the calibrated one, so that it cannot become singular.
     """
 
-    def __init__(self, gain_per_s: float, forgetting: float, band_mm: float, wait_s: float, period_s: float = 0.04) -> None:
-        self.period_s = period_s
-        self._share, self._forgetting = gain_per_s * period_s, forgetting
+    period_s = 0.04
+
+    def __init__(self, gain_per_s: float, forgetting: float, band_mm: float, wait_s: float) -> None:
+        self._share, self._forgetting = gain_per_s * self.period_s, forgetting
         self._backlash = Backlash(band_mm)
-        self._arrival = Arrival(period_s, wait_s)
-        self._jacobian = JACOBIAN.copy()
-        self._target = np.zeros(2)
+        self._arrival = Arrival(self.period_s, wait_s)
+        self._jacobian = JACOBIAN
+        self._target, self._seen = np.zeros(2), np.zeros(2)
         self._wanted = np.zeros(3)
         self._goal: Pistons = (0.0, 0.0, 0.0)
-        self._known = (np.zeros(2), np.zeros(3))
+        self._known = (self._seen, self._wanted)
 
     def aim(self, bend: Bend) -> None:
+        self._learn()
         self._go(np.array(bend) - self._target)
         self._target = np.array(bend)
         self._arrival.restart()
 
+    def _learn(self) -> None:
+        """Broyden's update from the last two states."""
+        moved = self._wanted - self._known[1]
+        length_sq = moved @ moved
+        if length_sq > LEAST_MOVE_MM**2:
+            surprise = self._seen - self._known[0] - self._jacobian @ moved
+            change = self._jacobian + self._forgetting * np.outer(surprise, moved) / length_sq - JACOBIAN
+            most = 0.5 * np.linalg.norm(JACOBIAN, 2)
+            self._jacobian = JACOBIAN + change * min(1.0, most / max(np.linalg.norm(change, 2), 1e-12))
+        self._known = (self._seen, self._wanted)
+
     def _go(self, change: np.ndarray) -> None:
-        """Moves the bend by `change`, and takes out the common part of the bellow lengths, which the bend does not need."""
-        lengths = (self._wanted + np.linalg.pinv(self._jacobian, rcond=0.01) @ change) / STRETCH
-        self._wanted = (lengths - lengths.mean()) * STRETCH
+        """Moves the bend by `change` at constant mean length of the bellows."""
+        square = np.vstack([self._jacobian, 1 / STRETCH])
+        self._wanted = self._wanted + np.linalg.solve(square, [*change, -(self._wanted / STRETCH).sum()])
         self._goal = self._backlash.pistons(self._wanted)
 
     def update(self, bend: Bend, pistons: Sequence[float]) -> Pistons:
+        self._seen = np.array(bend)
         if self._arrival.settled(self._goal, pistons):
-            seen = np.array(bend)
-            moved = self._wanted - self._known[1]
-            length_sq = moved @ moved
-            if length_sq > LEAST_MOVE_MM**2:
-                surprise = seen - self._known[0] - self._jacobian @ moved
-                self._jacobian = self._jacobian + self._forgetting * np.outer(surprise, moved) / length_sq
-                self._known = (seen, self._wanted)
-            self._go(self._share * (self._target - seen))
+            self._go(self._share * (self._target - self._seen))
         return self._goal
 
 
@@ -287,8 +296,8 @@ class Mpc:
     effort: float
     band_mm: float
     period_s: float = 0.02
-    horizon: int = 15
-    iterations: int = 25
+    horizon: int = 10
+    iterations: int = 15
     _target: np.ndarray = field(default_factory=lambda: np.zeros(2))
     _wanted: np.ndarray = field(default_factory=lambda: np.zeros(3))
     _play: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -331,7 +340,7 @@ class Mpc:
         moves = np.concatenate([self._moves[3:], np.zeros(3)])
         ahead, weight = moves, 1.0
         for _ in range(self.iterations):
-            following = np.clip(ahead - self._step * (self._hessian @ ahead - linear), -most, most)
+            following = np.minimum(np.maximum(ahead - self._step * (self._hessian @ ahead - linear), -most), most)
             heavier = (1 + math.sqrt(1 + 4 * weight * weight)) / 2
             ahead = following + (weight - 1) / heavier * (following - moves)
             moves, weight = following, heavier

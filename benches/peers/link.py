@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 from dataclasses import dataclass
+
+import orjson
 
 Vector = list[float]
 
@@ -24,7 +25,7 @@ class Plant:
 
     def __init__(self, command: list[str]) -> None:
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        hello = json.loads(self._process.stdout.readline())
+        hello = orjson.loads(self._process.stdout.readline())
         self.period_s: float = hello["imu_period_s"]
         self.step_mm: float = hello["step_mm"]
         self._n = 0
@@ -38,7 +39,7 @@ class Plant:
 
     def receive(self) -> Reading:
         """The reading at the end of the period."""
-        answer = json.loads(self._process.stdout.readline())
+        answer = orjson.loads(self._process.stdout.readline())
         imu = answer["imu"]
         return Reading(imu["acc"], imu["gyr"], imu["mag"], answer["ref"]["quat"])
 

@@ -1,7 +1,7 @@
-"""Chooses the settings of the peers: `target/peers/bin/python benches/peers/tune.py target/release/examples/plant_server`.
+"""Chooses the settings of the peers: `target/peers/bin/python benches/peers/tune.py SERVER [PEER…]`.
 
-One setting after the other takes the value with the least error, twice round. The error is the geometric mean, over the nominal
-condition and some of the sweep, of the RMS over two units of the twin that `accuracy.py` does not score. Three directions of the
+SERVER is the built example `plant_server`. One setting after the other takes the value with the least error, twice round. The error is the geometric mean, over the nominal
+condition and some of the sweep, of the RMS over two units of the twin that `accuracy.py` does not score. Two directions of the
 schedule keep this short.
 """
 
@@ -10,15 +10,15 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 
 from accuracy import CONDITIONS, Case
+from context import pool
 from controllers import Broyden, Controller, Mpc, SlowPi
 from trial import Run, together
 
 UNITS = (101, 102)
 TUNED = ("nominal", "line lag 0.6 s", "dead time 0.12 s", "respiration 3°")
-DIRECTIONS = 3
+DIRECTIONS = 2
 
 Settings = dict[str, float]
 
@@ -26,15 +26,20 @@ ESTIMATOR = {"gain": (0.1, 0.25, 0.5, 1.0, 2.0), "acceleration": (10.0, 90.0), "
 GRIDS: dict[str, tuple[Callable[..., Controller], dict[str, tuple[float, ...]]]] = {
     "Python stack": (
         SlowPi,
-        {"ki": (1.0, 2.0, 4.0, 6.0), "kp": (0.0, 0.1, 0.3), "band_mm": (0.05, 0.2, 0.5, 2.0), "wait_s": (0.05, 0.1, 0.2)},
+        {"ki": (1.0, 2.0, 4.0, 6.0), "kp": (0.0, 0.1, 0.3), "band_mm": (0.2, 0.5, 2.0, 5.0), "wait_s": (0.1, 0.2, 0.3)},
     ),
     "Broyden": (
         Broyden,
-        {"gain_per_s": (2.0, 4.0, 6.0), "forgetting": (0.1, 0.3, 0.6), "band_mm": (0.05, 0.2, 0.5, 2.0), "wait_s": (0.05, 0.1, 0.2)},
+        {
+            "gain_per_s": (1.0, 2.0, 3.0, 4.0),
+            "forgetting": (0.1, 0.3, 0.6, 1.0),
+            "band_mm": (0.2, 0.5, 2.0, 5.0),
+            "wait_s": (0.1, 0.2, 0.3),
+        },
     ),
     "MPC": (
         Mpc,
-        {"observer": (0.02, 0.05, 0.1, 0.2), "effort": (1e-7, 1e-6, 1e-5), "band_mm": (0.05, 0.2, 0.5, 2.0)},
+        {"observer": (0.02, 0.05, 0.1, 0.2), "effort": (1e-7, 1e-6, 1e-5), "band_mm": (0.2, 0.5, 2.0, 5.0)},
     ),
 }
 
@@ -66,14 +71,16 @@ def descend(name: str, grid: dict[str, tuple[float, ...]], start: Settings, scor
 def main() -> None:
     server = sys.argv[1]
     assert all(condition in CONDITIONS for condition in TUNED)
-    with ProcessPoolExecutor() as pool:
+    with pool() as workers:
         loop = {"ki": 2.0, "kp": 0.1, "band_mm": 0.2, "wait_s": 0.1}
         start = {"gain": 0.5, "acceleration": 10.0, "magnetic": 10.0}
-        estimator = descend("estimator", ESTIMATOR, start, lambda s: pool.submit(error, server, SlowPi, loop, s))
+        estimator = descend("estimator", ESTIMATOR, start, lambda s: workers.submit(error, server, SlowPi, loop, s))
         print("estimator:", estimator)
         for name, (make, grid) in GRIDS.items():
+            if len(sys.argv) > 2 and name not in sys.argv[2:]:
+                continue
             start = {key: values[1] for key, values in grid.items()}
-            chosen = descend(name, grid, start, lambda s, make=make: pool.submit(error, server, make, s, estimator))
+            chosen = descend(name, grid, start, lambda s, make=make: workers.submit(error, server, make, s, estimator))
             print(f"{name}:", chosen, flush=True)
 
 
