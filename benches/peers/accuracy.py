@@ -15,7 +15,7 @@ from pathlib import Path
 
 from context import Context, Unavailable, answer, pool
 from controllers import K_EPSILON, K_LAMBDA_MM
-from peers import ESTIMATOR, PEERS
+from peers import ESTIMATOR, NOMINAL, ROBUST
 from table import Row, markdown
 from trial import Run, together
 
@@ -60,10 +60,12 @@ def retroflex(program: str, plant: Sequence[str], calib: Path) -> float:
     return answer(command, may_fail=True)["arms"][0]["bend_rmse_deg"]
 
 
-def drive(program: str, plant: tuple[str, ...], calib: Path) -> dict[str, float]:
+def drive(program: str, server: str, case: Case, calib: Path) -> dict[str, float]:
     """The errors of all controllers on a plant."""
-    runs = [Run(plant, make(), None if name == "open loop" else ESTIMATOR) for name, make in PEERS.items()]
-    errors = dict(zip(PEERS, together(runs)))
+    plant = case.command(server)
+    makers = NOMINAL if case.condition == "nominal" else ROBUST
+    runs = [Run(plant, make(), None if name == "open loop" else ESTIMATOR) for name, make in makers.items()]
+    errors = dict(zip(makers, together(runs)))
     return errors | {"retroflex": retroflex(program, plant, calib)}
 
 
@@ -78,7 +80,7 @@ def measure(context: Context) -> list[Row]:
     calib = calibration(context.work)
     results: dict[Case, dict[str, float]] = {}
     with pool() as workers:
-        jobs = {workers.submit(drive, program, case.command(server), calib): case for case in cases}
+        jobs = {workers.submit(drive, program, server, case, calib): case for case in cases}
         for job in as_completed(jobs):
             case = jobs[job]
             results[case] = job.result()
@@ -103,7 +105,7 @@ def _pooled(results: Sequence[dict[str, float]]) -> dict[str, float]:
 def _rows(condition: str, errors: dict[str, float]) -> list[Row]:
     ours = errors["retroflex"]
     rows = []
-    for name in PEERS:
+    for name in NOMINAL:
         ratio = ours / errors[name]
         asked = {"asked": f"≤ {ASKED[name]}", "ok": ratio <= ASKED[name]} if name in ASKED else {}
         rows.append(Row(3, f"bend error, {condition}, beside {name}", f"{ours:.2f}°", f"{errors[name]:.2f}°", f"{ratio:.2f}", **asked))
@@ -111,5 +113,5 @@ def _rows(condition: str, errors: dict[str, float]) -> list[Row]:
 
 
 def _details(table: dict[str, dict[str, float]]) -> str:
-    names = [*PEERS, "retroflex"]
+    names = [*NOMINAL, "retroflex"]
     return markdown(["bend error, ° RMS", *names], [[c, *(f"{errors[n]:.2f}" for n in names)] for c, errors in table.items()])
