@@ -86,9 +86,12 @@ class Drive:
 
 
 class Estimator:
-    """The bend vector from imufusion's filter, relative to the mean orientation at rest."""
+    """The bend vector from imufusion's filter, relative to the mean orientation at rest.
 
-    def __init__(self, dt_s: float, gain: float, acceleration_rejection_deg: float, magnetic_rejection_deg: float) -> None:
+    Without a threshold for the field the filter runs without the magnetometer.
+    """
+
+    def __init__(self, dt_s: float, gain: float, acceleration_rejection_deg: float, magnetic_rejection_deg: float | None) -> None:
         self._ahrs = imufusion.Ahrs()
         self._ahrs.set_settings(
             imufusion.AhrsSettings(
@@ -97,10 +100,11 @@ class Estimator:
                 gain=gain,
                 gyroscope_range=2000.0,
                 acceleration_rejection=acceleration_rejection_deg,
-                magnetic_rejection=magnetic_rejection_deg,
+                magnetic_rejection=magnetic_rejection_deg or 0.0,
                 rejection_timeout=5.0,
             )
         )
+        self._with_field = magnetic_rejection_deg is not None
         self._rates: list[list[float]] = []
         self._bias = np.zeros(3)
         self._mag = np.zeros(3)
@@ -119,7 +123,11 @@ class Estimator:
         """A sample; the field is held between its samples. Returns the orientation."""
         if mag is not None:
             self._mag = np.array(mag)
-        self._ahrs.update(np.array(gyr) * DEG - self._bias, np.array(acc) * PER_G, self._mag)
+        rate, force = np.array(gyr) * DEG - self._bias, np.array(acc) * PER_G
+        if self._with_field:
+            self._ahrs.update(rate, force, self._mag)
+        else:
+            self._ahrs.update_no_magnetometer(rate, force)
         return self._ahrs.get_quaternion()
 
     def learn_rest(self, quaternion: np.ndarray) -> None:

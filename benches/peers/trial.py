@@ -24,7 +24,7 @@ class Run:
 
     plant: tuple[str, ...]
     controller: Controller
-    estimator: tuple[float, float, float] | None
+    estimator: tuple[float, float, float | None] | None
     directions: int = DIRECTIONS
 
 
