@@ -8,6 +8,7 @@
 mod common;
 
 use common::{plain, uncalibrated, unit};
+use rayon::prelude::*;
 use retroflex::control::learning::batch::Prior;
 use retroflex::experiment::evaluation::for_world;
 use retroflex::experiment::identify::{Identified, algorithm_1};
@@ -19,6 +20,8 @@ use serde_json::json;
 /// Units that make the prior, and units that are scored.
 const FLEET: std::ops::Range<u64> = 1000..1012;
 const SCORED: std::ops::Range<u64> = 1..11;
+/// Poses of the short calibrations.
+const POSES: [usize; 3] = [6, 12, 24];
 
 fn identify(mut world: Sim, poses: &[Pose], prior: Option<&[Prior; 3]>) -> Identified {
     let config = for_world(&uncalibrated(), &world);
@@ -38,28 +41,24 @@ fn spread(values: impl Iterator<Item = f64>) -> [f64; 2] {
 
 fn main() {
     for (name, open) in [("plain", plain as fn(u64, u64) -> Sim), ("twin", unit)] {
-        let fleet: Vec<[Line; 3]> = FLEET.map(|seed| identify(open(seed, 0), &paper(), None).lines()).collect();
+        let fleet: Vec<[Line; 3]> = FLEET.into_par_iter().map(|seed| identify(open(seed, 0), &paper(), None).lines()).collect();
         let prior: [Prior; 3] = std::array::from_fn(|i| {
             let [k_epsilon, k_epsilon_sigma] = spread(fleet.iter().map(|lines| lines[i].k_epsilon));
             let [k_lambda_mm, k_lambda_sigma_mm] = spread(fleet.iter().map(|lines| lines[i].k_lambda_mm));
             Prior { line: Line { k_epsilon, k_lambda_mm }, k_epsilon_sigma, k_lambda_sigma_mm }
         });
         let alone = prior.map(|p| Prior { k_epsilon_sigma: 1e3, k_lambda_sigma_mm: 1e3, ..p });
-        let mut worst = [0.0_f64; 3];
-        let mut paper_poses = Vec::new();
-        for seed in SCORED {
+        let one = |seed: u64| {
             let found = identify(open(seed, 60), &paper(), None);
-            paper_poses.push((found.history.len() - 1) * paper().len());
             let full = identify(open(seed, 60), &paper(), Some(&alone)).lines();
-            for (worst, poses) in worst.iter_mut().zip([6, 12, 24]) {
+            let worst = POSES.map(|poses| {
                 let brief = identify(open(seed, 60), &short(poses), Some(&prior)).lines();
-                let off = |i: usize| (brief[i].k_epsilon / full[i].k_epsilon - 1.0).abs();
-                *worst = (0..3).map(off).fold(*worst, f64::max);
-            }
-        }
-        println!(
-            "{}",
-            json!({"units": name, "paper_poses": paper_poses, "poses": [6, 12, 24], "worst": worst, "prior": prior.map(|p| [p.line.k_epsilon, p.k_epsilon_sigma])})
-        );
+                (0..3).map(|i| (brief[i].k_epsilon / full[i].k_epsilon - 1.0).abs()).fold(0.0, f64::max)
+            });
+            ((found.history.len() - 1) * paper().len(), worst)
+        };
+        let (paper_poses, errors): (Vec<usize>, Vec<[f64; 3]>) = SCORED.into_par_iter().map(one).unzip();
+        let worst: [f64; 3] = std::array::from_fn(|k| errors.iter().map(|e| e[k]).fold(0.0, f64::max));
+        println!("{}", json!({"units": name, "paper_poses": paper_poses, "poses": POSES, "worst": worst}));
     }
 }

@@ -36,7 +36,7 @@ def measure(context: Context) -> list[Row]:
 
 def _ours(context: Context, seconds: int) -> float:
     """p99.9 of the lateness of steps, µs."""
-    command = [context.program("retroflex"), "bench", "rt", "--alone", "--rate", str(RATE_HZ), "--seconds", str(seconds)]
+    command = [context.program("retroflex"), "bench", "rt", "--rate", str(RATE_HZ), "--seconds", str(seconds)]
     text = subprocess.run(command, capture_output=True, text=True, check=False).stdout
     if "SCHED_FIFO: granted" not in text:
         raise Unavailable("no right to SCHED_FIFO")

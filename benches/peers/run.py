@@ -11,6 +11,8 @@ import platform
 from pathlib import Path
 
 import accuracy
+import diagnosis
+import identification
 import orientation
 import picture
 import pulses
@@ -20,7 +22,7 @@ from table import Row, markdown
 
 ROOT = HERE.parents[1]
 # the rows in the order of the table; each module has `measure(context) -> list[Row]`
-ROWS = {1: tick, 2: pulses, 3: accuracy, 6: orientation}
+ROWS = {1: tick, 2: pulses, 3: accuracy, 4: identification, 5: diagnosis, 6: orientation}
 
 INTRODUCTION = """# Peers
 
@@ -44,6 +46,9 @@ NOTES = """
   speed and acceleration of the drive; `benches/peers/tune.py` chose their settings on units that are not scored.
   "Python stack" is a PI loop (simple-pid), "Broyden" controls through an estimated Jacobian, "MPC" predicts with the nominal model and
   a disturbance observer. Five units each, with the twin in the nominal condition.
+* **4, identification.** `benches/peers/identification.rs`: twelve units make the prior, ten others are calibrated with it; the error is
+  that against 120 poses of the same unit.
+* **5, diagnosis.** `retroflex gap exam` on questions of another seed than that of the documents.
 * **6, orientation.** The metric of BROAD: RMS of the whole angle over the movement, without a fitted alignment.
 
 """
