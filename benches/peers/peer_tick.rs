@@ -84,7 +84,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     match Args::parse().command {
         Task::Record => record(&inputs)?,
         Task::Time { stack, ticks } => println!("{}", time(&mut runner(stack, &config, &inputs), ticks)),
-        Task::Late { stack, rate, seconds, priority } => println!("{}", late(&mut runner(stack, &config, &inputs), rate, seconds, priority)),
+        Task::Late { stack, rate, seconds, priority } => {
+            println!("{}", late(&mut runner(stack, &config, &inputs), rate, seconds, priority))
+        }
     }
     Ok(())
 }
