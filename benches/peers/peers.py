@@ -23,7 +23,7 @@ NOMINAL: Makers = {
 }
 ROBUST: Makers = {
     "open loop": OpenLoop,
-    "Python stack": lambda: SlowPi(ki=4.0, kp=0.1, band_mm=2.0, wait_s=0.3),
-    "Broyden": lambda: Broyden(gain_per_s=2.0, forgetting=0.6, band_mm=0.2, wait_s=0.2),
-    "MPC": lambda: Mpc(observer=0.05, effort=1e-7, band_mm=0.5),
+    "Python stack": lambda: SlowPi(ki=4.0, kp=0.3, band_mm=2.0, wait_s=0.3),
+    "Broyden": lambda: Broyden(gain_per_s=3.0, forgetting=1.0, band_mm=0.2, wait_s=0.3),
+    "MPC": lambda: Mpc(observer=0.05, effort=1e-5, band_mm=0.5),
 }
