@@ -15,7 +15,7 @@ from pathlib import Path
 
 from context import Context, Unavailable, answer, pool
 from controllers import K_EPSILON, K_LAMBDA_MM
-from peers import ESTIMATOR, NOMINAL, ROBUST
+from peers import ESTIMATOR, NOMINAL, ROBUST, WITHOUT_FIELD
 from table import Row, markdown
 from trial import Run, together
 
@@ -46,6 +46,10 @@ class Case:
         setting = CONDITIONS[self.condition]
         return (server, "--unit", str(self.unit), "--noise", str(self.unit), *(["--condition", setting] if setting else []))
 
+    def estimator(self) -> tuple[float, float, float | None]:
+        """The filter of the peers, with the magnetometer unless it is disturbed."""
+        return WITHOUT_FIELD if CONDITIONS[self.condition].startswith("motor_field") else ESTIMATOR
+
 
 def calibration(folder: Path) -> Path:
     """The calibration that every controller has, as a file for retroflex."""
@@ -64,7 +68,7 @@ def drive(program: str, server: str, case: Case, calib: Path) -> dict[str, float
     """The errors of all controllers on a plant."""
     plant = case.command(server)
     makers = NOMINAL if case.condition == "nominal" else ROBUST
-    runs = [Run(plant, make(), None if name == "open loop" else ESTIMATOR) for name, make in makers.items()]
+    runs = [Run(plant, make(), None if name == "open loop" else case.estimator()) for name, make in makers.items()]
     errors = dict(zip(makers, together(runs)))
     return errors | {"retroflex": retroflex(program, plant, calib)}
 

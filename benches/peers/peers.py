@@ -10,16 +10,18 @@ from collections.abc import Callable
 
 from controllers import Broyden, Controller, Mpc, OpenLoop, SlowPi
 
-# gain, then the thresholds in degrees beyond which acceleration and field are rejected; without the field the error is smaller
-ESTIMATOR = (0.5, 10.0, None)
+# imufusion's filter: gain, then the thresholds in degrees beyond which acceleration and field are rejected
+ESTIMATOR = (0.5, 10.0, 10.0)
+# where the motors disturb the field, the peers do better without a magnetometer
+WITHOUT_FIELD = (0.5, 10.0, None)
 
 Makers = dict[str, Callable[[], Controller]]
 
 NOMINAL: Makers = {
     "open loop": OpenLoop,
-    "Python stack": lambda: SlowPi(ki=6.0, kp=0.0, band_mm=2.0, wait_s=0.1),
-    "Broyden": lambda: Broyden(gain_per_s=3.0, forgetting=0.3, band_mm=5.0, wait_s=0.1),
-    "MPC": lambda: Mpc(observer=0.2, effort=1e-6, band_mm=0.5),
+    "Python stack": lambda: SlowPi(ki=4.0, kp=0.0, band_mm=2.0, wait_s=0.1),
+    "Broyden": lambda: Broyden(gain_per_s=4.0, forgetting=0.3, band_mm=5.0, wait_s=0.1),
+    "MPC": lambda: Mpc(observer=0.1, effort=1e-5, band_mm=0.2),
 }
 ROBUST: Makers = {
     "open loop": OpenLoop,

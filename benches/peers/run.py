@@ -42,9 +42,10 @@ NOTES = """
 * **2, step pulses.** `retroflex bench rt` on the mock pins, from the due time to the end of the write, beside the wake-up latency of
   `cyclictest` at the same priority and rate, in turns.
 * **3, bend error.** All drive the same simulated plants through the plant link, with the paper's calibration, which is that of another
-  unit. The paper's 120 held states, RMS over the last 0.3 s. The peers share imufusion's filter without the magnetometer, which
-  serves them better, the paper's compensation, and the speed and acceleration of the drive. `benches/peers/tune.py` chose their
-  settings on units that are not scored, one set for the nominal condition and one for the others; retroflex has one for all.
+  unit. The paper's 120 held states, RMS over the last 0.3 s. The peers share imufusion's filter, the paper's compensation, and the
+  speed and acceleration of the drive. `benches/peers/tune.py` chose their settings on units that are not scored. They have one
+  set for the nominal condition and one for the others, and no magnetometer where the motors disturb it, each of which serves
+  them better; retroflex has one set for all.
   "Python stack" is a PI loop (simple-pid), "Broyden" controls through an estimated Jacobian, "MPC" predicts with the nominal model and
   a disturbance observer. Five units each, with the twin in the nominal condition.
 * **4, identification.** `benches/peers/identification.rs`: twelve units make the prior, ten others are calibrated with it; the error is

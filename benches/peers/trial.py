@@ -13,7 +13,7 @@ HOLD_S, SCORED_S = 1.5, 0.3
 ANGLES_DEG = (15, 30, 45, 60, 75)
 DIRECTIONS = 12
 # rest before the first state, the part of it that gives the bias of the gyroscope, and the part that defines zero
-REST_S, BIAS_S, ZERO_S = 5.0, 1.0, 1.0
+REST_S, BIAS_S, ZERO_S = 9.0, 4.0, 1.0
 
 Counts = tuple[int, int, int]
 

@@ -1,8 +1,8 @@
 """Chooses the settings of the peers: `target/peers/bin/python benches/peers/tune.py SERVER nominal|robust`.
 
-SERVER is the built example `plant_server`. One setting after the other takes the value with the least error, twice round. The
-error is the RMS on units of the twin that `accuracy.py` does not score; for `robust` its geometric mean over conditions of the
-sweep. Three directions of the schedule keep this short.
+SERVER is the built example `plant_server`. One setting after the other takes the value with the least error, twice round, from
+two starts. The error is the RMS on units of the twin that `accuracy.py` does not score; for `robust` its geometric mean over
+conditions of the sweep. Three directions of the schedule keep this short.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
+from concurrent.futures import Future
 from functools import partial
 
 from accuracy import Case
@@ -24,9 +25,8 @@ TUNED = {
     "robust": {"line lag 0.6 s": (101,), "dead time 0.12 s": (102,), "field of the motors 8 µT": (101,), "respiration 3°": (102,)},
 }
 
-Settings = dict[str, float | None]
+Settings = dict[str, float]
 
-ESTIMATOR = {"gain": (0.1, 0.2, 0.5, 1.0), "acceleration": (10.0, 90.0), "magnetic": (10.0, 90.0, None)}
 GRIDS: dict[str, tuple[Callable[..., Controller], dict[str, tuple[float, ...]]]] = {
     "Python stack": (
         SlowPi,
@@ -48,18 +48,18 @@ GRIDS: dict[str, tuple[Callable[..., Controller], dict[str, tuple[float, ...]]]]
 }
 
 
-def error(server: str, tuned: str, make: Callable[..., Controller], settings: Settings, estimator: Settings) -> float:
+def error(server: str, tuned: str, make: Callable[..., Controller], settings: Settings) -> float:
     """The logarithm of the error with these settings."""
     total = 0.0
     for condition, units in TUNED[tuned].items():
-        plants = [Case(condition, unit).command(server) for unit in units]
-        runs = [Run(plant, make(**settings), tuple(estimator.values()), DIRECTIONS) for plant in plants]
+        cases = [Case(condition, unit) for unit in units]
+        runs = [Run(case.command(server), make(**settings), case.estimator(), DIRECTIONS) for case in cases]
         total += math.log(math.sqrt(sum(e * e for e in together(runs)) / len(runs)))
     return total / len(TUNED[tuned])
 
 
-def descend(name: str, grid: dict[str, tuple[float, ...]], start: Settings, score: Callable[[Settings], Callable]) -> Settings:
-    """Settings that no change of a single one makes better, as far as two rounds find them."""
+def descend(name: str, grid: dict[str, tuple[float, ...]], start: Settings, score: Callable[[Settings], Future]) -> tuple[float, Settings]:
+    """Settings that no change of a single one makes better, as far as two rounds find them, after their error."""
     best, known = dict(start), {}
     for _ in range(2):
         for key, values in grid.items():
@@ -69,21 +69,17 @@ def descend(name: str, grid: dict[str, tuple[float, ...]], start: Settings, scor
             errors = {v: known[tuple(t.values())] for v, t in trials.items()}
             best[key] = min(errors, key=errors.get)
             print(name, key, ", ".join(f"{v}: {math.exp(e):.3f}°" for v, e in errors.items()), flush=True)
-    return best
+    return known[tuple(best.values())], best
 
 
 def main() -> None:
     server, tuned = sys.argv[1:3]
     with pool() as workers:
-        loop = {"ki": 2.0, "kp": 0.1, "band_mm": 0.2, "wait_s": 0.1}
-        start = {"gain": 0.5, "acceleration": 10.0, "magnetic": None}
-        estimator = descend("estimator", ESTIMATOR, start, lambda s: workers.submit(error, server, tuned, SlowPi, loop, s))
-        print("estimator:", estimator)
         for name, (make, grid) in GRIDS.items():
-            start = {key: values[1] for key, values in grid.items()}
-            submit = partial(workers.submit, error, server, tuned, make)
-            chosen = descend(name, grid, start, lambda s, submit=submit: submit(s, estimator))
-            print(f"{name}:", chosen, flush=True)
+            starts = [{key: values[n] for key, values in grid.items()} for n in (1, 2)]
+            score = partial(workers.submit, error, server, tuned, make)
+            found = [descend(name, grid, start, score) for start in starts]
+            print(f"{name}:", min(found, key=lambda one: one[0])[1], flush=True)
 
 
 if __name__ == "__main__":
