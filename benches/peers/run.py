@@ -47,7 +47,6 @@ NOTES = """
   "Python stack" is a PI loop (simple-pid), "Broyden" controls through an estimated Jacobian, "MPC" predicts with the nominal model and
   a disturbance observer. Five units each, with the twin in the nominal condition.
 * **6, orientation.** The metric of BROAD: RMS of the whole angle over the movement, without a fitted alignment.
-
 """
 
 
