@@ -112,7 +112,7 @@ def _rows(condition: str, errors: dict[str, float]) -> list[Row]:
     for name in NOMINAL:
         ratio = ours / errors[name]
         asked = {"asked": f"≤ {ASKED[name]}", "ok": ratio <= ASKED[name]} if name in ASKED else {}
-        rows.append(Row(3, f"bend error, {condition}, beside {name}", f"{ours:.2f}°", f"{errors[name]:.2f}°", f"{ratio:.2f}", **asked))
+        rows.append(Row(3, f"bend error, {condition}, beside {name}", f"{ours:.2f}°", f"{errors[name]:.2f}°", f"{ratio:.3f}", **asked))
     return rows
 
 

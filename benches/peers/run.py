@@ -52,7 +52,6 @@ NOTES = """
   that against 120 poses of the same unit.
 * **5, diagnosis.** `retroflex gap exam` on questions of another seed than that of the documents.
 * **6, orientation.** The metric of BROAD: RMS of the whole angle over the movement, without a fitted alignment.
-
 """
 
 
