@@ -43,7 +43,8 @@ NOTES = """
   `cyclictest` at the same priority and rate, in turns.
 * **3, bend error.** All drive the same simulated plants through the plant link, with the paper's calibration, which is that of another
   unit. The paper's 120 held states, RMS over the last 0.3 s. The peers share imufusion's filter, the paper's compensation, and the
-  speed and acceleration of the drive. `benches/peers/tune.py` chose their settings on units that are not scored. They have one
+  speed and acceleration of the drive. Their settings were chosen on units that are not scored, with
+  `benches/peers/tune.py` and, for Broyden in the nominal condition, a comparison of eight points. They have one
   set for the nominal condition and one for the others, and no magnetometer where the motors disturb it, each of which serves
   them better; retroflex has one set for all.
   "Python stack" is a PI loop (simple-pid), "Broyden" controls through an estimated Jacobian, "MPC" predicts with the nominal model and
