@@ -147,16 +147,18 @@ impl Checks {
         found.test(HealthCause::Frozen, enabled && self.repeated >= config.frozen_after);
     }
 
-    /// A jump is a spike unless [`HealthConfig::spike_confirm`] samples in a row agree on the new value.
+    /// A jump is a spike unless [`HealthConfig::spike_confirm`] samples in a row agree on the new value. What was rejected is
+    /// confirmed if the rate goes on from there: a tip that snaps slows down before that many samples.
     fn check_spike(&mut self, config: &HealthConfig, sample: &ImuSample, found: &mut Findings) {
         let near = |other: &Option<ImuSample>| other.as_ref().is_none_or(|o| reachable(config, o, sample));
         let mut spike = !near(&self.last_plausible);
         if spike {
             self.agreeing = if near(&self.last) { self.agreeing + 1 } else { 0 };
             spike = self.agreeing < config.spike_confirm;
-            found.confirmed = !spike;
         }
         if !spike {
+            let off = |from: &Option<ImuSample>| from.map_or(f64::INFINITY, |s| (sample.gyro_rad_s - s.gyro_rad_s).norm());
+            found.confirmed = off(&self.last) < off(&self.last_plausible);
             self.agreeing = 0;
             self.last_plausible = Some(*sample);
         }

@@ -207,6 +207,20 @@ fn a_spike_is_skipped_and_a_true_step_is_accepted() {
     assert!((1..=b.config.spike_confirm as usize).contains(&skipped), "{skipped}");
 }
 
+#[test]
+fn a_snap_that_decays_confirms_what_was_rejected_and_a_spike_does_not() {
+    let mut b = Rig::new();
+    b.settle();
+    let decaying = |k: i32| 1.4 * (-f64::from(k) * DT / 0.025).exp();
+    let seen: Vec<_> = (0..40).map(|k| b.with(|s, _| s.gyro_rad_s.z += decaying(k))).collect();
+    let skipped = seen.iter().take_while(|v| v.faults.contains(HealthCause::Spike)).count();
+    assert!((1..5).contains(&skipped) && seen[skipped].confirmed, "{skipped}");
+    assert_eq!(seen.iter().filter(|v| v.confirmed).count(), 1);
+    b.settle_again();
+    assert!(b.with(|s, _| s.gyro_rad_s.z += 1.4).faults.contains(HealthCause::Spike));
+    assert!(!b.good().confirmed, "the rate is back at once");
+}
+
 impl Rig {
     fn settle_again(&mut self) {
         for _ in 0..100 {

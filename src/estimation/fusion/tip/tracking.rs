@@ -123,6 +123,9 @@ impl Tracker {
         if gap_s <= 0.0 {
             return;
         }
+        if self.rejected.until_s.is_some() && !verdict.confirmed {
+            self.estimator.suspect_jump();
+        }
         if gap_s <= (BRIDGED_PERIODS * period_s).max(self.limits.jump_max_s) {
             if gap_s - period_s > 0.5 * period_s && !verdict.confirmed {
                 self.estimator.widen_for_gap(self.limits.angular_acceleration_max_rad_s2, gap_s);
@@ -147,11 +150,9 @@ impl Tracker {
 
     /// Records a rate that was rejected as a spike or as saturated, since it may have been true.
     fn reject(&mut self, verdict: &HealthVerdict, tip: &ImuReading) {
-        let (spike, saturated) = (verdict.faults.contains(HealthCause::Spike), verdict.faults.contains(HealthCause::Saturated));
-        if spike || saturated {
+        if verdict.faults.contains(HealthCause::Saturated) {
             self.estimator.suspect_jump();
-        }
-        if let (true, false, ImuReading::Sample(sample, _)) = (spike, saturated, tip) {
+        } else if let (true, ImuReading::Sample(sample, _)) = (verdict.faults.contains(HealthCause::Spike), tip) {
             let since_s = self.rejected.until_s.or(self.last.map(|last| last.t.0)).map_or(0.0, |before| sample.t.0 - before);
             self.rejected.turn_rad += sample.gyro_rad_s * since_s;
             self.rejected.until_s = Some(sample.t.0);
