@@ -67,6 +67,7 @@ impl DynamicsPrior {
         let margin_s = 3.0 * self.uncertainty_s;
         DynamicsRange {
             best: self.expected,
+            integral_min_s: MARGIN * margin_s,
             lag_min_s: (self.expected.lag_s - margin_s).max(0.0),
             response_min_s: (self.expected.response_s() - margin_s).max(0.0),
             response_max_s: self.expected.response_s() + margin_s,
@@ -79,6 +80,8 @@ impl DynamicsPrior {
 pub struct DynamicsRange {
     /// The values that the reference model and the feedforward use.
     pub best: Dynamics,
+    /// Smallest integral time that is stable for every plausible line, s.
+    pub integral_min_s: f64,
     /// Smallest plausible lag, s.
     pub lag_min_s: f64,
     /// Smallest plausible sum of lag and dead time, s.
@@ -112,8 +115,19 @@ pub struct PiGains {
     pub lag_s: f64,
 }
 
-/// Ratio of λ to the largest plausible error of the response time.
-const DELAY_MARGIN: f64 = 1.5;
+/// Margin of the stability bound of λ.
+const MARGIN: f64 = 1.5;
+
+impl Dynamics {
+    /// Integral time for which a loop whose model these dynamics are is stable on the line `truth`, with the margin
+    /// [`MARGIN`], s.
+    pub fn integral_min_s(&self, truth: &Self) -> f64 {
+        let longest_s = self.lag_s.max(truth.lag_s);
+        let [lag_off_s, delay_off_s] = [self.lag_s - truth.lag_s, self.delay_s - truth.delay_s].map(f64::abs);
+        let half = (MARGIN * (lag_off_s + delay_off_s) - longest_s) / 2.0;
+        half + (half * half + MARGIN * delay_off_s * longest_s).sqrt()
+    }
+}
 
 /// Share of the closed-loop time constant that the integral time has while the reference moves.
 const FOLLOWING_SHARE: f64 = 0.35;
@@ -124,7 +138,7 @@ impl PiGains {
     /// Gains for the closed-loop time constant `tau_c_s`, stable for every plausible line. The proportional gain is
     /// bounded by `kp_max`, because it amplifies the noise of the estimate. `caution` ≥ 1 slows the loop down.
     pub fn new(range: &DynamicsRange, tau_c_s: f64, kp_max: f64, caution: f64) -> Self {
-        let integral_s = tau_c_s.max(range.best.delay_s).max(DELAY_MARGIN * range.error_max_s()) * caution;
+        let integral_s = tau_c_s.max(range.best.delay_s).max(range.integral_min_s).max(range.lag_min_s / kp_max) * caution;
         Self { integral_s, lag_s: range.lag_min_s.min(kp_max * integral_s) }
     }
 
@@ -132,7 +146,7 @@ impl PiGains {
     /// delay of the feedback is an error; the noise that it passes on does not matter, because the pistons move anyway. With
     /// a proportional gain below 0.5 the loop is stable for every plausible line, as with [`PiGains::new`].
     pub fn following(range: &DynamicsRange, tau_c_s: f64, kp_max: f64, caution: f64) -> Self {
-        let integral_s = (FOLLOWING_SHARE * tau_c_s).max(DELAY_MARGIN * range.error_max_s()) * caution;
+        let integral_s = (FOLLOWING_SHARE * tau_c_s).max(range.integral_min_s) * caution;
         Self { integral_s, lag_s: FOLLOWING_KP.min(kp_max) * integral_s }
     }
 }
@@ -223,7 +237,7 @@ mod tests {
 
     fn within(best: Dynamics, error_s: f64) -> DynamicsRange {
         let r = best.response_s();
-        DynamicsRange { best, lag_min_s: (best.lag_s - error_s).max(0.0), response_min_s: r - error_s, response_max_s: r + error_s }
+        DynamicsRange { best, integral_min_s: MARGIN * error_s, lag_min_s: (best.lag_s - error_s).max(0.0), response_min_s: r - error_s, response_max_s: r + error_s }
     }
 
     /// Largest error over the last second after `seconds` on gain·e^{−Ts}/(1+τs) + offset.

@@ -139,16 +139,18 @@ impl DynamicsBank {
             rows * self.unexplained((l, d)) / (share + SHARE_FLOOR) + prior * prior
         };
         let (best, least) = all().map(|c| (c, score(c))).fold(((0, 0), f64::INFINITY), |a, b| if b.1 < a.1 { b } else { a });
-        let mut range = DynamicsRange { best: now.best, lag_min_s: f64::INFINITY, response_min_s: f64::INFINITY, response_max_s: 0.0 };
+        let best = if score(nearest(&now.best)) > least + BETTER { self.interpolated(best) } else { now.best };
+        let [lag_min_s, response_min_s] = [f64::INFINITY; 2];
+        let mut range = DynamicsRange { best, integral_min_s: 0.0, lag_min_s, response_min_s, response_max_s: 0.0 };
         for c in all().filter(|c| score(*c) < least + PLAUSIBLE) {
             // a candidate stands for everything up to half of the way to its neighbours
             let ([lag_min_s, lag_max_s], [delay_min_s, delay_max_s]) = (cell(&LAGS_S, c.0), cell(&DELAYS_S, c.1));
             range.lag_min_s = range.lag_min_s.min(lag_min_s);
             range.response_min_s = range.response_min_s.min(lag_min_s + delay_min_s);
             range.response_max_s = range.response_max_s.max(lag_max_s + delay_max_s);
-        }
-        if score(nearest(&now.best)) > least + BETTER {
-            range.best = self.interpolated(best);
+            for (lag_s, delay_s) in [(lag_min_s, delay_min_s), (lag_min_s, delay_max_s), (lag_max_s, delay_min_s), (lag_max_s, delay_max_s)] {
+                range.integral_min_s = range.integral_min_s.max(best.integral_min_s(&Dynamics { lag_s, delay_s }));
+            }
         }
         range
     }

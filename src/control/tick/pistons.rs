@@ -58,7 +58,9 @@ pub(super) fn follow_steps(config: &LoopConfig, state: &mut LoopState, steps: &S
 pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend, moving: bool, dt_s: f64) -> PistonOutput {
     let lead_s = lead_s(config, state);
     let setpoint = &state.setpoint;
-    let bend = Bend(setpoint.bend.at + ahead_of(setpoint, lead_s) + state.feedback.feedback);
+    let (at, outer) = (setpoint.bend.at, &state.feedback);
+    let ahead = at + ahead_of(setpoint, lead_s);
+    let bend = Bend(ahead + outer.feedback + outer.error_change(at, ahead));
     let bend = if state.feedback.obstruction.blocked { press(config, state, bend, estimate) } else { bend };
     let length = Mm(setpoint.length.at.x);
     let wanted_mm = config.geometry.lengths(&Shape { bend, length });
