@@ -2,8 +2,8 @@
 //!
 //! While the set-point rests, the feedback sometimes reverses a piston. If the assumed backlash is too wide (hysteresis of
 //! the rubber looks like backlash to an identification), crossing all of it moves the tip past its target, the feedback
-//! reverses the same piston again, and the loop hunts. Two reversals of a piston within a short time indicate hunting at
-//! any period: the share to cross shrinks. A single reversal that leaves the error unchanged fell short: the piston
+//! reverses the same piston again, and the loop hunts. Two reversals of a piston within a short time, on two sides of the target,
+//! indicate hunting at any period: the share to cross shrinks. A single reversal that leaves the error unchanged fell short: the piston
 //! crosses a further increment at once, and the share grows by it. Each channel has its own backlash and share.
 
 use nalgebra::Vector2;
@@ -19,11 +19,13 @@ const INCREMENT: f64 = 0.03;
 /// Remaining fraction of the error above which a reversal fell short.
 const SHORT: f64 = 0.8;
 
-/// One channel: the learned share, the time since its last reversal, and error and age of the reversal under observation.
+/// One channel: the learned share, the time since its last reversal and the error there, and error and age of the reversal under
+/// observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Channel {
     share: f64,
     since_reversal_s: f64,
+    reversed_at: Vector2<f64>,
     observed: Option<(Vector2<f64>, f64)>,
 }
 
@@ -44,7 +46,7 @@ pub struct BacklashAdaptation {
 
 impl Default for BacklashAdaptation {
     fn default() -> Self {
-        Self { channels: [Channel { share: 0.9, since_reversal_s: f64::INFINITY, observed: None }; 3] }
+        Self { channels: [Channel::of_share(0.9); 3] }
     }
 }
 
@@ -67,18 +69,22 @@ impl BacklashAdaptation {
     /// Ends the observation because the set-point moves. The shares stay.
     pub fn forget(&mut self) {
         for c in &mut self.channels {
-            *c = Channel { share: c.share, since_reversal_s: f64::INFINITY, observed: None };
+            *c = Channel::of_share(c.share);
         }
     }
 }
 
 impl Channel {
+    fn of_share(share: f64) -> Self {
+        Self { share, since_reversal_s: f64::INFINITY, reversed_at: Vector2::zeros(), observed: None }
+    }
+
     fn step(&mut self, reversed: bool, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> f64 {
         let &Patience { answer_s, worth_rad } = patience;
         self.since_reversal_s += dt_s;
         if reversed {
-            let hunting = self.since_reversal_s < HUNTING_S + answer_s;
-            self.since_reversal_s = 0.0;
+            let hunting = self.since_reversal_s < HUNTING_S + answer_s && error.dot(&self.reversed_at) < 0.0;
+            (self.since_reversal_s, self.reversed_at) = (0.0, *error);
             self.observed = if hunting { None } else { Some((*error, 0.0)) };
             if hunting {
                 self.share = (self.share * SHRINK).max(SHARE_MIN);
