@@ -2,25 +2,27 @@
 //!
 //! While the set-point rests, the feedback sometimes reverses a piston. If the assumed backlash is too wide (hysteresis of
 //! the rubber looks like backlash to an identification), crossing all of it moves the tip past its target, the feedback
-//! reverses the same piston again, and the loop hunts. Two reversals of a piston within a short time, on two sides of the target,
-//! indicate hunting at any period: the share to cross shrinks. A single reversal that leaves the error unchanged fell short: the piston
-//! crosses a further increment at once, and the share grows by it. Each channel has its own backlash and share.
+//! reverses the same piston again, and the loop hunts. Two reversals of a piston within a short time, on two sides of the
+//! target, indicate hunting at any period: the share to cross shrinks. A single reversal that leaves the error unchanged
+//! fell short: the piston crosses a further increment at once, and the share grows by it. Each channel has its own backlash
+//! and share.
 
 use nalgebra::Vector2;
 
-/// Smallest share that a reversal crosses.
+/// Share before any reversal, and the smallest.
+const SHARE_INITIAL: f64 = 0.7;
 const SHARE_MIN: f64 = 0.05;
 /// Two reversals of one piston within this time, plus its response time, indicate hunting, s.
 const HUNTING_S: f64 = 0.6;
 /// Factor on the share after hunting.
-const SHRINK: f64 = 0.85;
+const SHRINK: f64 = 0.7;
 /// Increment of the share after a reversal that fell short: it turns the tip of the paper by 0.3° if it was not needed.
 const INCREMENT: f64 = 0.03;
 /// Remaining fraction of the error above which a reversal fell short.
 const SHORT: f64 = 0.8;
 
-/// One channel: the learned share, the time since its last reversal and the error there, and error and age of the reversal under
-/// observation.
+/// One channel: the learned share, the time since its last reversal and the error there, and error and age of the reversal
+/// under observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Channel {
     share: f64,
@@ -46,7 +48,7 @@ pub struct BacklashAdaptation {
 
 impl Default for BacklashAdaptation {
     fn default() -> Self {
-        Self { channels: [Channel::of_share(0.9); 3] }
+        Self { channels: [Channel::of_share(SHARE_INITIAL); 3] }
     }
 }
 
@@ -120,10 +122,11 @@ mod tests {
         for period in [4, 18, 40] {
             let mut r = BacklashAdaptation::default();
             for k in 0..1000 {
-                r.step(if k % period == 0 { REVERSAL } else { QUIET }, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
+                let side = if k / period % 2 == 0 { 0.01 } else { -0.01 };
+                r.step(if k % period == 0 { REVERSAL } else { QUIET }, &Vector2::new(side, 0.0), &PATIENT, 0.01);
             }
             assert!(r.share(1) < 0.1, "{period} {}", r.share(1));
-            assert_eq!([r.share(0), r.share(2)], [0.9; 2], "the other channels keep their shares");
+            assert_eq!([r.share(0), r.share(2)], [SHARE_INITIAL; 2], "the other channels keep their shares");
         }
     }
 
@@ -137,7 +140,7 @@ mod tests {
             crossed += r.step(QUIET, &Vector2::new(0.01, 0.0), &PATIENT, 0.01)[1];
         }
         // four or five response times fit into that time
-        assert!(r.share(1) > 0.5 + 3.5 * INCREMENT && r.share(1) <= 0.9);
+        assert!(r.share(1) > 0.5 + 3.5 * INCREMENT && r.share(1) <= SHARE_INITIAL);
         assert!((r.share(1) - 0.5 - crossed).abs() < 1e-12, "the next reversal crosses what this one crossed in total");
     }
 
@@ -148,7 +151,7 @@ mod tests {
         for _ in 0..50 {
             r.step(QUIET, &Vector2::new(0.001, 0.0), &PATIENT, 0.01);
         }
-        assert_eq!(r.share(1), 0.9);
+        assert_eq!(r.share(1), SHARE_INITIAL);
     }
 
     #[test]
@@ -156,7 +159,7 @@ mod tests {
         let mut r = BacklashAdaptation::default();
         r.step(REVERSAL, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
         r.forget();
-        r.step(REVERSAL, &Vector2::new(0.01, 0.0), &PATIENT, 0.01);
-        assert_eq!(r.share(1), 0.9);
+        r.step(REVERSAL, &Vector2::new(-0.01, 0.0), &PATIENT, 0.01);
+        assert_eq!(r.share(1), SHARE_INITIAL);
     }
 }

@@ -21,6 +21,12 @@ pub struct Bound {
     pub high: f64,
 }
 
+impl Bound {
+    fn new(start: f64, scale: f64, low: f64, high: f64) -> Self {
+        Self { start, scale, low, high }
+    }
+}
+
 /// A model, the log it is fitted to, and the bounds of its parameters.
 #[derive(Clone)]
 pub struct Problem<'a> {
@@ -61,11 +67,11 @@ impl<'a> Problem<'a> {
     /// The problem of fitting a model to a log.
     pub fn new(log: &'a Observed, model: Model<'a>) -> Self {
         let prior = log.rig.prior;
-        let mut bounds = vec![Bound { start: (1.0 + prior.k_epsilon).ln(), scale: 0.3, low: 0.0, high: 2.0 }; 3];
-        bounds.extend([Bound { start: prior.k_lambda_mm, scale: 0.4, low: 0.0, high: 3.0 }; 3]);
-        bounds.push(Bound { start: log.rig.prior_lag_s, scale: 0.015, low: 0.002, high: LAG_MAX_S });
+        let mut bounds = vec![Bound::new((1.0 + prior.k_epsilon).ln(), 0.3, 0.0, 2.0); 3];
+        bounds.extend([Bound::new(prior.k_lambda_mm, 0.4, 0.0, 3.0); 3]);
+        bounds.push(Bound::new(log.rig.prior_lag_s, 0.015, 0.002, LAG_MAX_S));
         for e in &model.effects {
-            bounds.extend(e.params().iter().map(|p| Bound { start: p.start, scale: p.scale, low: p.low, high: p.high }));
+            bounds.extend(e.params().iter().map(|p| Bound::new(p.start, p.scale, p.low, p.high)));
         }
         // one of several logs has the event
         for event in model.all_events() {

@@ -162,24 +162,28 @@ fn stops() -> Vec<Spec> {
 
 /// Faults of the IMU on a base that sways. Where it is lost, the loop goes on as without one.
 fn base_imu_faults() -> Vec<Spec> {
-    use HealthCause as Cause;
+    use Fault::{FrozenSample, NanSample, Saturation};
+    use HealthCause::{FieldDisturbed, Frozen, NotFinite, Saturated, Spike, StaleTimestamp};
     let row = |name, fault: &'static Fault, lasts_s, causes| {
-        let spec = Spec::new(name, Injection::Plant(Fault::OfBaseImu(fault), lasts_s), Detector::BaseImu(causes), Bound::Continues, MOVING);
+        let (injection, detector) = (Injection::Plant(Fault::OfBaseImu(fault), lasts_s), Detector::BaseImu(causes));
+        let spec = Spec::new(name, injection, detector, Continues, MOVING);
         Spec { base_sway_deg: Some(5.0), ..spec.within(0.05) }
     };
-    let out = row("base_imu_cable_out_in_turn", &Fault::SILENT, LASTING_S, &[Cause::StaleTimestamp]);
+    let (late, loud): (&[HealthCause], &[HealthCause]) = (&[StaleTimestamp], &[Saturated, Spike]);
+    let spike = &Fault::Spike { gyro_deg_s: 400.0, acc_g: 2.0 };
     let magnet = &Fault::HardIron { field_ut: [50.0, -40.0, 30.0] };
+    let out = row("base_imu_cable_out_in_turn", &Fault::SILENT, LASTING_S, late);
     vec![
-        row("base_imu_silent", &Fault::SILENT, LASTING_S, &[Cause::StaleTimestamp]),
-        row("base_imu_dropout", &Fault::SILENT, 0.3, &[Cause::StaleTimestamp]),
-        row("base_imu_stuck", &Fault::FrozenSample, LASTING_S, &[Cause::Frozen]),
-        row("base_imu_spike", &Fault::Spike { gyro_deg_s: 400.0, acc_g: 2.0 }, 0.05, &[Cause::Spike, Cause::Saturated]),
-        row("base_imu_nan", &Fault::NanSample, LASTING_S, &[Cause::NotFinite]),
-        row("base_imu_saturated", &Fault::Saturation, LASTING_S, &[Cause::Saturated, Cause::Spike]),
-        row("base_imu_slow", &Fault::Slow { one_in: 50 }, LASTING_S, &[Cause::StaleTimestamp]),
-        row("base_imu_magnet", magnet, LASTING_S, &[Cause::FieldDisturbed]).within(0.1),
+        row("base_imu_silent", &Fault::SILENT, LASTING_S, late),
+        row("base_imu_dropout", &Fault::SILENT, 0.3, late),
+        row("base_imu_stuck", &FrozenSample, LASTING_S, &[Frozen]),
+        row("base_imu_spike", spike, 0.05, loud),
+        row("base_imu_nan", &NanSample, LASTING_S, &[NotFinite]),
+        row("base_imu_saturated", &Saturation, LASTING_S, loud),
+        row("base_imu_slow", &Fault::Slow { one_in: 50 }, LASTING_S, late),
+        row("base_imu_magnet", magnet, LASTING_S, &[FieldDisturbed]).within(0.1),
         // the base stands before and after the turn, and is aligned again
-        Spec { injection: Injection::CableOutInTurn, base_sway_deg: Some(0.0), bound: Bound::Copes, ..out.then_zero() },
+        Spec { injection: Injection::CableOutInTurn, base_sway_deg: Some(0.0), bound: Copes, ..out.then_zero() },
     ]
 }
 

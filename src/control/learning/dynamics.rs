@@ -148,7 +148,8 @@ impl DynamicsBank {
             range.lag_min_s = range.lag_min_s.min(lag_min_s);
             range.response_min_s = range.response_min_s.min(lag_min_s + delay_min_s);
             range.response_max_s = range.response_max_s.max(lag_max_s + delay_max_s);
-            for (lag_s, delay_s) in [(lag_min_s, delay_min_s), (lag_min_s, delay_max_s), (lag_max_s, delay_min_s), (lag_max_s, delay_max_s)] {
+            for (lag_s, delay_s) in [(lag_min_s, delay_min_s), (lag_min_s, delay_max_s), (lag_max_s, delay_min_s), (lag_max_s, delay_max_s)]
+            {
                 range.integral_min_s = range.integral_min_s.max(best.integral_min_s(&Dynamics { lag_s, delay_s }));
             }
         }

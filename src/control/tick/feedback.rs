@@ -109,7 +109,7 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
         outer.integral_s = gains.integral_s;
         let before = outer.pi;
         let setpoint = state.setpoint.bend.at;
-        let learned = outer.error.at(&setpoint) + outer.error_change(setpoint, estimate);
+        let learned = outer.error.at(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
         let unexplained = (observed.unexplained - learned) * state.base.watch.share_of_tip();
         let (timing, integral_max) = (timing_s * observed.predicted_rate, f.integral_max_deg.to_radians());
         outer.integral_full = outer.pi.step(unexplained, timing, &gains, integral_max, dt_s);
@@ -124,9 +124,9 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
 const SLOPE_MAX: f64 = 0.4;
 
 impl Feedback {
-    /// Change of the learned error from one bend to another.
-    pub(super) fn error_change(&self, from: Vector2<f64>, to: Vector2<f64>) -> Vector2<f64> {
-        (self.error.at(&to) - self.error.at(&from)).cap_magnitude(SLOPE_MAX * (to - from).norm())
+    /// Change of the learned error from one bend to another, per bend at most `slope_max`.
+    pub(super) fn error_change(&self, from: Vector2<f64>, to: Vector2<f64>, slope_max: f64) -> Vector2<f64> {
+        (self.error.at(&to) - self.error.at(&from)).cap_magnitude(slope_max * (to - from).norm())
     }
 
     /// When the set-point begins to move: keeps the integral part and what was learned. What both have gained against an

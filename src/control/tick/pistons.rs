@@ -13,6 +13,8 @@ use nalgebra::{Vector2, Vector3};
 const STREAM_PERIOD_S: f64 = 0.1;
 /// Lag from which a line is slow: twice the time for which a reversal stops the tip, s.
 const SLOW_S: f64 = 2.0 * CROSSING_S;
+/// Slope of the learned error that the lead of a slow line relies on.
+const LEAD_SLOPE_MAX: f64 = 1.5;
 /// Time constant with which the offset after a hold decays, s.
 const EASE_S: f64 = 0.15;
 /// Time for a piston to cross a backlash of 2 × 0.85 mm from rest with 600 mm/s² up to 30 mm/s, s.
@@ -60,7 +62,7 @@ pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend
     let setpoint = &state.setpoint;
     let (at, outer) = (setpoint.bend.at, &state.feedback);
     let ahead = at + ahead_of(setpoint, lead_s);
-    let bend = Bend(ahead + outer.feedback + outer.error_change(at, ahead));
+    let bend = Bend(ahead + outer.feedback + outer.error_change(at, ahead, LEAD_SLOPE_MAX));
     let bend = if state.feedback.obstruction.blocked { press(config, state, bend, estimate) } else { bend };
     let length = Mm(setpoint.length.at.x);
     let wanted_mm = config.geometry.lengths(&Shape { bend, length });

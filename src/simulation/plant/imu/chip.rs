@@ -77,11 +77,6 @@ struct Axes {
 }
 
 impl Axes {
-    /// Values in `unit` (as a multiple of the SI unit); `wander` is standard deviation and correlation time.
-    fn new(bias: &[f64; 3], sigma: f64, wander: (f64, f64), digit: f64, range: f64, unit: f64, rng: &mut PlantRng) -> Self {
-        let wander = Wander::new(wander.0 * unit, wander.1, rng);
-        Self { bias: Vector3::from(*bias) * unit, sigma: sigma * unit, wander, digit: digit * unit, range: range * unit }
-    }
     fn read(&mut self, truth: &Vector3<f64>, dt_s: f64, rng: &mut PlantRng) -> Vector3<f64> {
         let mut x = truth + self.bias + self.wander.step(dt_s, rng);
         if self.sigma > 0.0 {
@@ -111,11 +106,20 @@ impl Chip {
         let white = (0.5 / config.period_s).sqrt();
         let (deg, mg) = (1f64.to_radians(), 1e-3 * GRAVITY_M_S2);
         let c = config;
-        let mut axes = |bias, sigma, wander, digit, range, unit| Axes::new(bias, sigma, (wander, c.wander_s), digit, range, unit, &mut rng);
-        let (gyro_sigma, acc_sigma) = (c.gyro_noise_deg_s_rthz * white, c.acc_noise_mg_rthz * white);
-        let gyro = axes(&c.gyro_bias_deg_s, gyro_sigma, c.gyro_wander_deg_s, c.gyro_digit_deg_s, c.gyro_range_deg_s, deg);
-        let acc = axes(&c.acc_bias_mg, acc_sigma, c.acc_wander_mg, c.acc_digit_mg, c.acc_range_g * 1000.0, mg);
-        let mag = axes(&c.mag_bias_ut, c.mag_noise_ut, c.mag_wander_ut, c.mag_digit_ut, c.mag_range_ut, 1.0);
+        // values in `unit`, as a multiple of the SI unit
+        let mut axes = |bias: &[f64; 3], [sigma, wander, digit, range]: [f64; 4], unit: f64| Axes {
+            bias: Vector3::from(*bias) * unit,
+            sigma: sigma * unit,
+            wander: Wander::new(wander * unit, c.wander_s, &mut rng),
+            digit: digit * unit,
+            range: range * unit,
+        };
+        let gyro = [c.gyro_noise_deg_s_rthz * white, c.gyro_wander_deg_s, c.gyro_digit_deg_s, c.gyro_range_deg_s];
+        let acc = [c.acc_noise_mg_rthz * white, c.acc_wander_mg, c.acc_digit_mg, c.acc_range_g * 1000.0];
+        let mag = [c.mag_noise_ut, c.mag_wander_ut, c.mag_digit_ut, c.mag_range_ut];
+        let gyro = axes(&c.gyro_bias_deg_s, gyro, deg);
+        let acc = axes(&c.acc_bias_mg, acc, mg);
+        let mag = axes(&c.mag_bias_ut, mag, 1.0);
         Self { period_s: c.period_s, mag_period_s: c.mag_period_s, gyro, acc, mag, rng, mag_dt_s: 0.0 }
     }
     /// A sample of the stimulus; the caller sets its time.
