@@ -59,10 +59,10 @@ impl DynamicsPrior {
         Self { expected, uncertainty_s: UNCERTAINTY_MIN_S }
     }
 
-    /// Distance of a candidate from the expectation in standard deviations.
-    pub fn distance(&self, candidate: &Dynamics) -> f64 {
+    /// Squared distance of a candidate from the expectation in standard deviations.
+    pub fn distance_squared(&self, candidate: &Dynamics) -> f64 {
         let Dynamics { lag_s, delay_s } = self.expected;
-        (candidate.lag_s - lag_s).hypot(candidate.delay_s - delay_s) / self.uncertainty_s
+        ((candidate.lag_s - lag_s).powi(2) + (candidate.delay_s - delay_s).powi(2)) / self.uncertainty_s.powi(2)
     }
 
     /// The range of three standard deviations.

@@ -134,10 +134,8 @@ impl DynamicsBank {
             return *now;
         }
         let rows = (self.motion_rad / PATH_PER_ROW_RAD).min(ROWS_MAX);
-        let score = |(l, d)| {
-            let prior = before.distance(&candidate((l, d)));
-            rows * self.unexplained((l, d)) / (share + SHARE_FLOOR) + prior * prior
-        };
+        let rows = rows / (share + SHARE_FLOOR);
+        let score = |c| rows * self.unexplained(c) + before.distance_squared(&candidate(c));
         let (best, least) = all().map(|c| (c, score(c))).fold(((0, 0), f64::INFINITY), |a, b| if b.1 < a.1 { b } else { a });
         let best = if score(nearest(&now.best)) > least + BETTER { self.interpolated(best) } else { now.best };
         let [lag_min_s, response_min_s] = [f64::INFINITY; 2];
