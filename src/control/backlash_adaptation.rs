@@ -5,7 +5,7 @@
 //! reverses the same piston again, and the loop hunts. Two reversals of a piston within a short time, on two sides of the
 //! target, indicate hunting at any period: the share to cross shrinks. A single reversal that leaves the error unchanged
 //! fell short: the piston crosses a further increment at once, and the share grows by it. Each channel has its own backlash
-//! and share.
+//! and share. Where the feedback can correct nothing, every second reversal is hunting.
 
 use nalgebra::Vector2;
 
@@ -58,8 +58,8 @@ impl BacklashAdaptation {
         self.channels[i].share
     }
 
-    /// One tick at a resting set-point with the pistons that `reversed` and the error to the target, rad. Returns the
-    /// further share of its backlash that each channel crosses now.
+    /// One tick at a resting set-point with the pistons that `reversed` and the error that the feedback can correct, rad.
+    /// Returns the further share of its backlash that each channel crosses now.
     pub fn step(&mut self, reversed: [bool; 3], error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> [f64; 3] {
         let mut increments = [0.0; 3];
         for ((channel, reversed), increment) in self.channels.iter_mut().zip(reversed).zip(&mut increments) {
@@ -85,7 +85,7 @@ impl Channel {
         let &Patience { answer_s, worth_rad } = patience;
         self.since_reversal_s += dt_s;
         if reversed {
-            let hunting = self.since_reversal_s < HUNTING_S + answer_s && error.dot(&self.reversed_at) < 0.0;
+            let hunting = self.since_reversal_s < HUNTING_S + answer_s && error.dot(&self.reversed_at) <= 0.0;
             (self.since_reversal_s, self.reversed_at) = (0.0, *error);
             self.observed = if hunting { None } else { Some((*error, 0.0)) };
             if hunting {
@@ -152,6 +152,15 @@ mod tests {
             r.step(QUIET, &Vector2::new(0.001, 0.0), &PATIENT, 0.01);
         }
         assert_eq!(r.share(1), SHARE_INITIAL);
+    }
+
+    #[test]
+    fn without_an_error_that_can_be_corrected_the_share_only_shrinks() {
+        let mut r = BacklashAdaptation::default();
+        for k in 0..100 {
+            r.step(if k % 20 == 0 { REVERSAL } else { QUIET }, &Vector2::zeros(), &PATIENT, 0.01);
+        }
+        assert!(r.share(1) < 0.2, "{}", r.share(1));
     }
 
     #[test]

@@ -34,7 +34,7 @@ const MEMORY_S: [f64; N] = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0
 const REST_RAD: f64 = 0.007;
 const SAME_S: f64 = 0.3;
 /// Factor on the standard deviation of an error of timing, because it has the same sign over a whole move.
-const TIMING: f64 = 2.0;
+const TIMING: f64 = 3.0;
 /// Difference in standard deviations from which an observation teaches nothing.
 const OUTLIER: f64 = 4.0;
 /// Interval between two updates, s.

@@ -149,7 +149,8 @@ fn invert_transmission(
     }
     let answer_s = state.dynamics.best.delay_s + 3.0 * state.dynamics.best.lag_s + CROSSING_S;
     let worth_rad = config.feedback.map_or(0.0, |f| f.standstill.open_deg.to_radians());
-    let error = state.setpoint.target.bend.0 - estimate.0;
+    // at its limit the feedback can correct nothing
+    let error = if state.feedback.integral_full { Vector2::zeros() } else { state.setpoint.target.bend.0 - estimate.0 };
     let increments = backlash.step(reversed, &error, &Patience { answer_s, worth_rad }, dt_s);
     for (side, increment) in lines.sides.iter_mut().zip(increments) {
         side.side = (side.side + 2.0 * increment * side.way).clamp(-1.0, 1.0);
