@@ -24,9 +24,6 @@ const MAG_SIGMA_MIN_UT: f64 = 0.05;
 const FIELD_LEVEL_TURN_RAD: f64 = 2.0;
 /// Smallest error of the field, as a fraction of it.
 const FIELD_ERROR_MIN: f64 = 0.002;
-/// Error of the field, as a fraction of it, above which it stems from motors or iron. It then repeats from pose to pose, so
-/// that it lasts longer in proportion.
-const FIELD_ERROR_LASTING: f64 = 0.01;
 /// A rate at standstill beyond this many standard deviations is motion.
 const STILL_GATE: f64 = 5.0;
 
@@ -100,8 +97,7 @@ impl BendFilter {
         let persistent = (mean_nis.max(1.0) - 1.0) * (mean_nis / FIELD_NIS_MAX).max(1.0);
         let sudden = if nis > NIS_GATE { nis / FIELD_NIS_MAX } else { 0.0 };
         let error_ut2 = self.field_error_ut2(turn, rest) + variance * persistent.max(sudden);
-        let lasting = (error_ut2.sqrt() / (FIELD_ERROR_LASTING * rest.norm())).max(1.0);
-        let repeats = (self.config.field_time_s * lasting / self.config.correction_period_s).max(1.0);
+        let repeats = (self.config.field_time_s / self.config.correction_period_s).max(1.0);
         self.kalman.correct_vector(&h, &self.mag.mean(), white + error_ut2 * repeats, before);
         self.field_nis = mean_nis;
     }
