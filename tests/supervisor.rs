@@ -108,6 +108,18 @@ fn held(bend_deg: f64, dir_deg: f64) -> Flight {
     f
 }
 
+/// As on a computer without real-time scheduling.
+#[test]
+fn a_simulated_step_generator_waits_for_a_late_loop() {
+    let mut f = armed();
+    f.bend(40.0, 30.0);
+    for n in 0..600 {
+        f.k += [0, 0, 0, 11][n % 4];
+        assert_eq!(f.turn(None).tripped, None, "turn {n}");
+    }
+    assert_eq!(f.turn(None).mode, Mode::Holding);
+}
+
 /// Injects a fault into a held pose; returns kind and channel of the suspicion five seconds later.
 fn named(fault: InjectedFault, at: (f64, f64)) -> (String, Option<u8>) {
     let mut f = held(at.0, at.1);

@@ -84,6 +84,9 @@ impl Booted {
 
 impl Drop for Booted {
     fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("{}", self.enter(&["tail", "-n", "40", "/run/rf/retroflex.log"]).1);
+        }
         // the first process of its namespace takes all others with it
         let _ = Command::new("kill").args(["-9", &self.pid.to_string()]).status();
         let _ = self.outer.wait();
@@ -123,7 +126,7 @@ fn boot(folder: &Path) -> Booted {
     std::fs::write(folder.join("pins.toml"), "[pins]\nbackend = \"mock\"\n").unwrap();
     for (unit, command) in [("retroflex", "run"), ("retroflex-release", "release --hold --board /run/rf/pins.toml")] {
         std::fs::copy(repo(&format!("systemd/{unit}.service")), units.join(format!("{unit}.service"))).unwrap();
-        let here = format!("[Service]\nExecStart=\nExecStart=/run/rf/retroflex {command}\n");
+        let here = format!("[Service]\nExecStart=\nExecStart=/run/rf/retroflex {command}\nStandardError=append:/run/rf/{unit}.log\n");
         std::fs::create_dir_all(units.join(format!("{unit}.service.d"))).unwrap();
         std::fs::write(units.join(format!("{unit}.service.d/here.conf")), here).unwrap();
     }

@@ -1,8 +1,9 @@
 //! Any [`World`] as a [`Machine`].
 //!
 //! The path from the requested counts to the steps is that of the hardware: the same [`Drive`] with the same limits, lead,
-//! queue and step core. What is left out: the pulses take no time and are never late, and the loop takes no time between
-//! a sample and its request. A world takes the counts that are made by the end of each period.
+//! queue and step core. What is left out: the pulses take no time and are never late, the loop takes no time between a
+//! sample and its request, and the queue does not run empty when the loop is late. A world takes the counts that are made
+//! by the end of each period.
 
 use crate::estimation::fusion::health::ImuReading;
 use crate::motion::Inputs;
@@ -55,11 +56,9 @@ impl<W: World> Machine for Lockstep<W> {
         let late_ns = (now.0 * 1e9 - self.reached_ns as f64).max(0.0);
         let periods = ((late_ns / self.period_ns as f64).round() as u64).min(CATCH_UP_MAX);
         let (mut imu, mut base_imu, mut truth) = (ImuReading::Nothing, None, None);
-        for k in 1..=periods {
-            // a late loop requests nothing new before the last period
-            if k == periods {
-                self.drive.update(self.reached_ns, wanted);
-            }
+        for _ in 0..periods {
+            // a simulated step generator waits for a late loop
+            self.drive.update(self.reached_ns, wanted);
             let from_ns = self.reached_ns;
             self.reached_ns += self.period_ns;
             let made = self.drive.generator_mut().run(from_ns, self.reached_ns, self.inputs);

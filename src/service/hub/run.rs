@@ -5,7 +5,7 @@ use crate::hardware::{rt, supply};
 use crate::service::error::ServiceError;
 use crate::service::port::{FromPort, Port};
 use crate::service::shared::Watched;
-use crate::supervisor::{Mode, Order};
+use crate::supervisor::{CycleOutput, Mode, Order, TripCause};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -21,6 +21,12 @@ const END_MAX_S: f64 = 30.0;
 const SUPPLY_EVERY: Duration = Duration::from_secs(5);
 /// A faulted or stopped tip is given this long to brake before the service ends.
 const BRAKE_MAX: Duration = Duration::from_secs(1);
+
+/// True after a fault of the step generator. A late step alone is no reason to leave a tip bent when the service ends, so the
+/// return to rest is begun again once.
+fn is_late(last: &CycleOutput) -> bool {
+    last.mode == Mode::Faulted && last.latched == Some(TripCause::StepGenerator)
+}
 
 impl Hub {
     /// Runs until a signal ends the service, then returns the tip to rest. Hands back the threads of the sockets.
@@ -41,12 +47,17 @@ impl Hub {
         let after_boot_s = self.ready_after_boot_s;
         tracing::info!(event = "start", after_boot_s, config = %self.config.config_hash, tip = %self.config.tip, "ready, disarmed");
         self.io.notifier.notify("READY=1\nSTATUS=aligning: the tip must be still for 2 s");
+        let mut again = true;
         while !self.is_over() {
             self.io.shared.progress(Watched::Hub);
             if signalled.load(Relaxed) && self.ending.is_none() {
                 self.start_ending();
             }
             self.take_requests();
+            if again && self.ending.is_some() && self.last.as_ref().is_some_and(is_late) {
+                (again, self.ending) = (false, Some(Instant::now()));
+                self.own_order(Order::Relax);
+            }
             self.follow_recording();
             self.persist();
             self.notify_manager();
