@@ -63,7 +63,7 @@ fn write(path: &Path, log: &BendLog) {
     let imu = log.imu.as_ref().expect("every question has an IMU");
     for k in 0..log.t_s.len() {
         let vectors = [log.command[k], log.piston_mm[k], imu.acc[k], imu.gyr[k], imu.mag[k]];
-        let mut row = [f64::NAN; 20];
+        let mut row = vec![f64::NAN; HEADER.split(',').count()];
         row[0] = log.t_s[k];
         row[1..16].copy_from_slice(vectors.map(<[f64; 3]>::from).as_flattened());
         // as many digits as the sensors have

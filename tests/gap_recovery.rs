@@ -4,13 +4,19 @@
 //! schedule with a calibration that is a few percent off. Logs alternate between lab (with tracker) and field.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use rand::SeedableRng;
+use rand::rngs::StdRng;
 use rayon::prelude::*;
 use retroflex::diagnosis::diagnose::diagnose;
 use retroflex::diagnosis::document::Diagnosis;
 use retroflex::diagnosis::exam::question::{Content, Question};
+use retroflex::diagnosis::exam::record::record;
 use retroflex::diagnosis::observe::Observed;
 use retroflex::diagnosis::rig::Rig;
+use retroflex::log::bend_log::BendLog;
+use retroflex::model::Line;
 use retroflex::model::effects::catalogue;
+use retroflex::simulation::plant::PlantConfig;
 
 /// First seed; effect `n` has seed `SEED + n`.
 const SEED: u64 = 4000;
@@ -53,4 +59,25 @@ fn every_effect_is_recovered_from_one_log() {
     }
     let failed: Vec<&str> = names.iter().zip(&all).filter(|(name, d)| !is_recovered(d, name)).map(|(name, _)| *name).collect();
     assert_eq!(failed, UNRECOVERED.map(|u| u.0), "the list of unrecovered effects is out of date");
+}
+
+/// A unit in a hand: its base turns and sways, and one effect is added. The IMU on the base explains the motion of the base, so the
+/// added effect is found.
+#[test]
+fn an_imu_on_the_base_explains_the_motion_of_the_base() {
+    let lines = [Line { k_epsilon: 0.1, k_lambda_mm: 0.35 }; 3];
+    for (n, name) in ["cable_stiffness", "gyro_bias", "leak", "line_lag"].into_iter().enumerate() {
+        let mut rng = StdRng::seed_from_u64(SEED + n as u64);
+        let mut plant = PlantConfig::default();
+        (plant.base.imu, plant.imu.period_s) = (true, 0.01);
+        let plant = plant.with_effect("base_motion", 0.5, &mut rng).unwrap().with_effect(name, 0.7, &mut rng).unwrap();
+        let mut log = record(&plant, &lines, SEED, false).unwrap();
+        let verdict = |log: &BendLog| diagnose(&Observed::new(log, &Rig::default()).unwrap(), &catalogue(), &lines, 1).document.verdict;
+        let with = verdict(&log);
+        log.base = None;
+        let without = verdict(&log);
+        println!("{name}: with {:?}, without {:?}", with.names, without.names);
+        assert_eq!(with.names, [name]);
+        assert_ne!(without.names, [name]);
+    }
 }

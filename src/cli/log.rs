@@ -2,7 +2,6 @@
 
 use crate::cli::replay::flight_of;
 use crate::cli::{CommandOutcome, inputs, output};
-use crate::estimation::fusion::health::ImuReading;
 use crate::log::columns::{self, Column};
 use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::page::Page;
@@ -191,7 +190,7 @@ fn info(path: &Path, json: Option<&Path>, html: Option<&Path>) -> Result<Command
 fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<CommandOutcome> {
     output::check(&[("--csv", csv), ("--parquet", parquet)], &[path])?;
     let mut rows = Vec::new();
-    let (mut step_mm, mut start_s, mut last_s) = (0.0, None, 0.0);
+    let (mut step_mm, mut rows_of) = (0.0, record::Rows::default());
     let ending = messages(path, &mut |message| {
         match Entry::of(&message)? {
             Entry::Event(event) => {
@@ -200,14 +199,7 @@ fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<Com
                 }
             }
             Entry::Cycles(_, cycles) => {
-                for cycle in &cycles {
-                    let ImuReading::Sample(sample, _) = cycle.sensed.imu else { continue };
-                    let t_s = sample.t.0 - *start_s.get_or_insert(sample.t.0 - record::FIRST_ROW_S);
-                    if t_s > last_s {
-                        last_s = t_s;
-                        rows.push(record::values(t_s, &sample, cycle, step_mm));
-                    }
-                }
+                rows.extend(cycles.iter().filter_map(|c| rows_of.add(&c.sensed, &c.target, step_mm)));
             }
             Entry::Shown(_) => {}
         }
@@ -225,7 +217,7 @@ fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<Com
         output::write(path, columns::write(&table).into_diagnostic()?)?;
     }
     let ending = ending.map_or_else(String::new, |ending| format!("; {ending}"));
-    eprintln!("{last_s:.3} s{ending}");
+    eprintln!("{:.3} s{ending}", rows_of.last_s);
     Ok(CommandOutcome::Good)
 }
 

@@ -36,6 +36,8 @@ pub struct Bin {
     pub mag: Vector3<f64>,
     /// Mean rate since the middle of the bin before, rad/s; NaN where missing.
     pub gyr: Vector3<f64>,
+    /// Rotation of the base since the initial rest as the IMU on it measured it: base now → base at rest.
+    pub base: Matrix3<f64>,
     /// 1/σ of each quantity's residual, 1/rad (gyroscope: s/rad); 0 where missing.
     pub weight: PerQuantity<f64>,
     /// Time since a piston last moved, s.
@@ -158,6 +160,7 @@ fn bin(log: &BendLog, rows: &Rows, (from, to): (usize, usize), since: usize) -> 
         acc: of(|i| &i.acc),
         mag: of(|i| &i.mag),
         gyr: log.imu.as_ref().map_or(nan, rate),
+        base: Matrix3::identity(),
         weight: PerQuantity::default(),
         idle_s: rows.idle_s[to - 1],
         speed_mm_s: (from.max(1)..to).map(speed).fold(0.0, f64::max),
@@ -171,7 +174,8 @@ pub fn noise(bins: &[Bin], field_ut: f64) -> PerQuantity<f64> {
     let still = |b: &Bin| b.idle_s > 0.3 && b.lasting_s < 1.5 * BIN_S;
     for w in bins.windows(2).filter(|w| still(&w[0]) && still(&w[1])) {
         let turn = vee(&(w[0].reference.transpose() * w[1].reference));
-        let d = [turn, (w[1].acc - w[0].acc) / G_M_S2, (w[1].mag - w[0].mag) / field_ut, w[1].gyr - w[0].gyr];
+        let change = |of: fn(&Bin) -> Vector3<f64>| w[1].base * of(&w[1]) - w[0].base * of(&w[0]);
+        let d = [turn, change(|b| b.acc) / G_M_S2, change(|b| b.mag) / field_ut, w[1].gyr - w[0].gyr];
         for (q, v) in Quantity::ALL.into_iter().zip(d).filter(|(_, v)| !v.x.is_nan()) {
             squares[q].push(v.norm_squared());
         }

@@ -182,7 +182,9 @@ fn rotation(bend: &Bend) -> Matrix3<f64> {
     let beta = beta2.sqrt();
     let (s, v) = if beta < 1e-6 { (1.0, 0.5) } else { (beta.sin() / beta, (1.0 - beta.cos()) / beta2) };
     let (x, y) = (bend.0.y, bend.0.x);
-    Matrix3::new(1.0 - v * y * y, v * x * y, s * y, v * x * y, 1.0 - v * x * x, -s * x, -s * y, s * x, 1.0 - v * beta2)
+    let first = [1.0 - v * y * y, v * x * y, -s * y];
+    let second = [v * x * y, 1.0 - v * x * x, s * x];
+    Matrix3::from([first, second, [s * y, -s * x, 1.0 - v * beta2]])
 }
 
 /// Pistons as counted a dead time ago.

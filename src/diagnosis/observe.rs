@@ -8,9 +8,11 @@ use crate::diagnosis::bins::{BIN_S, Bin, Rows, bins, mean, noise, thinned};
 use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::diagnosis::refuse::{ObserveError, refuse};
 use crate::diagnosis::rig::Rig;
+use crate::estimation::fusion::align::AlignConfig;
+use crate::estimation::fusion::base::{BaseConfig, BaseTracker};
 use crate::log::bend_log::BendLog;
 use crate::model::RestReadings;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use std::ops::Range;
 
 /// Model error of a nominal unit per angle, rad (1 σ): a quarter of a degree is not attributed to an effect.
@@ -74,6 +76,21 @@ pub struct Observed {
     pub segments: Vec<Segment>,
 }
 
+/// Tells the bins how far the base has turned, if there is an IMU on it. `up` is the vertical in the axes of the tip's IMU at rest.
+fn follow_base(bins: &mut [Bin], log: &BendLog, up: &Vector3<f64>) {
+    let Some(imu) = &log.base else { return };
+    let (config, align, mut base) = (BaseConfig::default(), AlignConfig::default(), BaseTracker::default());
+    let turn = |sample| {
+        base.update(&config, &align, &sample, Some(up));
+        base.turn().r_rest_now.to_rotation_matrix().into_inner()
+    };
+    let turns: Vec<Matrix3<f64>> = imu.samples(&log.t_s).map(turn).collect();
+    for bin in bins {
+        let turns = &turns[bin.rows.0..bin.rows.1];
+        bin.base = turns.iter().sum::<Matrix3<f64>>() / turns.len() as f64;
+    }
+}
+
 impl Observed {
     /// Readings of the tip IMU at the initial rest of the first log.
     pub fn rest(&self) -> RestReadings {
@@ -123,10 +140,11 @@ impl Observed {
         refuse(log)?;
         let log = &thinned(log);
         let rows = Rows::new(log);
-        let bins = bins(log, &rows);
+        let mut bins = bins(log, &rows);
         let rest = bins.iter().position(|b| b.speed_mm_s > 0.0).unwrap_or(bins.len()).max(1);
         let up_base = mean(bins[..rest].iter().map(|b| b.acc)).map_or(Vector3::z(), |v| v.normalize());
         let field_base_ut = mean(bins[..rest].iter().map(|b| b.mag)).unwrap_or_default();
+        follow_base(&mut bins, log, &up_base);
         let noise_deg = noise(&bins, field_base_ut.norm().max(1.0));
         let mut o = Self { rig: *rig, rows, bins, noise_deg, ..Self::default() };
         o.place_instants();

@@ -112,7 +112,7 @@ impl Imu {
         let mut imu = Self { tip: Vec::with_capacity(bins.len()), rate: Vec::with_capacity(bins.len()), change: vec![] };
         let mut before: Option<(Matrix3<f64>, f64)> = None;
         for bin in bins {
-            let mut here = late.at(bin.at);
+            let mut here = bin.base * late.at(bin.at);
             if let Some(turn) = if base_moves { part.base_turn(bin.t_s) } else { None } {
                 here = turn * here;
             }

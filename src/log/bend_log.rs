@@ -5,6 +5,7 @@
 
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
+use crate::primitives::{ImuSample, Seconds};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::io::Read;
 use std::path::Path;
@@ -18,6 +19,16 @@ pub struct ImuColumns {
     pub gyr: Vec<Vector3<f64>>,
     /// Magnetic field, µT, sensor frame.
     pub mag: Vec<Vector3<f64>>,
+}
+
+impl ImuColumns {
+    /// The samples of the rows at these times.
+    pub fn samples<'a>(&'a self, t_s: &'a [f64]) -> impl Iterator<Item = ImuSample> + 'a {
+        t_s.iter().enumerate().map(|(k, t)| {
+            let mag_ut = Some(self.mag[k]).filter(|m| m.iter().all(|x| x.is_finite()));
+            ImuSample { t: Seconds(*t), gyro_rad_s: self.gyr[k], acc_m_s2: self.acc[k], mag_ut }
+        })
+    }
 }
 
 /// A bend log in columns of equal length.

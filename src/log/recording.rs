@@ -11,9 +11,10 @@
 //! | `ref_qw` `ref_qx` `ref_qy` `ref_qz` | – | optional: true orientation, sensor to east-north-up |
 //! | `moving` | 0/1 | optional: 1 where the recording is scored; if absent, everywhere |
 
+use crate::log::bend_log::ImuColumns;
 use crate::log::error::ReadError;
 use crate::log::table::{Schema, Table};
-use crate::primitives::{ImuSample, Rotation, Seconds, Sensor, World};
+use crate::primitives::{ImuSample, Rotation, Sensor, World};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::f64::consts::FRAC_PI_2;
 use std::io::Read;
@@ -82,18 +83,13 @@ fn from_table(path: &Path, table: &Table) -> Result<Recording, ReadError> {
     if let Some((k, value)) = flags.find(|(_, v)| **v != 0.0 && **v != 1.0) {
         return Err(table.refuse(k, MOVING, &value.to_string(), "0 or 1"));
     }
-    let row = |k: usize| Row {
-        sample: ImuSample {
-            t: Seconds(t[k]),
-            gyro_rad_s: gyr[k],
-            acc_m_s2: acc[k],
-            mag_ut: Some(mag[k]).filter(|m| m.iter().all(|x| !x.is_nan())),
-        },
+    let row = |(k, sample): (usize, ImuSample)| Row {
+        sample,
         reference: reference.as_ref().and_then(|r| r[k]).map(world_from_enu),
         moving: moving.is_none_or(|m| m[k] == 1.0),
     };
     let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-    let rows: Vec<Row> = (0..table.rows()).map(row).collect();
+    let rows: Vec<Row> = ImuColumns { acc, gyr, mag }.samples(t).enumerate().map(row).collect();
     if rows.len() < ROWS_MIN {
         return Err(ReadError::too_short(&path.display().to_string(), rows.len(), ROWS_MIN));
     }

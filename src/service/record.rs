@@ -1,6 +1,6 @@
 //! Recordings: a bend log in the format that the diagnosis reads, and a flight log beside it (`NAME.csv.gz` and `NAME.mcap`).
 //!
-//! The log has one row per sample of the tip's IMU; numbers are written with the fewest digits that restore them
+//! The log has one row per sample of the tip's IMU, with the newest sample of the IMU on the base since the row before; numbers are written with the fewest digits that restore them
 //! exactly. A recording has a flight log of its own only if it starts with a freshly reset supervisor, because the internal
 //! state of a running one cannot be written down.
 //!
@@ -9,11 +9,12 @@
 
 use crate::config::ServiceSection;
 use crate::estimation::fusion::health::ImuReading;
+use crate::model::Shape;
 use crate::primitives::ImuSample;
 use crate::service::disk::{free_bytes, mib};
-use crate::service::flight::cycle::Cycle;
 use crate::service::flight::file::FlightFile;
 use crate::service::flight::start::{Event, Logged};
+use crate::supervisor::Sensed;
 use flate2::{Compression, write::GzEncoder};
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -24,10 +25,11 @@ use std::time::{Duration, Instant};
 /// Columns, as in every bend log.
 pub const HEADER: &str = "time_s,cmd_bend_deg,cmd_dir_deg,cmd_len_mm,piston1_mm,piston2_mm,piston3_mm,\
 acc_x_m_s2,acc_y_m_s2,acc_z_m_s2,gyr_x_rad_s,gyr_y_rad_s,gyr_z_rad_s,mag_x_ut,mag_y_ut,mag_z_ut,temp_c,\
-pressure1_kpa,pressure2_kpa,pressure3_kpa\n";
+pressure1_kpa,pressure2_kpa,pressure3_kpa,base_acc_x_m_s2,base_acc_y_m_s2,base_acc_z_m_s2,\
+base_gyr_x_rad_s,base_gyr_y_rad_s,base_gyr_z_rad_s,base_mag_x_ut,base_mag_y_ut,base_mag_z_ut\n";
 
 /// Time of the first row, s.
-pub const FIRST_ROW_S: f64 = 1e-3;
+const FIRST_ROW_S: f64 = 1e-3;
 /// Rows are handed to the thread this often, or when there are as many bytes of them.
 const CHUNK: (Duration, usize) = (Duration::from_millis(250), 64 * 1024);
 /// Chunks that may wait for the disk: at 500 rows a second, more than 20 s.
@@ -60,10 +62,7 @@ pub struct Recording {
     /// Longest duration, s.
     most_s: f64,
     step_mm: f64,
-    /// Rows written so far.
-    pub rows: u64,
-    start_s: Option<f64>,
-    last_s: f64,
+    rows: Rows,
     /// The new supervisor has not run its first cycle yet.
     waiting: bool,
     /// Why it ends early.
@@ -103,9 +102,7 @@ impl Recording {
             progress,
             most_s: bounds.record_max_s,
             step_mm,
-            rows: 0,
-            start_s: None,
-            last_s: f64::NEG_INFINITY,
+            rows: Rows::default(),
             reason: None,
         })
     }
@@ -115,9 +112,9 @@ impl Recording {
         &self.path
     }
 
-    /// Duration of the log so far, s.
-    pub fn duration_s(&self) -> f64 {
-        self.last_s.max(0.0)
+    /// The rows so far.
+    pub fn rows(&self) -> &Rows {
+        &self.rows
     }
 
     /// True if the recording can be replayed.
@@ -145,15 +142,10 @@ impl Recording {
             cycles.push(logged.clone());
         }
         let output = &logged.output;
-        if let ImuReading::Sample(sample, _) = output.input.imu {
-            let start_s = *self.start_s.get_or_insert(sample.t.0 - FIRST_ROW_S);
-            let t = sample.t.0 - start_s;
-            if t > self.last_s {
-                (self.last_s, self.rows) = (t, self.rows + 1);
-                write_row(&mut self.log, &values(t, &sample, &Cycle::new(output, false), self.step_mm));
-            }
+        if let Some(row) = self.rows.add(&output.sensed, &output.frame.target, self.step_mm) {
+            write_row(&mut self.log, &row);
         }
-        if self.duration_s() > self.most_s {
+        if self.rows.last_s > self.most_s {
             self.reason = Some("it reached service.record_max_s");
             self.finish();
         } else if self.log.len() > CHUNK.1 || self.handed_over.elapsed() > CHUNK.0 {
@@ -199,24 +191,49 @@ impl Recording {
     }
 }
 
-/// The values of a row of a bend log, in the order of [`HEADER`]: a sample at `t` s of the log, in this cycle. What is missing is not
-/// a number.
-pub fn values(t: f64, sample: &ImuSample, cycle: &Cycle, step_mm: f64) -> [f64; 20] {
-    let target = &cycle.target;
-    let (bend, dir) = (target.bend.beta().to_degrees(), target.bend.delta().to_degrees());
-    let [p1, p2, p3] = cycle.sensed.counted.0.map(|n| f64::from(n) * step_mm);
-    let (a, g, length) = (sample.acc_m_s2, sample.gyro_rad_s, target.length.0);
-    let (m, gauges) = (sample.mag_ut.unwrap_or_else(|| [f64::NAN; 3].into()), &cycle.sensed.gauges);
-    let ([k1, k2, k3], temp_c) = (gauges.pressure_kpa.unwrap_or([f64::NAN; 3]), gauges.tip_c.unwrap_or(f64::NAN));
-    [t, bend, dir, length, p1, p2, p3, a.x, a.y, a.z, g.x, g.y, g.z, m.x, m.y, m.z, temp_c, k1, k2, k3]
+/// The rows that cycles add to a bend log.
+#[derive(Debug, Default)]
+pub struct Rows {
+    /// Number of rows so far.
+    pub count: u64,
+    /// Time of the last row, s.
+    pub last_s: f64,
+    start_s: Option<f64>,
+    base: Option<ImuSample>,
+}
+
+impl Rows {
+    /// The row of a cycle in which a sample of the tip's IMU arrived, in the order of [`HEADER`]. What is missing is not a number.
+    pub fn add(&mut self, sensed: &Sensed, target: &Shape, step_mm: f64) -> Option<Vec<f64>> {
+        self.base = sensed.base_imu.or(self.base);
+        let ImuReading::Sample(sample, _) = sensed.imu else { return None };
+        let t = sample.t.0 - *self.start_s.get_or_insert(sample.t.0 - FIRST_ROW_S);
+        if t <= self.last_s {
+            return None;
+        }
+        (self.last_s, self.count) = (t, self.count + 1);
+        let (none, gauges, bend) = ([f64::NAN; 3], &sensed.gauges, target.bend);
+        let imu = |s: ImuSample| [s.acc_m_s2.into(), s.gyro_rad_s.into(), s.mag_ut.map_or(none, Into::into)];
+        let mut row = vec![t, bend.beta().to_degrees(), bend.delta().to_degrees()];
+        row.push(target.length.0);
+        row.extend(sensed.counted.0.map(|n| f64::from(n) * step_mm));
+        row.extend(imu(sample).as_flattened());
+        row.push(gauges.tip_c.unwrap_or(f64::NAN));
+        row.extend(gauges.pressure_kpa.unwrap_or(none));
+        row.extend(self.base.take().map_or([none; 3], imu).as_flattened());
+        Some(row)
+    }
 }
 
 /// Appends the values of a row to a bend log; a field without a number is empty.
-pub fn write_row(log: &mut Vec<u8>, [t, values @ ..]: &[f64; 20]) {
-    // writing to memory does not fail
-    let _ = write!(log, "{t:.6}");
-    for value in values {
-        let _ = if value.is_finite() { write!(log, ",{value}") } else { write!(log, ",") };
+pub fn write_row(log: &mut Vec<u8>, row: &[f64]) {
+    for (k, value) in row.iter().enumerate() {
+        // writing to memory does not fail
+        let _ = match k {
+            0 => write!(log, "{value:.6}"),
+            _ if value.is_finite() => write!(log, ",{value}"),
+            _ => write!(log, ","),
+        };
     }
     log.push(b'\n');
 }

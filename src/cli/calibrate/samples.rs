@@ -38,15 +38,7 @@ fn finite(samples: Vec<ImuSample>) -> Vec<ImuSample> {
 
 fn log_samples(log: &BendLog) -> Vec<ImuSample> {
     let Some(imu) = &log.imu else { return Vec::new() };
-    let whole = |v: &Vector3<f64>| v.iter().all(|x| x.is_finite());
-    (0..log.t_s.len())
-        .map(|k| ImuSample {
-            t: Seconds(log.t_s[k]),
-            gyro_rad_s: imu.gyr[k],
-            acc_m_s2: imu.acc[k],
-            mag_ut: imu.mag.get(k).copied().filter(whole),
-        })
-        .collect()
+    imu.samples(&log.t_s).collect()
 }
 
 /// Magnetometer readings in the base frame with the motors' step counts. The tip orientation is estimated without the

@@ -125,7 +125,7 @@ impl Hub {
                     self.recording = Some(state);
                 }
                 Progress::Ended(result) => {
-                    let rows = state.recording.rows;
+                    let rows = state.recording.rows().count;
                     let (reply, why) = match result {
                         Ok(reason) => (reply, reason.map(str::to_owned)),
                         Err(e) => (Err(Failure::refused(format!("{}: {e}", path.display()))), Some(e.to_string())),
@@ -229,7 +229,7 @@ fn next_name(folder: &Path) -> String {
 }
 
 fn recording_json(r: &Recording) -> Value {
-    json!({"path": r.path(), "rows": r.rows, "duration_s": r.duration_s(), "replayable": r.is_replayable()})
+    json!({"path": r.path(), "rows": r.rows().count, "duration_s": r.rows().last_s, "replayable": r.is_replayable()})
 }
 
 fn flight_json(flight: &FlightLog) -> Value {
