@@ -61,7 +61,7 @@ fn every_effect_is_recovered_from_one_log() {
     assert_eq!(failed, UNRECOVERED.map(|u| u.0), "the list of unrecovered effects is out of date");
 }
 
-/// A unit in a hand: its base turns and sways, and one effect is added. The IMU on the base explains the motion of the base, so the
+/// A unit in a hand: its base turns by 20° and sways by 5°, and one effect is added. The IMU on the base explains the motion of the base, so the
 /// added effect is found.
 #[test]
 fn an_imu_on_the_base_explains_the_motion_of_the_base() {
@@ -70,7 +70,9 @@ fn an_imu_on_the_base_explains_the_motion_of_the_base() {
         let mut rng = StdRng::seed_from_u64(SEED + n as u64);
         let mut plant = PlantConfig::default();
         (plant.base.imu, plant.imu.period_s) = (true, 0.01);
-        let plant = plant.with_effect("base_motion", 0.5, &mut rng).unwrap().with_effect(name, 0.7, &mut rng).unwrap();
+        let mut plant = plant.with_effect("base_motion", 0.5, &mut rng).unwrap().with_effect(name, 0.7, &mut rng).unwrap();
+        let motion = plant.effects.base_motion.as_mut().unwrap();
+        (motion.angle_deg, motion.sway_deg, motion.sway_period_s) = (20.0, 5.0, 6.0);
         let mut log = record(&plant, &lines, SEED, false).unwrap();
         let verdict = |log: &BendLog| diagnose(&Observed::new(log, &Rig::default()).unwrap(), &catalogue(), &lines, 1).document.verdict;
         let with = verdict(&log);
