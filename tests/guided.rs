@@ -298,6 +298,9 @@ fn the_service_plays_a_path_and_streams_set_points_with_times() {
     daemon.until(2.0, "the end of the path", |s| s["mode"] == "holding" && s["path"].is_null()).unwrap();
     let far = file("far.csv", "0,20,0\n5,120,0\n");
     expect(&["play", &far], "", 2, "far.csv, line 3, column bend_deg: `120` is not within");
+    let target = daemon.until(1.0, "a status", |_| true).unwrap()["target"].clone();
+    expect(&["play", &file("beyond.csv", "0,20,0\n5,89,0\n")], "", 2, "beyond.csv, line 3, column bend_deg: `89` is not within");
+    assert_eq!(daemon.until(1.0, "a status", |_| true).unwrap()["target"], target, "a refused path moves nothing");
     expect(&["play", &file("late.csv", "0,20,0\n0,25,0\n")], "", 2, "late.csv, line 3, column t_s");
 
     expect(&["bend", "30", "--wait"], "", 0, "settled");

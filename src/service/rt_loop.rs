@@ -202,7 +202,8 @@ impl Loop {
             self.answer(id, answer);
         }
         let number = self.shared.cycles.fetch_add(1, Relaxed);
-        if self.rings.frames.push(LoopFrame { number, changes: self.rings.changes, output }).is_err() {
+        let frame = LoopFrame { number, changes: self.rings.changes, output };
+        if self.rings.frames.push(frame).is_err() {
             self.shared.lost.fetch_add(1, Relaxed);
         }
         if let Some(number) = stop {

@@ -90,11 +90,17 @@ impl Schedule {
     }
 }
 
-/// Moves to the first row of a path, then follows it.
+/// Has the rows of a path checked, moves to the first one, then follows it.
 fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutcome> {
     let column = |name: &str| file.table.column(name).unwrap_or_default();
     let (t_s, bend_deg, dir_deg, len_mm) = (column("t_s"), column("bend_deg"), column("dir_deg"), column("len_mm"));
     let rows: Vec<PathRow> = (0..t_s.len()).map(|k| (t_s[k], bend_deg[k], dir_deg[k], len_mm.get(k).copied())).collect();
+    for chunk in rows.chunks(CHUNK_ROWS) {
+        let request = Request::Path { rows: chunk.to_vec(), more: true };
+        if checked(file, connection.request(&request))?.is_none() {
+            return Ok(NotGoodEnough);
+        }
+    }
     let Some(status) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
     let (_, bend_deg, dir_deg, length_mm) = rows[0];
     let first = Row { bend_deg, dir_deg, hold_s: AT_FIRST_S, ..Row::rest(0.0, &Geometry::default()) };
@@ -102,17 +108,8 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutco
     if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, clock_s(&status), 0.0, &first)? {
         return Ok(NotGoodEnough);
     }
-    let (chunks, mut answer) = (rows.len().div_ceil(CHUNK_ROWS), Value::Null);
-    for (k, chunk) in rows.chunks(CHUNK_ROWS).enumerate() {
-        let request = Request::Path { rows: chunk.to_vec(), more: k + 1 < chunks };
-        answer = match connection.request(&request) {
-            Err(Failure { code: 2, message }) => return Err(refused(file, &message)),
-            other => match answered(other)? {
-                Some(answer) => answer,
-                None => return Ok(NotGoodEnough),
-            },
-        };
-    }
+    let played = connection.request(&Request::Path { rows: vec![], more: false });
+    let Some(answer) = checked(file, played)? else { return Ok(NotGoodEnough) };
     if let Some(slower) = answer["time_scale"].as_f64().filter(|scale| *scale > 1.0) {
         eprintln!("note: the path asks {slower:.2} times the speed that the pistons can follow; it is played that much slower");
     }
@@ -129,13 +126,17 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutco
     }
 }
 
-/// The refusal of a row by the service, with file, line and column.
-fn refused(file: &PathFile, message: &str) -> miette::Report {
+/// The answer to rows of a path. The refusal of one is an error that names file, line and column.
+fn checked(file: &PathFile, answer: Result<Value, Failure>) -> Result<Option<Value>> {
+    let message = match answer {
+        Err(Failure { code: 2, message }) => message,
+        other => return answered(other),
+    };
     let row = message.strip_prefix("row ").and_then(|rest| rest.split(',').next()?.parse::<usize>().ok());
-    match (row, message.split_once("expected ")) {
+    Err(match (row, message.split_once("expected ")) {
         (Some(row @ 1..), Some((_, expected))) if row <= file.table.rows() => miette!("{}", file.refuse(row - 1, expected)),
         _ => miette!("{message}"),
-    }
+    })
 }
 
 /// Why the tip does not move as it is told.

@@ -4,23 +4,23 @@
 //! towards the soft one: unsymmetrical bending (Timoshenko, *Strength of Materials* part I, 3rd ed. 1955,
 //! §§ 47-48; continuum arms: Camarillo et al., *IEEE Trans. Robotics* 2008).
 //!
-//! Law: `b′ = b + S(x) b` with the traceless symmetric
+//! Law: `b′ = b + S b − w (√((b·ŵ)² + ρ²) − ρ)`, ρ = 0.1 rad, with the traceless symmetric
 //! `S = [A B; B −A]`, `A + iB = s e^(2iψ)`: bends along ψ grow by s, bends across it shrink by s.
-//! The strength may change with bend: `A = A₀ + A₁ (x − 3/4)`, x = β/75°. The trace is a common gain, which
-//! the nominal gains contain; at constant length they absorb A₀ and B₀ as well.
+//! The trace is a common gain, which the nominal gains contain; at constant length they absorb A and B as well. A cable
+//! beside the axis is pulled taut by a bend towards w and buckles in one away from it: its stiffness along w is bilinear.
 //!
 //! | parameter | unit | prior | typical |
 //! |---|---|---|---|
-//! | `along` A₀, `aslant` B₀ | – | 0 ± 0.1 | 0.02-0.2 |
-//! | `along_grow` A₁, `aslant_grow` B₁ | – | 0 ± 0.1 | 0-0.2 |
+//! | `along` A, `aslant` B | – | 0 ± 0.1 | 0.02-0.2 |
+//! | `taut_x`, `taut_y`: w | – | 0 ± 0.1 | 0-0.2 |
 //!
 //! Signature: two-fold in the direction δ. Similar to unequal k_ε (whose common-mode length
 //! leaks into bend), `crosstalk` and `clocking`. Length changes separate it.
 
 use crate::model::effects::prelude::*;
 
-/// Bend at which x is 1: 75°, rad.
-const REACH_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
+/// Bend over which the cable turns from buckled to taut, rad.
+const KNEE_RAD: f64 = 0.1;
 
 /// Two-fold anisotropy of the bend.
 pub struct CableStiffness;
@@ -33,16 +33,17 @@ const INFO: EffectInfo = EffectInfo {
     confused_with: &["crosstalk", "clocking", "stiffening"],
     separated_by: "length changes at several directions",
     events: 0,
-    params: &Param::new("", "", 0.0, 0.1, (-0.5, 0.5)).named(["along", "aslant", "along_grow", "aslant_grow"]),
+    params: &Param::new("", "", 0.0, 0.1, (-0.5, 0.5)).named(["along", "aslant", "taut_x", "taut_y"]),
     starts: &[&[0.02; 4]],
 };
 
 impl Effect for CableStiffness {
     info!();
     fn shape(&self, p: &[f64], _m: &mut Memory, _at: &Moment, pose: &mut Pose) {
-        let grown = pose.bend.norm() / REACH_RAD - 0.75;
-        let (a, b) = (p[0] + p[2] * grown, p[1] + p[3] * grown);
-        pose.bend += Matrix2::new(a, b, b, -a) * pose.bend;
+        let taut = Vector2::new(p[2], p[3]);
+        let towards = pose.bend.dot(&taut) / taut.norm().max(1e-12);
+        let pulled = taut * (towards.hypot(KNEE_RAD) - KNEE_RAD);
+        pose.bend += Matrix2::new(p[0], p[1], p[1], -p[0]) * pose.bend - pulled;
     }
 }
 

@@ -125,31 +125,37 @@ impl Hub {
         Command { bend: Bend::from_deg(bend_deg, dir_deg), length }
     }
 
-    /// Collects the rows of a path; with the last ones, hands it to the loop, slowed down so that the pistons can follow it. True
-    /// once that is done.
+    /// Collects the rows of a path and checks them; with the last ones, hands it to the loop, slowed down so that the pistons can
+    /// follow it. True once that is done.
     fn path(&mut self, rows: &[PathRow], more: bool, client: u64) -> Result<bool, Failure> {
         let (before, mut all) = std::mem::take(&mut self.path_rows);
         if before != client {
             all.clear();
         }
+        let from = if more { all.len().saturating_sub(1) } else { 0 };
         all.extend_from_slice(rows);
         if all.len() > PATH_ROWS {
             return Err(Failure::bad(format!("a path has at most {PATH_ROWS} rows")));
         }
-        if more {
+        let checked = &all[from..];
+        if more && checked.len() < 2 {
             self.path_rows = (client, all);
             return Ok(false);
         }
-        let shapes = all.iter().map(|&(_, bend_deg, dir_deg, length_mm)| {
+        let shapes = checked.iter().map(|&(_, bend_deg, dir_deg, length_mm)| {
             let Command { bend, length } = self.target(bend_deg, dir_deg, length_mm);
             bend.0.push(length.0)
         });
-        let path = Path::new(all.iter().map(|row| row.0).collect(), shapes.collect()).filter(|path| path.duration_s() <= PATH_MAX_S);
+        let path = Path::new(checked.iter().map(|row| row.0).collect(), shapes.collect()).filter(|path| path.duration_s() <= PATH_MAX_S);
         let expected = || Failure::bad(format!("a path has two or more rows with times that increase by at most {PATH_MAX_S} s in all"));
         let (path, tick) = (path.ok_or_else(expected)?, &self.config.supervisor.tick);
         let lines = self.in_use().lines;
         if let Some((k, expected)) = path.out_of_reach(&tick.limits, &tick.geometry, &lines) {
-            return Err(Failure::bad(format!("row {}, bend_deg {}: expected {expected}", k + 1, all[k].1)));
+            return Err(Failure::bad(format!("row {}, bend_deg {}: expected {expected}", from + k + 1, checked[k].1)));
+        }
+        if more {
+            self.path_rows = (client, all);
+            return Ok(false);
         }
         let time_scale = path.demand(&tick.geometry, &lines, &tick.motion.limits).max(1.0);
         let path = path.slowed(time_scale);

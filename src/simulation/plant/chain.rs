@@ -80,6 +80,7 @@ impl Plant {
         let field_ut = config.field.vector_ut();
         let mut here = surroundings(r_world_plate, &rest, 0.0, field_ut);
         laws.iter_mut().for_each(|law| law.field(&mut here.field_ut, &Vector3::zeros(), 0.0));
+        let at_base = Surroundings { at_mm: Vector3::zeros(), ..here };
         Ok(Self {
             t: 0.0,
             drive: Drive::new(&unit),
@@ -92,7 +93,7 @@ impl Plant {
             sensed_t: 0.0,
             magnet_ut: Vector3::zeros(),
             imu: Imu::tip(&config.imu, seed, here, &mut laws),
-            base_imu: config.base.imu.then(|| Imu::base(&config.base_imu(), seed, Surroundings { at_mm: Vector3::zeros(), ..here })),
+            base_imu: config.base.imu.then(|| Imu::base(&config.base_imu(), seed, at_base)),
             laws,
             config: config.clone(),
         })
