@@ -22,10 +22,9 @@ use retroflex::simulation::plant::PlantConfig;
 const SEED: u64 = 4000;
 
 /// Effects that are not recovered, with the measured reason.
-const UNRECOVERED: [(&str, &str); 3] = [
+const UNRECOVERED: [(&str, &str); 2] = [
     ("gear_periodic", "verdict none: it closes 78 % of a gap of 0.32°, which is too small for a claim of 0.3°"),
     ("softening", "verdict none: it closes 94 % of a gap of 0.47°, but reduces no sensor's error by the 0.3° needed for a claim"),
-    ("cable_stiffness", "reported as a pair with contact, which ranks first: contact 0.92, cable_stiffness 0.82"),
 ];
 
 /// Least probability of a recovered effect.

@@ -124,6 +124,7 @@ impl Recording {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::primitives::Seconds;
 
     const HEADER: &str = "time_s,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,mag_x,mag_y,mag_z,ref_qw,ref_qx,ref_qy,ref_qz,moving";
     const GOOD: &str = "0.0,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,0\n0.01,0,0,9.8,0.1,0.2,0.3,16,0,-41,1,0,0,0,1\n";
