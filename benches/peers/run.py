@@ -17,12 +17,13 @@ import orientation
 import picture
 import pulses
 import tick
+import tracks
 from context import HERE, Context, Unavailable
 from table import Row, markdown
 
 ROOT = HERE.parents[1]
 # the rows in the order of the table; each module has `measure(context) -> list[Row]`
-ROWS = {1: tick, 2: pulses, 3: accuracy, 4: identification, 5: diagnosis, 6: orientation}
+ROWS = {1: tick, 2: pulses, 3: accuracy, 4: identification, 5: diagnosis, 6: orientation, 7: tracks}
 
 INTRODUCTION = """# Peers
 
@@ -53,6 +54,9 @@ NOTES = """
   that against 120 poses of the same unit.
 * **5, diagnosis.** `retroflex gap exam` on questions of another seed than that of the documents.
 * **6, orientation.** The metric of BROAD: RMS of the whole angle over the movement, without a fitted alignment.
+* **7, paths.** Known in advance, on five units of the twin and five of `tests/independent_plant/plant.c`, all with the paper's
+  calibration; RMS length of the desired minus the true bend vector. The peers command the path 0.04 s ahead, and the PI loop of the
+  Python stack stays closed; `benches/peers/tracks.py --tune` compares their settings on other units and another path.
 """
 
 
@@ -77,8 +81,9 @@ def page(context: Context, rows: list[Row]) -> str:
     """The page."""
     header = ["row", "comparison", "retroflex", "peer", "ratio", "asked", ""]
     text = markdown(header, [[str(r.row), r.what, r.ours, r.peer, r.ratio, r.asked, r.verdict()] for r in rows])
-    for title, name in (("Bend error by condition", "accuracy.md"), ("Orientation error by recording, °", "orientation.md")):
-        path = context.work / name
+    details = {"Bend error by condition": "accuracy", "Error on paths": "tracks", "Orientation error by recording, °": "orientation"}
+    for title, name in details.items():
+        path = context.work / f"{name}.md"
         if path.exists():
             text += f"\n## {title}\n\n{path.read_text()}"
     return text

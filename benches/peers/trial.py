@@ -18,16 +18,6 @@ REST_S, BIAS_S, ZERO_S = 9.0, 4.0, 1.0
 Counts = tuple[int, int, int]
 
 
-@dataclass(frozen=True)
-class Run:
-    """A controller on a plant; an open loop has no estimator."""
-
-    plant: tuple[str, ...]
-    controller: Controller
-    estimator: tuple[float, float, float | None] | None
-    directions: int = DIRECTIONS
-
-
 def schedule(directions: int) -> Iterator[tuple[float, float, bool]]:
     """Bend and direction in degrees, and whether the state is scored. The visit of 80° makes the second 75° an arrival."""
     for n in range(directions):
@@ -71,35 +61,44 @@ class Senses:
         return (0.0, 0.0) if self._estimator is None else self._estimator.bend(self._orientation)
 
 
-def trial(run: Run, dt_s: float, step_mm: float) -> Generator[Counts, Reading, float]:
-    """Yields counts, takes readings, and returns the bend error in degrees RMS."""
-    controller, drive = run.controller, Drive(dt_s)
-    senses = Senses(Estimator(dt_s, *run.estimator) if run.estimator else None, dt_s)
-    every, hold, scored_from = round(controller.period_s / dt_s), round(HOLD_S / dt_s), round((HOLD_S - SCORED_S) / dt_s)
-    sum_sq, count, tick = 0.0, 0, 0
-    goal = (0.0, 0.0, 0.0)
-    yield from senses.rest()
-    for bend_deg, dir_deg, scored in schedule(run.directions):
-        beta, delta = math.radians(bend_deg), math.radians(dir_deg)
-        controller.aim((beta * math.cos(delta), beta * math.sin(delta)))
-        for k in range(hold):
-            if tick % every == 0:
-                goal = controller.update(senses.bend(), drive.at)
-            tick += 1
-            drive.move(goal)
-            a, b, c = drive.at
-            reading = yield (round(a / step_mm), round(b / step_mm), round(c / step_mm))
-            senses.take(reading)
-            if scored and k >= scored_from:
-                sum_sq += (bend_deg - math.degrees(math.hypot(*bend_of(reading.truth)))) ** 2
-                count += 1
-    return math.sqrt(sum_sq / count)
+@dataclass(frozen=True)
+class Run:
+    """A controller on a plant; an open loop has no estimator."""
+
+    plant: tuple[str, ...]
+    controller: Controller
+    estimator: tuple[float, float, float | None] | None
+    directions: int = DIRECTIONS
+
+    def trial(self, dt_s: float, step_mm: float) -> Generator[Counts, Reading, float]:
+        """Yields counts, takes readings, and returns the bend error in degrees RMS."""
+        controller, drive = self.controller, Drive(dt_s)
+        senses = Senses(Estimator(dt_s, *self.estimator) if self.estimator else None, dt_s)
+        every, hold, scored_from = round(controller.period_s / dt_s), round(HOLD_S / dt_s), round((HOLD_S - SCORED_S) / dt_s)
+        sum_sq, count, tick = 0.0, 0, 0
+        goal = (0.0, 0.0, 0.0)
+        yield from senses.rest()
+        for bend_deg, dir_deg, scored in schedule(self.directions):
+            beta, delta = math.radians(bend_deg), math.radians(dir_deg)
+            controller.aim((beta * math.cos(delta), beta * math.sin(delta)))
+            for k in range(hold):
+                if tick % every == 0:
+                    goal = controller.update(senses.bend(), drive.at)
+                tick += 1
+                drive.move(goal)
+                a, b, c = drive.at
+                reading = yield (round(a / step_mm), round(b / step_mm), round(c / step_mm))
+                senses.take(reading)
+                if scored and k >= scored_from:
+                    sum_sq += (bend_deg - math.degrees(math.hypot(*bend_of(reading.truth)))) ** 2
+                    count += 1
+        return math.sqrt(sum_sq / count)
 
 
 def together(runs: Sequence[Run]) -> list[float]:
     """The errors of several runs, whose plants work while the other controllers do."""
     plants = [Plant(list(run.plant)) for run in runs]
-    loops = [trial(run, plant.period_s, plant.step_mm) for run, plant in zip(runs, plants)]
+    loops = [run.trial(plant.period_s, plant.step_mm) for run, plant in zip(runs, plants)]
     for plant, loop in zip(plants, loops):
         plant.send(next(loop))
     errors = [math.nan] * len(runs)
