@@ -55,8 +55,8 @@ NOTES = """
 * **5, diagnosis.** `retroflex gap exam` on questions of another seed than that of the documents.
 * **6, orientation.** The metric of BROAD: RMS of the whole angle over the movement, without a fitted alignment.
 * **7, paths.** Known in advance, on five units of the twin and five of `tests/independent_plant/plant.c`, all with the paper's
-  calibration; RMS length of the desired minus the true bend vector. The peers command the path 0.04 s ahead, and the PI loop of the
-  Python stack stays closed; `benches/peers/tracks.py --tune` compares their settings on other units and another path.
+  calibration; RMS length of the desired minus the true bend vector. The peers command the path 0.02 to 0.04 s ahead, and the PI loop
+  of the Python stack stays closed; `benches/peers/tracks.py --tune` compares their settings on other units and another path.
 """
 
 

@@ -30,15 +30,15 @@ from trial import Counts, Run, Senses, together
 # time at the first point before a path begins
 SETTLE_S = 4.0
 ROW_S = 0.02
-# how far ahead of time the peers command a path that they know
-LEAD_S = 0.04
 UNITS = range(1, 6)
 
 MAKERS: Makers = {
     "open loop": OpenLoop,
-    "Python stack": lambda: SlowPi(ki=4.0, kp=0.3, band_mm=0.2, wait_s=0.0),
-    "MPC": lambda: Mpc(observer=0.05, effort=1e-5, band_mm=0.2),
+    "Python stack": lambda: SlowPi(ki=8.0, kp=0.3, band_mm=0.5, wait_s=0.0),
+    "MPC": lambda: Mpc(observer=0.5, effort=1e-5, band_mm=1.0),
 }
+# how far ahead of time each commands a path that it knows
+LEADS_S = {"open loop": 0.04, "Python stack": 0.02, "MPC": 0.04}
 
 
 # amplitude in degrees, frequency in Hz, phase in radians
@@ -99,7 +99,7 @@ class Drives(Run):
     """A controller that drives a path on a plant."""
 
     track: Track = TRACKS["random smooth path"]
-    lead_s: float = LEAD_S
+    lead_s: float = 0.0
 
     def trial(self, dt_s: float, step_mm: float) -> Generator[Counts, Reading, float]:
         """Yields counts, takes readings, and returns the error in degrees RMS."""
@@ -131,7 +131,8 @@ def retroflex(program: str, plant: Sequence[str], calib: Path, path: Path) -> fl
 
 def drive(program: str, plant: tuple[str, ...], calib: Path, name: str, path: Path) -> dict[str, float]:
     """The errors of all controllers on a path and a plant."""
-    runs = [Drives(plant, make(), None if peer == "open loop" else ESTIMATOR, track=TRACKS[name]) for peer, make in MAKERS.items()]
+    filters = {peer: None if peer == "open loop" else ESTIMATOR for peer in MAKERS}
+    runs = [Drives(plant, make(), filters[peer], track=TRACKS[name], lead_s=LEADS_S[peer]) for peer, make in MAKERS.items()]
     return dict(zip(MAKERS, together(runs))) | {"retroflex": retroflex(program, plant, calib, path)}
 
 

@@ -11,6 +11,10 @@
 //! the set-point, so it starts at every target with what the poses before have taught, and a slow line is corrected for the
 //! error at the end of its motion before it gets there.
 //!
+//! Three more terms, `−⅔ ν_i s_i u_i`, follow the sides `s_i` of the backlash: where k_λ is off by ν r (1 + k_ε), the bend jumps at
+//! every reversal. The caller takes ν out: on a path, where pistons reverse without a stop, into k_λ; elsewhere it is dropped,
+//! because at a held pose the hysteresis of the rubber looks the same.
+//!
 //! Three safeguards: what the timing of the model may have wrong counts as noise, so a line that is not known yet teaches
 //! little while it moves; an observation far from what the parameters can explain (an obstacle, a pinched line) is not learned
 //! from; and after an obstruction the caller returns to the state before it.
@@ -19,17 +23,18 @@ use crate::model::{Geometry, Line};
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
 /// Number of parameters, and where each kind begins; ρ is first.
-const N: usize = 12;
+const N: usize = 15;
 const EVEN: usize = 3;
 const ODD: usize = 6;
 const ROTATION: usize = 9;
 const OFFSET: usize = 10;
+const BACKLASH: usize = 12;
 type Parameters = SVector<f64, N>;
 
 /// Standard deviation of each parameter before any motion, for bends in rad, and the time in which the random walk restores
 /// it, s.
-const SIGMA: [f64; N] = [0.25, 0.25, 0.25, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.03, 0.03];
-const MEMORY_S: [f64; N] = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 20.0, 20.0];
+const SIGMA: [f64; N] = [0.25, 0.25, 0.25, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.03, 0.03, 0.05, 0.05, 0.05];
+const MEMORY_S: [f64; N] = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 20.0, 20.0, 60.0, 60.0, 60.0];
 /// Difference that no smooth function explains, rad (0.4°), and the time for which it stays the same, s.
 const REST_RAD: f64 = 0.007;
 const SAME_S: f64 = 0.3;
@@ -117,7 +122,11 @@ impl StaticError {
             self.covariance[(i, i)] = (self.covariance[(i, i)] + most * dt_s / MEMORY_S[i]).min(most);
         }
         let before = self.at(&seen.bend);
-        let rows = rows(&seen.bend);
+        let mut rows = rows(&seen.bend);
+        for i in 0..3 {
+            let along = -2.0 / 3.0 * seen.sides[i] * Geometry::spoke(i);
+            rows.iter_mut().zip(along.iter()).for_each(|(row, &along)| row[BACKLASH + i] = along);
+        }
         let noise = REST_RAD.powi(2) + (TIMING * seen.timing_s * self.rate).powi(2);
         let spread = rows.iter().map(|h| h.dot(&(self.covariance * h))).sum::<f64>() / 2.0;
         let weight = 1.0 - (seen.unexplained - before).norm_squared() / (OUTLIER * OUTLIER * (spread + noise));
@@ -126,6 +135,13 @@ impl StaticError {
             rows.iter().zip(seen.unexplained.iter()).for_each(|(h, &y)| self.update(h, y, noise));
         }
         self.at(&seen.bend) - before
+    }
+
+    /// Takes out ν, by which each k_λ/(r (1 + k_ε)) is larger than the model's.
+    pub fn take_backlash(&mut self) -> Vector3<f64> {
+        let found = self.parameters.fixed_rows::<3>(BACKLASH).into_owned();
+        self.parameters.fixed_rows_mut::<3>(BACKLASH).fill(0.0);
+        found
     }
 
     fn update(&mut self, h: &Parameters, y: f64, noise: f64) {

@@ -99,6 +99,13 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
         };
         let changed = outer.error.learn(&seen, dt_s);
         outer.pi.hand_over(-changed);
+        let nu = outer.error.take_backlash();
+        if state.setpoint.acceleration.is_some() && config.refine.enabled && config.feedforward.is_none() {
+            let shift = state.transmission.widen(config, &nu);
+            outer.pi.hand_over(shift);
+            outer.model.shift(shift);
+            state.base.watch.shift(&shift);
+        }
     }
     if !outer.standstill.closed && !state.hold.is_holding() {
         let (gains, timing_s) = match state.setpoint.acceleration {

@@ -100,6 +100,21 @@ impl Transmission {
     pub(super) fn intended_shape(&self, geometry: &Geometry) -> Shape {
         shape_of(geometry, &self.lines, &self.intended_mm)
     }
+
+    /// Takes over that each k_λ is larger by ν r (1 + k_ε), within the bounds of the refinement. The pistons stay. Returns the change
+    /// of the intended bend, rad.
+    pub(super) fn widen(&mut self, config: &LoopConfig, nu: &Vector3<f64>) -> Vector2<f64> {
+        let before = self.intended_shape(&config.geometry).bend.0;
+        for (i, line) in self.lines.iter_mut().enumerate() {
+            let [_, [least, most]] = config.refine.bounds(&config.lines[i]);
+            let wider_mm = line.k_lambda_mm + line.play_output_mm(nu[i] * config.geometry.r_mm);
+            let change_mm = (wider_mm.clamp(least, most) - line.k_lambda_mm) * self.sides[i].side;
+            line.k_lambda_mm = wider_mm.clamp(least, most);
+            self.intended_mm[i] -= change_mm;
+            self.sides[i].w_mm -= change_mm;
+        }
+        self.intended_shape(&config.geometry).bend.0 - before
+    }
 }
 
 /// Shape at the play outputs `w_mm` with the gains `lines`.
