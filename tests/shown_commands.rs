@@ -7,7 +7,6 @@
 mod common;
 
 use common::repo;
-use retroflex::simulation::link;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -47,7 +46,7 @@ fn every_shown_command_is_understood() {
     for (name, text) in documents() {
         for (line, in_sentence) in shown(&text) {
             count += 1;
-            let words = link::words(&line).unwrap();
+            let words = shlex::split(&line).unwrap();
             if let Err(e) = retroflex::cli::command().try_get_matches_from(&words) {
                 use clap::error::ErrorKind as Kind;
                 let missing = [Kind::DisplayHelpOnMissingArgumentOrSubcommand, Kind::MissingRequiredArgument, Kind::MissingSubcommand];

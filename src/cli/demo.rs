@@ -13,20 +13,7 @@ const PACE: &str = "8";
 /// The line that leaks, from 1, and its rate, 1/s.
 const LEAK: (usize, f64) = (2, 0.03);
 /// Poses that show a leak: bends in three directions, held for some seconds, in rows of `gap excite`.
-pub const SCHEDULE: &str = "bend_deg,dir_deg,len_mm,hold_s,speed_mm_s
-0,0,20,5,20
-40,0,20,1,20
-40,120,20,1,20
-40,240,20,1,20
-60,240,20,10,20
-0,0,20,3,20
-60,120,20,10,20
-20,120,20,1,20
-60,0,20,10,20
-30,300,21,1,12
-60,60,21,8,12
-0,0,20,4,20
-";
+pub const SCHEDULE: &str = include_str!("demo.csv");
 
 /// Arguments of `demo`.
 #[derive(Debug, clap::Args)]

@@ -6,7 +6,6 @@ use crate::diagnosis::saved::SavedModel;
 use crate::model::DescribedMachine;
 use crate::model::effects::catalogue;
 use crate::primitives::Check;
-use crate::simulation::link;
 use miette::{Result, bail, miette};
 use serde::de::DeserializeOwned;
 use std::ops::RangeInclusive;
@@ -118,7 +117,7 @@ pub fn program(plant: &str) -> Result<(String, Vec<String>)> {
     let refused = |why: &str| miette!("--plant `{plant}`: {why}");
     let line = plant.strip_prefix("exec:");
     let line = line.ok_or_else(|| refused("expected `exec:PROGRAM ARG…`"))?;
-    let mut words = link::words(line).map_err(|why| refused(&why))?.into_iter();
+    let mut words = shlex::split(line).ok_or_else(|| refused("a quote is not closed"))?.into_iter();
     let program = words.next().ok_or_else(|| refused("no program is named after `exec:`"))?;
     Ok((program, words.collect()))
 }

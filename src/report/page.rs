@@ -3,21 +3,7 @@
 use crate::report::svg::escape;
 use std::fmt::{Display, Write};
 
-const STYLE: &str = "
-:root { color-scheme: light dark; }
-body { font: 15px/1.5 system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif; color: #1c2026; background: #fff; margin: 2.2rem auto; max-width: 1120px; padding: 0 1.2rem; }
-h1 { font-size: 1.55rem; margin: 0 0 .3rem; } h2 { font-size: 1.15rem; margin: 2rem 0 .6rem; }
-p { max-width: 46rem; } .quiet { color: #565d66; }
-table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums; }
-th, td { padding: .32rem .8rem; text-align: right; border-bottom: 1px solid #e3e6ea; }
-th { font-weight: 600; border-bottom: 2px solid #8a8f98; } th:first-child, td:first-child { text-align: left; padding-left: 0; }
-pre { font-size: 12px; white-space: pre-wrap; }
-.charts { display: grid; grid-template-columns: repeat(auto-fill, minmax(350px, 1fr)); gap: 1.2rem; }
-figure { margin: 0; break-inside: avoid; } figure svg { width: 100%; height: auto; display: block; }
-figcaption { color: #565d66; font-size: .85rem; }
-@media screen and (prefers-color-scheme: dark) { body { color: #e3e6ea; background: #16191d; } .quiet, figcaption { color: #a9afb8; } th, td { border-color: #3a4048; } figure svg { filter: invert(1) hue-rotate(180deg); } }
-@media print { body { margin: 0; max-width: none; font-size: 10pt; } .charts { grid-template-columns: repeat(2, 1fr); } h2 { break-after: avoid; } }
-";
+const STYLE: &str = include_str!("page.css");
 
 /// A page under construction.
 #[derive(Debug, Clone)]

@@ -131,28 +131,6 @@ impl World for Link {
     }
 }
 
-/// Splits a command line at whitespace; text in single or double quotes stays together.
-///
-/// # Errors
-/// If a quote is not closed.
-pub fn words(line: &str) -> Result<Vec<String>, String> {
-    let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
-    for c in line.chars() {
-        match quote {
-            Some(q) if c == q => quote = None,
-            Some(_) => word.get_or_insert_default().push(c),
-            None if c == '\'' || c == '"' => {
-                quote = Some(c);
-                word.get_or_insert_default();
-            }
-            None if c.is_whitespace() => words.extend(word.take()),
-            None => word.get_or_insert_default().push(c),
-        }
-    }
-    words.extend(word);
-    quote.map_or(Ok(words), |q| Err(format!("the quote {q} is not closed")))
-}
-
 fn read_lines(out: ChildStdout) -> Receiver<std::io::Result<String>> {
     let (tx, rx) = sync_channel(4);
     std::thread::spawn(move || {
@@ -229,13 +207,6 @@ fn orientation(q: &[f64; 4]) -> Option<Rotation<Base, Tip>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn quotes_keep_text_together() {
-        assert_eq!(words(" a  'b c' d\"e f\" ''").unwrap(), ["a", "b c", "de f", ""]);
-        assert!(words("a 'b").unwrap_err().contains("not closed"));
-        assert!(words("  ").unwrap().is_empty());
-    }
 
     #[test]
     fn invalid_greetings_are_refused() {

@@ -245,6 +245,21 @@ mod tests {
     }
 
     #[test]
+    fn a_backlash_that_is_off_is_found_on_a_circle() {
+        let (mut learner, nu) = (StaticError::default(), Vector3::new(0.04, -0.03, 0.0));
+        let mut found = Vector3::zeros();
+        for k in 0..6000 {
+            let (sin, cos) = (0.005 * f64::from(k) * 0.63).sin_cos();
+            let (bend, rate) = (Vector2::new(cos, sin) * 0.5, Vector2::new(-sin, cos) * 0.3);
+            let sides = Vector3::from_fn(|i, _| -Geometry::spoke(i).dot(&rate).signum());
+            let jumps = (0..3).map(|i| Geometry::spoke(i) * (-2.0 / 3.0 * (nu[i] - found[i]) * sides[i])).sum::<Vector2<f64>>();
+            learner.learn(&Observed { sides, rate: 0.3, ..seen(bend, truth(&bend) + jumps) }, 0.005);
+            found += learner.take_backlash();
+        }
+        assert!((found - nu).norm() < 0.01, "{found:?}");
+    }
+
+    #[test]
     fn what_changes_is_what_the_call_returns_and_other_gains_keep_the_rest() {
         let mut learner = taught(2, truth);
         let bend = Vector2::new(0.3, 0.4);
