@@ -67,7 +67,7 @@ impl Page {
     pub fn html(&self) -> String {
         format!(
             "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-             <title>{}</title><style>{STYLE}</style></head><body>\n{}</body></html>\n",
+             <title>{}</title><style>\n{STYLE}</style></head><body>\n{}</body></html>\n",
             escape(&self.title),
             self.body
         )

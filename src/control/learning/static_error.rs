@@ -11,9 +11,9 @@
 //! the set-point, so it starts at every target with what the poses before have taught, and a slow line is corrected for the
 //! error at the end of its motion before it gets there.
 //!
-//! Three more terms, `−⅔ ν_i s_i u_i`, follow the sides `s_i` of the backlash: where k_λ is off by ν r (1 + k_ε), the bend jumps at
-//! every reversal. The caller takes ν out: on a path, where pistons reverse without a stop, into k_λ; elsewhere it is dropped,
-//! because at a held pose the hysteresis of the rubber looks the same.
+//! On a path, where pistons reverse without a stop, three more terms `−⅔ ν_i s_i u_i` follow the sides `s_i` of the backlash: where
+//! k_λ is off by ν r (1 + k_ε), the bend jumps at every reversal. The caller gives ν to k_λ. At held poses the hysteresis of the
+//! rubber looks the same, so nothing is learned there.
 //!
 //! Three safeguards: what the timing of the model may have wrong counts as noise, so a line that is not known yet teaches
 //! little while it moves; an observation far from what the parameters can explain (an obstacle, a pinched line) is not learned
@@ -33,7 +33,7 @@ type Parameters = SVector<f64, N>;
 
 /// Standard deviation of each parameter before any motion, for bends in rad, and the time in which the random walk restores
 /// it, s.
-const SIGMA: [f64; N] = [0.25, 0.25, 0.25, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.03, 0.03, 0.05, 0.05, 0.05];
+const SIGMA: [f64; N] = [0.25, 0.25, 0.25, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.03, 0.03, 0.1, 0.1, 0.1];
 const MEMORY_S: [f64; N] = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 20.0, 20.0, 60.0, 60.0, 60.0];
 /// Difference that no smooth function explains, rad (0.4°), and the time for which it stays the same, s.
 const REST_RAD: f64 = 0.007;
@@ -62,6 +62,8 @@ pub struct Observed {
     pub rate: f64,
     /// Side of the backlash of each piston, −1 to 1.
     pub sides: Vector3<f64>,
+    /// The tip follows a path.
+    pub follows: bool,
     /// How far the response time of the model may be off, s.
     pub timing_s: f64,
     /// Longest plausible response time, s.
@@ -124,7 +126,7 @@ impl StaticError {
         let before = self.at(&seen.bend);
         let mut rows = rows(&seen.bend);
         for i in 0..3 {
-            let along = -2.0 / 3.0 * seen.sides[i] * Geometry::spoke(i);
+            let along = if seen.follows { -2.0 / 3.0 * seen.sides[i] } else { 0.0 } * Geometry::spoke(i);
             rows.iter_mut().zip(along.iter()).for_each(|(row, &along)| row[BACKLASH + i] = along);
         }
         let noise = REST_RAD.powi(2) + (TIMING * seen.timing_s * self.rate).powi(2);
@@ -180,7 +182,7 @@ mod tests {
     use super::*;
 
     fn seen(bend: Vector2<f64>, unexplained: Vector2<f64>) -> Observed {
-        Observed { bend, unexplained, rate: 0.0, sides: Vector3::zeros(), timing_s: 0.01, response_s: 0.05 }
+        Observed { bend, unexplained, rate: 0.0, sides: Vector3::zeros(), follows: false, timing_s: 0.01, response_s: 0.05 }
     }
 
     /// A tip whose bellows have other gains, a curve and an offset.
@@ -253,7 +255,7 @@ mod tests {
             let (bend, rate) = (Vector2::new(cos, sin) * 0.5, Vector2::new(-sin, cos) * 0.3);
             let sides = Vector3::from_fn(|i, _| -Geometry::spoke(i).dot(&rate).signum());
             let jumps = (0..3).map(|i| Geometry::spoke(i) * (-2.0 / 3.0 * (nu[i] - found[i]) * sides[i])).sum::<Vector2<f64>>();
-            learner.learn(&Observed { sides, rate: 0.3, ..seen(bend, truth(&bend) + jumps) }, 0.005);
+            learner.learn(&Observed { sides, follows: true, rate: 0.3, ..seen(bend, truth(&bend) + jumps) }, 0.005);
             found += learner.take_backlash();
         }
         assert!((found - nu).norm() < 0.01, "{found:?}");

@@ -94,14 +94,14 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
             unexplained: observed.unexplained,
             rate: observed.predicted_rate,
             sides: Vector3::from_fn(|i, _| state.transmission.sides[i].side),
+            follows: state.setpoint.acceleration.is_some(),
             timing_s: timing_s + dynamics.error_max_s(),
             response_s: dynamics.response_max_s,
         };
         let changed = outer.error.learn(&seen, dt_s);
         outer.pi.hand_over(-changed);
-        let nu = outer.error.take_backlash();
-        if state.setpoint.acceleration.is_some() && config.refine.enabled && config.feedforward.is_none() {
-            let shift = state.transmission.widen(config, &nu);
+        if seen.follows && config.refine.enabled && config.feedforward.is_none() {
+            let shift = state.transmission.widen(config, &outer.error.take_backlash());
             outer.pi.hand_over(shift);
             outer.model.shift(shift);
             state.base.watch.shift(&shift);

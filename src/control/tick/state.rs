@@ -106,10 +106,11 @@ impl Transmission {
     pub(super) fn widen(&mut self, config: &LoopConfig, nu: &Vector3<f64>) -> Vector2<f64> {
         let before = self.intended_shape(&config.geometry).bend.0;
         for (i, line) in self.lines.iter_mut().enumerate() {
+            let now_mm = line.k_lambda_mm;
             let [_, [least, most]] = config.refine.bounds(&config.lines[i]);
-            let wider_mm = line.k_lambda_mm + line.play_output_mm(nu[i] * config.geometry.r_mm);
-            let change_mm = (wider_mm.clamp(least, most) - line.k_lambda_mm) * self.sides[i].side;
-            line.k_lambda_mm = wider_mm.clamp(least, most);
+            let wider_mm = now_mm + line.play_output_mm(nu[i] * config.geometry.r_mm);
+            line.k_lambda_mm = wider_mm.clamp(least.min(now_mm), most.max(now_mm));
+            let change_mm = (line.k_lambda_mm - now_mm) * self.sides[i].side;
             self.intended_mm[i] -= change_mm;
             self.sides[i].w_mm -= change_mm;
         }
