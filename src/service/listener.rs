@@ -4,7 +4,7 @@
 
 use crate::service::error::ServiceError;
 use std::os::fd::AsRawFd;
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -22,25 +22,30 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Creates the socket with the given permission bits. A stale socket file is replaced; a live one is an error.
+    /// Creates the socket with the given permission bits. A stale socket file is replaced; a live one is an error, and
+    /// so is a file of another kind.
     ///
     /// # Errors
     /// [`ServiceError::Socket`].
     pub fn bind(path: &Path, mode: u32) -> Result<Self, ServiceError> {
         let fail = |source| ServiceError::Socket { path: path.display().to_string(), source };
-        if path.exists() {
+        let refuse = |why: &str| fail(std::io::Error::other(why));
+        if let Ok(there) = std::fs::symlink_metadata(path) {
+            if !there.file_type().is_socket() {
+                return Err(refuse("a file of another kind is there; name another path"));
+            }
             if UnixStream::connect(path).is_ok() {
-                return Err(fail(std::io::Error::other("another service already answers on this socket")));
+                return Err(refuse("another service already answers on this socket"));
             }
             std::fs::remove_file(path).map_err(fail)?;
         }
         // nobody but the owner may connect before the permissions are set
         // SAFETY: umask takes and returns an integer; no other thread creates files at this time
         let umask = unsafe { libc::umask(0o177) };
-        let bound = UnixListener::bind(path);
+        let bound = UnixListener::bind(path).map_err(fail);
         // SAFETY: as above
         unsafe { libc::umask(umask) };
-        let socket = bound.map_err(fail)?;
+        let socket = bound?;
         // SAFETY: the descriptor is a bound socket; a second listen(2) changes the length of its queue
         unsafe { libc::listen(socket.as_raw_fd(), BACKLOG) };
         std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).map_err(fail)?;
@@ -84,6 +89,16 @@ fn inode(path: &Path) -> std::io::Result<(u64, u64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_that_is_no_socket_is_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("notes.txt");
+        std::fs::write(&path, "mine").unwrap();
+        let error = Listener::bind(&path, 0o600).unwrap_err().to_string();
+        assert!(error.contains("another kind") && error.contains("notes.txt"), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"mine");
+    }
 
     #[test]
     fn a_socket_that_another_service_has_replaced_is_left_alone() {
