@@ -61,6 +61,7 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input
     if cut != Cut::None {
         setpoint.target = config.geometry.shape(&q);
     }
+    let pace = setpoint.brake(&pace);
     setpoint.bend.step(&setpoint.target.bend.0, &pace, dt_s);
     setpoint.length.step(&Vector1::new(setpoint.target.length.0), &config.length_pace, dt_s);
     cut
