@@ -26,6 +26,7 @@ const SHORT: f64 = 0.8;
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Channel {
     share: f64,
+    crossed: f64,
     since_reversal_s: f64,
     reversed_at: Vector2<f64>,
     observed: Option<(Vector2<f64>, f64)>,
@@ -60,10 +61,10 @@ impl BacklashAdaptation {
 
     /// One tick at a resting set-point with the pistons that `reversed` and the error that the feedback can correct, rad.
     /// Returns the further share of its backlash that each channel crosses now.
-    pub fn step(&mut self, reversed: [bool; 3], error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> [f64; 3] {
+    pub fn step(&mut self, reversed: [bool; 3], crosses: f64, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> [f64; 3] {
         let mut increments = [0.0; 3];
         for ((channel, reversed), increment) in self.channels.iter_mut().zip(reversed).zip(&mut increments) {
-            *increment = channel.step(reversed, error, patience, dt_s);
+            *increment = channel.step(reversed, crosses, error, patience, dt_s);
         }
         increments
     }
@@ -78,13 +79,14 @@ impl BacklashAdaptation {
 
 impl Channel {
     fn of_share(share: f64) -> Self {
-        Self { share, since_reversal_s: f64::INFINITY, reversed_at: Vector2::zeros(), observed: None }
+        Self { share, crossed: 0.0, since_reversal_s: f64::INFINITY, reversed_at: Vector2::zeros(), observed: None }
     }
 
-    fn step(&mut self, reversed: bool, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> f64 {
+    fn step(&mut self, reversed: bool, crosses: f64, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> f64 {
         let &Patience { answer_s, worth_rad } = patience;
         self.since_reversal_s += dt_s;
         if reversed {
+            self.crossed = crosses * self.share;
             let hunting = self.since_reversal_s < HUNTING_S + answer_s && error.dot(&self.reversed_at) <= 0.0;
             (self.since_reversal_s, self.reversed_at) = (0.0, *error);
             self.observed = if hunting { None } else { Some((*error, 0.0)) };
@@ -98,9 +100,10 @@ impl Channel {
                 // other channels may have moved the tip in the meantime: the observation continues from here
                 (*before, *age_s) = (*error, 0.0);
                 let short = (SHORT..1.0 / SHORT).contains(&left) && error.norm() > worth_rad;
-                if short && self.share < 1.0 {
-                    let increment = INCREMENT.min(1.0 - self.share);
-                    self.share += increment;
+                if short && self.crossed < 1.0 {
+                    let increment = INCREMENT.min(1.0 - self.crossed);
+                    self.crossed += increment;
+                    self.share = self.share.max(self.crossed);
                     return increment;
                 }
             }

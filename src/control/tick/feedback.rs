@@ -84,7 +84,10 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     if !moving {
         outer.hunting.step(state.setpoint.target.bend.0 - estimate, observed.predicted);
     }
-    outer.standstill.step(&f.standstill, outer.hunting.band_rad, to_go, moving, dt_s);
+    let own = outer.hunting.band_rad > 0.0 || state.base.watch.share_of_tip() < 1.0;
+    outer.calm.step(moving, &observed.unexplained, state.dynamics.best.response_s(), own, dt_s);
+    let wide = if outer.calm.holds() { crate::control::calm::knob("CALM_CLOSE", 0.45).to_radians() } else { 0.0 };
+    outer.standstill.step(&f.standstill, outer.hunting.band_rad.max(wide), to_go, moving, dt_s);
     outer.standstill_s = if outer.standstill.closed { outer.standstill_s + dt_s } else { 0.0 };
     outer.obstruction.step(&f.obstruction, moving, &outer.feedback, &observed.settled, &to_go);
     let dynamics = &state.dynamics;
@@ -105,6 +108,7 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
             let shift = state.transmission.widen(config, &outer.error.take_backlash());
             outer.pi.hand_over(shift);
             outer.model.shift(shift);
+        outer.calm.shift(&shift);
             state.base.watch.shift(&shift);
         }
     }
@@ -124,7 +128,8 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
         if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
             outer.pi = before;
         }
-        outer.feedback = outer.pi.feedback + outer.error.at(&state.setpoint.bend.at);
+        let wanted = outer.pi.feedback + outer.error.at(&state.setpoint.bend.at);
+        outer.feedback = outer.calm.limit(&outer.feedback, &wanted, to_go.norm(), dynamics.best.lag_s, dt_s);
     }
 }
 
@@ -195,6 +200,7 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
         outer.error.change_lines(&lines.lines, &next);
         outer.pi.hand_over(shift + learned - outer.error.at(&bend));
         outer.model.shift(shift);
+        outer.calm.shift(&shift);
         state.base.watch.shift(&shift);
         lines.lines = next;
     }

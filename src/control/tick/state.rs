@@ -149,6 +149,7 @@ pub(super) struct Feedback {
     pub(super) integral_s: f64,
     /// The integrator is at its bound.
     pub(super) integral_full: bool,
+    pub(super) calm: crate::control::calm::Calm,
     pub(super) standstill: StandstillLatch,
     /// Time since the latch closed, s.
     pub(super) standstill_s: f64,
