@@ -2,7 +2,7 @@
 
 use super::observation::Observation;
 use super::path;
-use super::state::{Feedback, Hold, LoopState, shape_of};
+use super::state::{Feedback, Hold, LoopState, Taught};
 use super::types::{Input, LoopConfig};
 use crate::control::follow::Follower;
 use crate::control::learning::online::HeldPose;
@@ -71,8 +71,14 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input
 /// integral part keeps its value in that pose, and later poses have the feedforward and what was learned before.
 pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &Observation, moving: bool, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
+    depart(state, moving);
+    let sways = state.base.watch.sway_mean_square() > 0.0;
+    if sways && !std::mem::replace(&mut state.feedback.sways, sways) {
+        forget_sway(config, state);
+    }
+    state.feedback.sways = sways;
     let outer = &mut state.feedback;
-    outer.depart(moving, state.base.moved);
+    outer.error.doubt(sways);
     if state.base.moved {
         outer.standstill = StandstillLatch::default();
         outer.pi.feedback = outer.pi.integral;
@@ -99,6 +105,7 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
             rate: observed.predicted_rate,
             sides: Vector3::from_fn(|i, _| state.transmission.sides[i].side),
             follows: state.setpoint.acceleration.is_some(),
+            sway2: state.base.watch.sway_mean_square(),
             timing_s: timing_s + dynamics.error_max_s(),
             response_s: dynamics.response_max_s,
         };
@@ -121,7 +128,7 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
         outer.integral_s = gains.integral_s;
         let before = outer.pi;
         let setpoint = state.setpoint.bend.at;
-        let learned = outer.error.at(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
+        let learned = outer.error.expected(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
         let unexplained = (observed.unexplained - learned) * state.base.watch.share_of_tip();
         let (timing, integral_max) = (timing_s * observed.predicted_rate, f.integral_max_deg.to_radians());
         outer.integral_full = outer.pi.step(unexplained, timing, &gains, integral_max, dt_s);
@@ -141,24 +148,40 @@ impl Feedback {
     pub(super) fn error_change(&self, from: Vector2<f64>, to: Vector2<f64>, slope_max: f64) -> Vector2<f64> {
         (self.error.at(&to) - self.error.at(&from)).cap_magnitude(slope_max * (to - from).norm())
     }
+}
 
-    /// When the set-point begins to move: keeps the integral part and what was learned. What both have gained against an
-    /// obstruction says nothing about the next target, so there they start from the last values that were free of it.
-    fn depart(&mut self, moving: bool, base_moved: bool) {
-        if moving && !self.moving {
-            if base_moved {
-                // it belongs to the pose in which the base turned
-                self.pi = PiState::default();
-            } else if self.obstruction.blocked {
-                (self.pi, self.error) = self.free;
-            } else {
-                let integral = self.pi.integral;
-                self.free = (PiState { integral, feedback: integral }, self.error);
+/// When the set-point begins to move: keeps the integral part and what was learned. What both have gained against an obstruction says
+/// nothing about the next target, so there they start from the last values that were free of it.
+fn depart(state: &mut LoopState, moving: bool) {
+    let outer = &mut state.feedback;
+    if moving && !outer.moving {
+        if state.base.moved {
+            // it belongs to the pose in which the base turned
+            outer.pi = PiState::default();
+        } else if outer.obstruction.blocked {
+            if let Some(free) = &outer.taught[0] {
+                (outer.pi, outer.error) = (free.pi, free.error);
             }
-            self.hunting.new_target();
+        } else {
+            let integral = outer.pi.integral;
+            let pi = PiState { integral, feedback: integral };
+            let now = Taught { pi, error: outer.error, refine: state.learning.refine, lines: state.transmission.lines };
+            outer.taught.rotate_right(1);
+            outer.taught[0] = Some(now);
         }
-        self.moving = moving;
+        outer.hunting.new_target();
     }
+    outer.moving = moving;
+}
+
+/// When a base begins to sway: returns to what was known before it could have been noticed.
+fn forget_sway(config: &LoopConfig, state: &mut LoopState) {
+    let outer = &mut state.feedback;
+    let Some(Taught { pi, error, refine, lines }) = outer.taught.iter().rev().flatten().next().copied() else { return };
+    (outer.pi, outer.error, outer.taught, state.learning.refine) = (pi, error, Default::default(), refine);
+    let shift = state.transmission.exchange(&config.geometry, &lines);
+    outer.model.shift(shift);
+    state.base.watch.shift(&shift);
 }
 
 /// Learns the dynamics during motion, and k_ε and k_λ from every new pose in which the tip rests: once it has settled, or at the
@@ -174,7 +197,7 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
     let just_settled = rested_s >= LEARN_AFTER_S && rested_s - dt_s < LEARN_AFTER_S;
     let leaves_quiet = departs && rested_s < LEARN_AFTER_S && state.feedback.error.quiet;
     // the gains of a described machine were identified together with its effects
-    if !(just_settled || leaves_quiet) || config.feedforward.is_some() {
+    if !(just_settled || leaves_quiet) || config.feedforward.is_some() || state.feedback.sways {
         return;
     }
     let bend = observed.settled;
@@ -192,17 +215,15 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
     let learned = state.learning.refine.learn(&config.refine, &lines.lines, &pose);
     if let Some(next) = learned {
         // bumpless: the pistons stay, so the same play outputs now mean another bend
-        let before = lines.intended_shape(&config.geometry).bend;
-        let after = shape_of(&config.geometry, &next, &lines.intended_mm).bend;
-        let shift = after.0 - before.0;
+        let before = lines.lines;
+        let shift = lines.exchange(&config.geometry, &next);
         let outer = &mut state.feedback;
         let learned = outer.error.at(&bend);
-        outer.error.change_lines(&lines.lines, &next);
+        outer.error.change_lines(&before, &next);
         outer.pi.hand_over(shift + learned - outer.error.at(&bend));
         outer.model.shift(shift);
         outer.calm.shift(&shift);
         state.base.watch.shift(&shift);
-        lines.lines = next;
     }
 }
 

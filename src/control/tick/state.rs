@@ -114,6 +114,13 @@ impl Transmission {
         shape_of(geometry, &self.lines, &self.intended_mm)
     }
 
+    /// Exchanges the gains while the pistons stay. Returns the change of the intended bend, rad.
+    pub(super) fn exchange(&mut self, geometry: &Geometry, next: &[Line; 3]) -> Vector2<f64> {
+        let before = self.intended_shape(geometry).bend.0;
+        self.lines = *next;
+        self.intended_shape(geometry).bend.0 - before
+    }
+
     /// Takes over that each k_λ is larger by ν r (1 + k_ε), within the bounds of the refinement. The pistons stay. Returns the change
     /// of the intended bend, rad.
     pub(super) fn widen(&mut self, config: &LoopConfig, nu: &Vector3<f64>) -> Vector2<f64> {
@@ -155,12 +162,23 @@ pub(super) struct Feedback {
     pub(super) standstill_s: f64,
     pub(super) obstruction: ObstructionDetector,
     pub(super) hunting: HuntingDetector,
-    /// Controller and learned error when the set-point last left a pose that nothing obstructed.
-    pub(super) free: (PiState, StaticError),
+    /// What was known when the set-point left the last poses that nothing obstructed, the latest first.
+    pub(super) taught: [Option<Taught>; 8],
+    /// The base sways.
+    pub(super) sways: bool,
     /// The set-point moves.
     pub(super) moving: bool,
     pub(super) saturation: SaturationMonitor,
     pub(super) backlash: BacklashAdaptation,
+}
+
+/// What the poses before a departure have taught.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Taught {
+    pub(super) pi: PiState,
+    pub(super) error: StaticError,
+    pub(super) refine: RefineState,
+    pub(super) lines: [Line; 3],
 }
 
 /// The online learners.
@@ -254,6 +272,7 @@ impl LoopState {
         if self.transmission.described.is_none() {
             self.transmission.lines = lines;
             self.feedback.error = StaticError::default();
+            self.feedback.taught = Default::default();
         }
     }
 
@@ -282,13 +301,14 @@ impl LoopState {
         let feedback = given.bend.0 - at.0;
         let (error, integral) = (self.feedback.error, feedback - self.feedback.error.at(&at.0));
         let pi = PiState { integral, feedback: integral };
+        let taught = Taught { pi, error, refine: self.learning.refine, lines: self.transmission.lines };
         let mut backlash = self.feedback.backlash;
         backlash.forget();
         self.feedback = Feedback {
             model: ReferenceModel::resting(given.bend.0),
             pi,
             error,
-            free: (pi, error),
+            taught: [Some(taught), None, None, None, None, None, None, None],
             feedback,
             backlash,
             hunting: HuntingDetector::new(self.feedback.hunting.caution),
@@ -303,6 +323,7 @@ impl LoopState {
     pub fn forget_feedback(&mut self) {
         self.feedback.pi = PiState::default();
         self.feedback.error = StaticError::default();
+        self.feedback.taught = Default::default();
         self.feedback.feedback = Vector2::zeros();
         self.feedback.integral_full = false;
         self.feedback.saturation = SaturationMonitor::default();
