@@ -4,8 +4,8 @@
 //! the rubber looks like backlash to an identification), crossing all of it moves the tip past its target, the feedback
 //! reverses the same piston again, and the loop hunts. Two reversals of a piston within a short time, on two sides of the
 //! target, indicate hunting at any period: the share to cross shrinks. A single reversal that leaves the error unchanged
-//! fell short: the piston crosses a further increment at once, and the share grows by it. Each channel has its own backlash
-//! and share. Where the feedback can correct nothing, every second reversal is hunting.
+//! fell short: the piston crosses a further increment at once, and the share becomes at least what was crossed in total.
+//! Each channel has its own backlash and share. Where the feedback can correct nothing, every second reversal is hunting.
 
 use nalgebra::Vector2;
 
@@ -21,7 +21,7 @@ const INCREMENT: f64 = 0.03;
 /// Remaining fraction of the error above which a reversal fell short.
 const SHORT: f64 = 0.8;
 
-/// One channel: the learned share, the time since its last reversal and the error there, and error and age of the reversal
+/// One channel: the learned share, what of it the last reversal has crossed, the time since its last reversal and the error there, and error and age of the reversal
 /// under observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Channel {
@@ -32,13 +32,15 @@ struct Channel {
     observed: Option<(Vector2<f64>, f64)>,
 }
 
-/// When a reversal counts as too short.
+/// How a reversal crosses the backlash, and when it counts as too short.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Patience {
     /// Time within which the tip responds to a reversal, s.
     pub answer_s: f64,
     /// Error below which no further increment is worthwhile, rad.
     pub worth_rad: f64,
+    /// Part of the learned share that a reversal crosses at once, 0 to 1.
+    pub crosses: f64,
 }
 
 /// The learned shares of the three channels.
@@ -61,10 +63,10 @@ impl BacklashAdaptation {
 
     /// One tick at a resting set-point with the pistons that `reversed` and the error that the feedback can correct, rad.
     /// Returns the further share of its backlash that each channel crosses now.
-    pub fn step(&mut self, reversed: [bool; 3], crosses: f64, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> [f64; 3] {
+    pub fn step(&mut self, reversed: [bool; 3], error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> [f64; 3] {
         let mut increments = [0.0; 3];
         for ((channel, reversed), increment) in self.channels.iter_mut().zip(reversed).zip(&mut increments) {
-            *increment = channel.step(reversed, crosses, error, patience, dt_s);
+            *increment = channel.step(reversed, error, patience, dt_s);
         }
         increments
     }
@@ -82,8 +84,8 @@ impl Channel {
         Self { share, crossed: 0.0, since_reversal_s: f64::INFINITY, reversed_at: Vector2::zeros(), observed: None }
     }
 
-    fn step(&mut self, reversed: bool, crosses: f64, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> f64 {
-        let &Patience { answer_s, worth_rad } = patience;
+    fn step(&mut self, reversed: bool, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> f64 {
+        let &Patience { answer_s, worth_rad, crosses } = patience;
         self.since_reversal_s += dt_s;
         if reversed {
             self.crossed = crosses * self.share;
@@ -116,7 +118,7 @@ impl Channel {
 mod tests {
     use super::*;
 
-    const PATIENT: Patience = Patience { answer_s: 0.1, worth_rad: 0.005 };
+    const PATIENT: Patience = Patience { answer_s: 0.1, worth_rad: 0.005, crosses: 1.0 };
     const QUIET: [bool; 3] = [false; 3];
     const REVERSAL: [bool; 3] = [false, true, false];
 
@@ -145,6 +147,18 @@ mod tests {
         // four or five response times fit into that time
         assert!(r.share(1) > 0.5 + 3.5 * INCREMENT && r.share(1) <= SHARE_INITIAL);
         assert!((r.share(1) - 0.5 - crossed).abs() < 1e-12, "the next reversal crosses what this one crossed in total");
+    }
+
+    #[test]
+    fn a_reversal_that_crosses_a_part_grows_no_share_until_it_has_crossed_it() {
+        let mut r = BacklashAdaptation::default();
+        let half = Patience { crosses: 0.5, ..PATIENT };
+        let mut crossed = 0.5 * SHARE_INITIAL;
+        for k in 0..150 {
+            crossed += r.step(if k == 0 { REVERSAL } else { QUIET }, &Vector2::new(0.01, 0.0), &half, 0.01)[1];
+            assert!((r.share(1) - crossed.max(SHARE_INITIAL)).abs() < 1e-12, "{k}");
+        }
+        assert!(crossed > SHARE_INITIAL);
     }
 
     #[test]

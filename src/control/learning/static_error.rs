@@ -36,7 +36,7 @@ type Parameters = SVector<f64, N>;
 const SIGMA: [f64; N] = [0.25, 0.25, 0.25, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.03, 0.03, 0.1, 0.1, 0.1];
 const MEMORY_S: [f64; N] = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 20.0, 20.0, 60.0, 60.0, 60.0];
 /// Standard deviation of rotation and offset of a base that sways, rad.
-const BASE_SIGMA: f64 = 0.3;
+const BASE_SIGMA: f64 = 0.15;
 /// Difference that no smooth function explains, rad (0.4°), and the time for which it stays the same, s.
 const REST_RAD: f64 = 0.007;
 const SAME_S: f64 = 0.3;
@@ -44,6 +44,8 @@ const SAME_S: f64 = 0.3;
 const TIMING: f64 = 3.0;
 /// Factor on the mean square of a sway, because it stays the same for seconds.
 const SWAY: f64 = 300.0;
+/// Largest mean square of a sway relative to the estimate.
+const SWAY_MAX: f64 = 4.0;
 /// Difference in standard deviations from which an observation teaches nothing.
 const OUTLIER: f64 = 4.0;
 /// Interval between two updates, s.
@@ -164,7 +166,7 @@ impl StaticError {
         }
         let misfit2 = (seen.unexplained - self.expected(&seen.bend)).norm_squared();
         // a sway may be larger than the estimate, which takes seconds
-        let sway2 = if seen.sway2 > 0.0 { seen.sway2.max(misfit2) } else { 0.0 };
+        let sway2 = misfit2.clamp(seen.sway2, SWAY_MAX * seen.sway2);
         let noise = REST_RAD.powi(2) + (TIMING * seen.timing_s * self.rate).powi(2) + SWAY * sway2;
         let spread = rows.iter().map(|h| h.dot(&(self.covariance * h))).sum::<f64>() / 2.0;
         let weight = 1.0 - misfit2 / (OUTLIER * OUTLIER * (spread + noise));

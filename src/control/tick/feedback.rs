@@ -3,7 +3,8 @@
 use super::observation::Observation;
 use super::path;
 use super::state::{Feedback, Hold, LoopState, Taught};
-use super::types::{Input, LoopConfig};
+use super::types::{FeedbackConfig, Input, LoopConfig};
+use crate::control::calm::Rest;
 use crate::control::follow::Follower;
 use crate::control::learning::online::HeldPose;
 use crate::control::learning::sides::Sides;
@@ -73,11 +74,11 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     let Some(f) = &config.feedback else { return };
     depart(state, moving);
     let sways = state.base.watch.sway_mean_square() > 0.0;
-    if sways && !std::mem::replace(&mut state.feedback.sways, sways) {
+    if sways && !state.feedback.sways {
         forget_sway(config, state);
     }
-    state.feedback.sways = sways;
     let outer = &mut state.feedback;
+    outer.sways = sways;
     outer.error.doubt(sways);
     if state.base.moved {
         outer.standstill = StandstillLatch::default();
@@ -86,57 +87,68 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
         return;
     }
     let to_go = state.setpoint.target.bend.0 - observed.settled;
-    let estimate = observed.predicted - observed.unexplained;
+    settle(f, state, observed, &to_go, moving, dt_s);
+    let timing_s = TIMING_S + TIMING_SHARE * state.dynamics.best.response_s();
+    if f.learn_error && !state.feedback.obstruction.blocked {
+        learn_error(config, state, observed, timing_s, dt_s);
+    }
+    if state.feedback.standstill.closed || state.hold.is_holding() {
+        return;
+    }
+    let (outer, dynamics) = (&mut state.feedback, &state.dynamics);
+    let (gains, timing_s) = match state.setpoint.acceleration {
+        // an error of timing is part of the error of a path, so the feedback takes it too
+        Some(_) => (PiGains::following(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), 0.0),
+        None => (PiGains::new(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), timing_s),
+    };
+    outer.integral_s = gains.integral_s;
+    let before = outer.pi;
+    let (setpoint, estimate) = (state.setpoint.bend.at, observed.predicted - observed.unexplained);
+    let learned = outer.error.expected(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
+    let unexplained = (observed.unexplained - learned) * state.base.watch.share_of_tip();
+    let (timing, integral_max) = (timing_s * observed.predicted_rate, f.integral_max_deg.to_radians());
+    outer.integral_full = outer.pi.step(unexplained, timing, &gains, integral_max, dt_s);
+    if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
+        outer.pi = before;
+    }
+    let wanted = outer.pi.feedback + outer.error.at(&setpoint);
+    outer.feedback = outer.calm.limit(&outer.feedback, &wanted, to_go.norm(), dynamics.best.lag_s, dt_s);
+}
+
+/// Whether the tip hunts, is disturbed, stands or is obstructed.
+fn settle(f: &FeedbackConfig, state: &mut LoopState, observed: &Observation, to_go: &Vector2<f64>, moving: bool, dt_s: f64) {
+    let outer = &mut state.feedback;
     if !moving {
+        let estimate = observed.predicted - observed.unexplained;
         outer.hunting.step(state.setpoint.target.bend.0 - estimate, observed.predicted);
     }
-    let own = outer.hunting.band_rad > 0.0 || state.base.watch.share_of_tip() < 1.0;
-    outer.calm.step(moving, &observed.unexplained, state.dynamics.best.response_s(), own, dt_s);
-    let wide = if outer.calm.holds() { crate::control::calm::knob("CALM_CLOSE", 0.45).to_radians() } else { 0.0 };
-    outer.standstill.step(&f.standstill, outer.hunting.band_rad.max(wide), to_go, moving, dt_s);
+    let own = outer.hunting.band_rad > 0.0 || outer.sways;
+    let response_s = state.dynamics.best.response_s();
+    outer.calm.step(&Rest { moving, unexplained: observed.unexplained, own, response_s }, dt_s);
+    let band_rad = outer.hunting.band_rad.max(outer.calm.band_rad());
+    outer.standstill.step(&f.standstill, band_rad, *to_go, moving, dt_s);
     outer.standstill_s = if outer.standstill.closed { outer.standstill_s + dt_s } else { 0.0 };
-    outer.obstruction.step(&f.obstruction, moving, &outer.feedback, &observed.settled, &to_go);
-    let dynamics = &state.dynamics;
-    let timing_s = TIMING_S + TIMING_SHARE * dynamics.best.response_s();
-    if f.learn_error && !outer.obstruction.blocked {
-        let seen = Observed {
-            bend: estimate,
-            unexplained: observed.unexplained,
-            rate: observed.predicted_rate,
-            sides: Vector3::from_fn(|i, _| state.transmission.sides[i].side),
-            follows: state.setpoint.acceleration.is_some(),
-            sway2: state.base.watch.sway_mean_square(),
-            timing_s: timing_s + dynamics.error_max_s(),
-            response_s: dynamics.response_max_s,
-        };
-        let changed = outer.error.learn(&seen, dt_s);
-        outer.pi.hand_over(-changed);
-        if seen.follows && config.refine.enabled && config.feedforward.is_none() {
-            let shift = state.transmission.widen(config, &outer.error.take_backlash());
-            outer.pi.hand_over(shift);
-            outer.model.shift(shift);
-        outer.calm.shift(&shift);
-            state.base.watch.shift(&shift);
-        }
-    }
-    if !outer.standstill.closed && !state.hold.is_holding() {
-        let (gains, timing_s) = match state.setpoint.acceleration {
-            // an error of timing is part of the error of a path, so the feedback takes it too
-            Some(_) => (PiGains::following(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), 0.0),
-            None => (PiGains::new(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), timing_s),
-        };
-        outer.integral_s = gains.integral_s;
-        let before = outer.pi;
-        let setpoint = state.setpoint.bend.at;
-        let learned = outer.error.expected(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
-        let unexplained = (observed.unexplained - learned) * state.base.watch.share_of_tip();
-        let (timing, integral_max) = (timing_s * observed.predicted_rate, f.integral_max_deg.to_radians());
-        outer.integral_full = outer.pi.step(unexplained, timing, &gains, integral_max, dt_s);
-        if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
-            outer.pi = before;
-        }
-        let wanted = outer.pi.feedback + outer.error.at(&state.setpoint.bend.at);
-        outer.feedback = outer.calm.limit(&outer.feedback, &wanted, to_go.norm(), dynamics.best.lag_s, dt_s);
+    outer.obstruction.step(&f.obstruction, moving, &outer.feedback, &observed.settled, to_go);
+}
+
+/// Learns the static error of the model, and on a path the half-width of the backlash.
+fn learn_error(config: &LoopConfig, state: &mut LoopState, observed: &Observation, timing_s: f64, dt_s: f64) {
+    let seen = Observed {
+        bend: observed.predicted - observed.unexplained,
+        unexplained: observed.unexplained,
+        rate: observed.predicted_rate,
+        sides: Vector3::from_fn(|i, _| state.transmission.sides[i].side),
+        follows: state.setpoint.acceleration.is_some(),
+        sway2: state.base.watch.sway_mean_square(),
+        timing_s: timing_s + state.dynamics.error_max_s(),
+        response_s: state.dynamics.response_max_s,
+    };
+    let changed = state.feedback.error.learn(&seen, dt_s);
+    state.feedback.pi.hand_over(-changed);
+    if seen.follows && config.refine.enabled && config.feedforward.is_none() {
+        let shift = state.transmission.widen(config, &state.feedback.error.take_backlash());
+        state.feedback.pi.hand_over(shift);
+        state.shift_model(shift);
     }
 }
 
@@ -180,8 +192,7 @@ fn forget_sway(config: &LoopConfig, state: &mut LoopState) {
     let Some(Taught { pi, error, refine, lines }) = outer.taught.iter().rev().flatten().next().copied() else { return };
     (outer.pi, outer.error, outer.taught, state.learning.refine) = (pi, error, Default::default(), refine);
     let shift = state.transmission.exchange(&config.geometry, &lines);
-    outer.model.shift(shift);
-    state.base.watch.shift(&shift);
+    state.shift_model(shift);
 }
 
 /// Learns the dynamics during motion, and k_ε and k_λ from every new pose in which the tip rests: once it has settled, or at the
@@ -221,9 +232,7 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
         let learned = outer.error.at(&bend);
         outer.error.change_lines(&before, &next);
         outer.pi.hand_over(shift + learned - outer.error.at(&bend));
-        outer.model.shift(shift);
-        outer.calm.shift(&shift);
-        state.base.watch.shift(&shift);
+        state.shift_model(shift);
     }
 }
 

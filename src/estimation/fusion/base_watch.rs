@@ -161,11 +161,6 @@ impl Watch {
         self.last.iter_mut().for_each(|(model, _)| *model += shift);
     }
 
-    /// Something bends the tip in hold after hold, see [`Sway::is_disturbance`].
-    pub fn is_disturbed(&self) -> bool {
-        self.sway.is_disturbance()
-    }
-
     /// Share of the unexplained bend that is due to the tip, see [`Sway::share_of_tip`].
     pub fn share_of_tip(&self) -> f64 {
         self.sway.share_of_tip()
