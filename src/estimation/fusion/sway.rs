@@ -19,6 +19,8 @@ const REGRESSION_S: f64 = 60.0;
 const RIDGE: f64 = 0.003;
 /// Twist per bend that is allowed for a section that is not known yet.
 const TORSION_SHARE: f64 = 0.1;
+/// Part of the explained twist by which a torsion of another form may differ: it levels off, and depends on the direction.
+const TORSION_FORM: f64 = 0.4;
 /// Mean square of a sway in bend from that of its twist: two of three axes bend, and a memory of 5 s shows a third to a half of it.
 const SWAY_PER_TWIST: f64 = 6.0;
 /// Root mean square of the twist that the gyroscopes and the regression leave on a base that stands, rad (0.8°), and the largest that
@@ -68,7 +70,8 @@ impl Sway {
         let torsion = (self.moment + Matrix3::identity() * RIDGE).cholesky().map_or_else(Vector3::zeros, |m| m.solve(&self.cross));
         let explained = torsion.dot(&self.bend);
         let unknown = self.bend.xy().norm() * RIDGE / (RIDGE + self.moment.trace());
-        let rest = ((self.twist - explained).abs() - TORSION_SHARE * unknown).clamp(0.0, TWIST_MAX_RAD);
+        let own = TORSION_SHARE * unknown + TORSION_FORM * explained.abs();
+        let rest = ((self.twist - explained).abs() - own).clamp(0.0, TWIST_MAX_RAD);
         let memory_s = if rest * rest > self.twist2 { MEMORY_S } else { FADE_S };
         self.twist2 += (rest * rest - self.twist2) * share(dt_s, memory_s);
     }
