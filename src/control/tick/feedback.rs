@@ -22,6 +22,8 @@ const LEAD_SHARE: f64 = 0.35;
 /// Error of the timing of the prediction that no evidence removes, s, and its share of the response time.
 const TIMING_S: f64 = 0.01;
 const TIMING_SHARE: f64 = 0.05;
+/// Time for which the tip must have twisted without bending until the base sways, s.
+const SWAYS_S: f64 = 2.0;
 /// Time after the standstill latch has closed at which a pose is used for learning, s.
 const LEARN_AFTER_S: f64 = 0.15;
 
@@ -73,13 +75,8 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input
 pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &Observation, moving: bool, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
     depart(state, moving);
-    let sways = state.base.watch.sway_mean_square() > 0.0;
-    if sways && !state.feedback.sways {
-        forget_sway(config, state);
-    }
+    watch_sway(config, state, dt_s);
     let outer = &mut state.feedback;
-    outer.sways = sways;
-    outer.error.doubt(sways);
     if state.base.moved {
         outer.standstill = StandstillLatch::default();
         outer.pi.feedback = outer.pi.integral;
@@ -184,6 +181,21 @@ fn depart(state: &mut LoopState, moving: bool) {
         outer.hunting.new_target();
     }
     outer.moving = moving;
+}
+
+/// Whether the base sways: for longer than one turn takes to be flagged.
+fn watch_sway(config: &LoopConfig, state: &mut LoopState, dt_s: f64) {
+    let (outer, twists) = (&mut state.feedback, state.base.watch.sway_mean_square() > 0.0);
+    if !state.base.moved {
+        outer.sways_s = if twists { outer.sways_s + dt_s } else { 0.0 };
+    }
+    let sways = outer.sways_s > SWAYS_S;
+    let begins = sways && !std::mem::replace(&mut outer.sways, sways);
+    outer.sways = sways;
+    if begins {
+        forget_sway(config, state);
+    }
+    state.feedback.error.doubt(sways);
 }
 
 /// When a base begins to sway: returns to what was known before it could have been noticed.

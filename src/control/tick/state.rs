@@ -128,8 +128,9 @@ pub(super) struct Feedback {
     pub(super) hunting: HuntingDetector,
     /// What was known when the set-point left the last poses that nothing obstructed, the latest first.
     pub(super) taught: [Option<Taught>; 8],
-    /// The base sways.
+    /// The base sways, and the time for which it has, s.
     pub(super) sways: bool,
+    pub(super) sways_s: f64,
     /// The set-point moves.
     pub(super) moving: bool,
     pub(super) saturation: SaturationMonitor,

@@ -31,8 +31,8 @@ const TWIST_MAX_RAD: f64 = 0.105;
 const HARM: f64 = 2.0;
 /// Bend since the beginning of a hold above which it counts no further, rad (3°): one turn of the base is no disturbance that repeats.
 const DISTURBANCE_RAD: f64 = 0.052;
-/// Root mean square of that bend above which something disturbs the tip again and again, rad (1.5°).
-const DISTURBED_RAD: f64 = 0.026;
+/// Root mean square of that bend above which something disturbs the tip again and again, rad (2°).
+const DISTURBED_RAD: f64 = 0.035;
 /// Largest mean square of a sway relative to that of the bend, for a tip that is disturbed.
 const DISTURBED_SHARE: f64 = 0.1;
 
