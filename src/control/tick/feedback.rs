@@ -2,7 +2,7 @@
 
 use super::observation::Observation;
 use super::path;
-use super::state::{Feedback, Hold, LoopState, Taught};
+use super::state::{Feedback, Hold, LoopState};
 use super::types::{FeedbackConfig, Input, LoopConfig};
 use crate::control::calm::Rest;
 use crate::control::follow::Follower;
@@ -22,8 +22,6 @@ const LEAD_SHARE: f64 = 0.35;
 /// Error of the timing of the prediction that no evidence removes, s, and its share of the response time.
 const TIMING_S: f64 = 0.01;
 const TIMING_SHARE: f64 = 0.05;
-/// Time for which the tip must have twisted without bending until the base sways, s.
-const SWAYS_S: f64 = 2.0;
 /// Time after the standstill latch has closed at which a pose is used for learning, s.
 const LEARN_AFTER_S: f64 = 0.15;
 
@@ -75,7 +73,6 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input
 pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &Observation, moving: bool, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
     depart(state, moving);
-    watch_sway(config, state, dt_s);
     let outer = &mut state.feedback;
     if state.base.moved {
         outer.standstill = StandstillLatch::default();
@@ -101,7 +98,7 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     outer.integral_s = gains.integral_s;
     let before = outer.pi;
     let (setpoint, estimate) = (state.setpoint.bend.at, observed.predicted - observed.unexplained);
-    let learned = outer.error.expected(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
+    let learned = outer.error.at(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
     let unexplained = (observed.unexplained - learned) * state.base.watch.share_of_tip();
     let (timing, integral_max) = (timing_s * observed.predicted_rate, f.integral_max_deg.to_radians());
     outer.integral_full = outer.pi.step(unexplained, timing, &gains, integral_max, dt_s);
@@ -119,7 +116,7 @@ fn settle(f: &FeedbackConfig, state: &mut LoopState, observed: &Observation, to_
         let estimate = observed.predicted - observed.unexplained;
         outer.hunting.step(state.setpoint.target.bend.0 - estimate, observed.predicted);
     }
-    let own = outer.hunting.band_rad > 0.0 || outer.sways;
+    let own = outer.hunting.band_rad > 0.0;
     let response_s = state.dynamics.best.response_s();
     outer.calm.step(&Rest { moving, unexplained: observed.unexplained, own, response_s }, dt_s);
     let band_rad = outer.hunting.band_rad.max(outer.calm.band_rad());
@@ -136,7 +133,6 @@ fn learn_error(config: &LoopConfig, state: &mut LoopState, observed: &Observatio
         rate: observed.predicted_rate,
         sides: Vector3::from_fn(|i, _| state.transmission.sides[i].side),
         follows: state.setpoint.acceleration.is_some(),
-        sway2: state.base.watch.sway_mean_square(),
         timing_s: timing_s + state.dynamics.error_max_s(),
         response_s: state.dynamics.response_max_s,
     };
@@ -168,43 +164,14 @@ fn depart(state: &mut LoopState, moving: bool) {
             // it belongs to the pose in which the base turned
             outer.pi = PiState::default();
         } else if outer.obstruction.blocked {
-            if let Some(free) = &outer.taught[0] {
-                (outer.pi, outer.error) = (free.pi, free.error);
-            }
+            (outer.pi, outer.error) = outer.free;
         } else {
             let integral = outer.pi.integral;
-            let pi = PiState { integral, feedback: integral };
-            let now = Taught { pi, error: outer.error, refine: state.learning.refine, lines: state.transmission.lines };
-            outer.taught.rotate_right(1);
-            outer.taught[0] = Some(now);
+            outer.free = (PiState { integral, feedback: integral }, outer.error);
         }
         outer.hunting.new_target();
     }
     outer.moving = moving;
-}
-
-/// Whether the base sways: for longer than one turn takes to be flagged.
-fn watch_sway(config: &LoopConfig, state: &mut LoopState, dt_s: f64) {
-    let (outer, twists) = (&mut state.feedback, state.base.watch.sway_mean_square() > 0.0);
-    if !state.base.moved {
-        outer.sways_s = if twists { outer.sways_s + dt_s } else { 0.0 };
-    }
-    let sways = outer.sways_s > SWAYS_S;
-    let begins = sways && !std::mem::replace(&mut outer.sways, sways);
-    outer.sways = sways;
-    if begins {
-        forget_sway(config, state);
-    }
-    state.feedback.error.doubt(sways);
-}
-
-/// When a base begins to sway: returns to what was known before it could have been noticed.
-fn forget_sway(config: &LoopConfig, state: &mut LoopState) {
-    let outer = &mut state.feedback;
-    let Some(Taught { pi, error, refine, lines }) = outer.taught.iter().rev().flatten().next().copied() else { return };
-    (outer.pi, outer.error, outer.taught, state.learning.refine) = (pi, error, Default::default(), refine);
-    let shift = state.transmission.exchange(&config.geometry, &lines);
-    state.shift_model(shift);
 }
 
 /// Learns the dynamics during motion, and k_ε and k_λ from every new pose in which the tip rests: once it has settled, or at the
@@ -220,7 +187,7 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
     let just_settled = rested_s >= LEARN_AFTER_S && rested_s - dt_s < LEARN_AFTER_S;
     let leaves_quiet = departs && rested_s < LEARN_AFTER_S && state.feedback.error.quiet;
     // the gains of a described machine were identified together with its effects
-    if !(just_settled || leaves_quiet) || config.feedforward.is_some() || state.feedback.sways {
+    if !(just_settled || leaves_quiet) || config.feedforward.is_some() {
         return;
     }
     let bend = observed.settled;

@@ -126,24 +126,12 @@ pub(super) struct Feedback {
     pub(super) standstill_s: f64,
     pub(super) obstruction: ObstructionDetector,
     pub(super) hunting: HuntingDetector,
-    /// What was known when the set-point left the last poses that nothing obstructed, the latest first.
-    pub(super) taught: [Option<Taught>; 8],
-    /// The base sways, and the time for which it has, s.
-    pub(super) sways: bool,
-    pub(super) sways_s: f64,
+    /// Controller and learned error when the set-point last left a pose that nothing obstructed.
+    pub(super) free: (PiState, StaticError),
     /// The set-point moves.
     pub(super) moving: bool,
     pub(super) saturation: SaturationMonitor,
     pub(super) backlash: BacklashAdaptation,
-}
-
-/// What the poses before a departure have taught.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Taught {
-    pub(super) pi: PiState,
-    pub(super) error: StaticError,
-    pub(super) refine: RefineState,
-    pub(super) lines: [Line; 3],
 }
 
 /// The online learners.
@@ -237,7 +225,6 @@ impl LoopState {
         if self.transmission.described.is_none() {
             self.transmission.lines = lines;
             self.feedback.error = StaticError::default();
-            self.feedback.taught = Default::default();
         }
     }
 
@@ -266,14 +253,13 @@ impl LoopState {
         let feedback = given.bend.0 - at.0;
         let (error, integral) = (self.feedback.error, feedback - self.feedback.error.at(&at.0));
         let pi = PiState { integral, feedback: integral };
-        let taught = Taught { pi, error, refine: self.learning.refine, lines: self.transmission.lines };
         let mut backlash = self.feedback.backlash;
         backlash.forget();
         self.feedback = Feedback {
             model: ReferenceModel::resting(given.bend.0),
             pi,
             error,
-            taught: std::array::from_fn(|i| (i == 0).then_some(taught)),
+            free: (pi, error),
             feedback,
             backlash,
             hunting: HuntingDetector::new(self.feedback.hunting.caution),
@@ -295,7 +281,6 @@ impl LoopState {
     pub fn forget_feedback(&mut self) {
         self.feedback.pi = PiState::default();
         self.feedback.error = StaticError::default();
-        self.feedback.taught = Default::default();
         self.feedback.feedback = Vector2::zeros();
         self.feedback.integral_full = false;
         self.feedback.saturation = SaturationMonitor::default();
