@@ -3,7 +3,7 @@
 //! What is left to correct then is small, and a quick correction costs more than it gains: a piston that reverses crosses a backlash
 //! that is known to a few percent only, and the tip jumps by what is wrong. So the latch closes in a wider band, a reversal first
 //! crosses a part of what was learned, and the feedback is bounded so that the tip, behind its lag, moves no faster than
-//! [`SPEED_DEG_S`]. Larger errors, which an obstruction that gives way or a pinched line leaves, are corrected faster.
+//! 1.3 °/s. Larger errors, which an obstruction that gives way or a pinched line leaves, are corrected faster.
 //!
 //! A disturbance that bends the tip again and again, such as breath, is none of that: the feedback follows it without bounds. It shows
 //! in what the model does not explain, which changes while the set-point rests.
@@ -12,7 +12,7 @@ use nalgebra::Vector2;
 
 /// Time for which the set-point has rested, s.
 const AFTER_S: f64 = 0.5;
-/// Error below which the standstill latch closes, rad (0.45°).
+/// Error below which the standstill latch closes, rad (0.3°).
 const BAND_RAD: f64 = 0.0052;
 /// Part of the learned share of the backlash that a reversal crosses at once.
 const CROSSES: f64 = 0.75;
@@ -26,14 +26,14 @@ const MEMORY_S: f64 = 4.0;
 /// Root mean square of a swing that is a disturbance, rad (1°).
 const DISTURBED_RAD: f64 = 0.0175;
 
-/// What a tick tells about the rest.
+/// What a tick tells about a set-point that rests or moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rest {
     /// The set-point moves.
     pub moving: bool,
     /// Predicted minus estimated bend, rad.
     pub unexplained: Vector2<f64>,
-    /// The loop hunts, or the base sways: a swing then is no disturbance of the tip.
+    /// The loop hunts: a swing then is its own, and no disturbance of the tip.
     pub own: bool,
     /// Sum of lag and dead time, s.
     pub response_s: f64,
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn breath_is_followed_and_a_swing_of_the_loop_or_the_base_is_not() {
+    fn breath_is_followed_and_a_swing_of_the_loop_is_not() {
         let breath = |t: f64| 3.0 * (std::f64::consts::TAU * 0.25 * t).sin();
         for (own, follows) in [(false, true), (true, false)] {
             let mut calm = CalmCorrection::default();
