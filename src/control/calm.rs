@@ -3,7 +3,7 @@
 //! What is left to correct then is small, and a quick correction costs more than it gains: a piston that reverses crosses a backlash
 //! that is known to a few percent only, and the tip jumps by what is wrong. So the latch closes in a wider band, a reversal first
 //! crosses a part of what was learned, and the feedback is bounded so that the tip, behind its lag, moves no faster than
-//! 1.3 °/s. Larger errors, which an obstruction that gives way or a pinched line leaves, are corrected faster.
+//! 1 °/s. Larger errors, which an obstruction that gives way or a pinched line leaves, are corrected faster.
 //!
 //! A disturbance that bends the tip again and again, such as breath, is none of that: the feedback follows it without bounds. It shows
 //! in what the model does not explain, which changes while the set-point rests.
@@ -15,9 +15,9 @@ const AFTER_S: f64 = 0.5;
 /// Error below which the standstill latch closes, rad (0.3°).
 const BAND_RAD: f64 = 0.0052;
 /// Part of the learned share of the backlash that a reversal crosses at once.
-const CROSSES: f64 = 0.75;
+const CROSSES: f64 = 0.5;
 /// Speed of the tip, °/s, and the additional speed per degree of an error beyond [`LARGE_RAD`] (4°), 1/s.
-const SPEED_DEG_S: f64 = 1.3;
+const SPEED_DEG_S: f64 = 1.0;
 const LARGE_RAD: f64 = 0.07;
 const GAIN_1_S: f64 = 10.0;
 /// Time after which a swing is forgotten, and memory of its mean square, s of rest.
