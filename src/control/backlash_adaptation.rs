@@ -4,8 +4,8 @@
 //! the rubber looks like backlash to an identification), crossing all of it moves the tip past its target, the feedback
 //! reverses the same piston again, and the loop hunts. Two reversals of a piston within a short time, on two sides of the
 //! target, indicate hunting at any period: the share to cross shrinks. A single reversal that leaves the error unchanged
-//! fell short: the piston crosses a further increment at once, and the share becomes at least what was crossed in total.
-//! Each channel has its own backlash and share. Where the feedback can correct nothing, every second reversal is hunting.
+//! fell short: the piston crosses a further increment at once, and the share grows by it. Each channel has its own backlash
+//! and share. Where the feedback can correct nothing, every second reversal is hunting.
 
 use nalgebra::Vector2;
 
@@ -21,26 +21,23 @@ const INCREMENT: f64 = 0.03;
 /// Remaining fraction of the error above which a reversal fell short.
 const SHORT: f64 = 0.8;
 
-/// One channel: the learned share, what of it the last reversal has crossed, the time since its last reversal and the error there, and error and age of the reversal
+/// One channel: the learned share, the time since its last reversal and the error there, and error and age of the reversal
 /// under observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Channel {
     share: f64,
-    crossed: f64,
     since_reversal_s: f64,
     reversed_at: Vector2<f64>,
     observed: Option<(Vector2<f64>, f64)>,
 }
 
-/// How a reversal crosses the backlash, and when it counts as too short.
+/// When a reversal counts as too short.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Patience {
     /// Time within which the tip responds to a reversal, s.
     pub answer_s: f64,
     /// Error below which no further increment is worthwhile, rad.
     pub worth_rad: f64,
-    /// Part of the learned share that a reversal crosses at once, 0 to 1.
-    pub crosses: f64,
 }
 
 /// The learned shares of the three channels.
@@ -81,14 +78,13 @@ impl BacklashAdaptation {
 
 impl Channel {
     fn of_share(share: f64) -> Self {
-        Self { share, crossed: 0.0, since_reversal_s: f64::INFINITY, reversed_at: Vector2::zeros(), observed: None }
+        Self { share, since_reversal_s: f64::INFINITY, reversed_at: Vector2::zeros(), observed: None }
     }
 
     fn step(&mut self, reversed: bool, error: &Vector2<f64>, patience: &Patience, dt_s: f64) -> f64 {
-        let &Patience { answer_s, worth_rad, crosses } = patience;
+        let &Patience { answer_s, worth_rad } = patience;
         self.since_reversal_s += dt_s;
         if reversed {
-            self.crossed = crosses * self.share;
             let hunting = self.since_reversal_s < HUNTING_S + answer_s && error.dot(&self.reversed_at) <= 0.0;
             (self.since_reversal_s, self.reversed_at) = (0.0, *error);
             self.observed = if hunting { None } else { Some((*error, 0.0)) };
@@ -102,10 +98,9 @@ impl Channel {
                 // other channels may have moved the tip in the meantime: the observation continues from here
                 (*before, *age_s) = (*error, 0.0);
                 let short = (SHORT..1.0 / SHORT).contains(&left) && error.norm() > worth_rad;
-                if short && self.crossed < 1.0 {
-                    let increment = INCREMENT.min(1.0 - self.crossed);
-                    self.crossed += increment;
-                    self.share = self.share.max(self.crossed);
+                if short && self.share < 1.0 {
+                    let increment = INCREMENT.min(1.0 - self.share);
+                    self.share += increment;
                     return increment;
                 }
             }
@@ -118,7 +113,7 @@ impl Channel {
 mod tests {
     use super::*;
 
-    const PATIENT: Patience = Patience { answer_s: 0.1, worth_rad: 0.005, crosses: 1.0 };
+    const PATIENT: Patience = Patience { answer_s: 0.1, worth_rad: 0.005 };
     const QUIET: [bool; 3] = [false; 3];
     const REVERSAL: [bool; 3] = [false, true, false];
 
@@ -147,18 +142,6 @@ mod tests {
         // four or five response times fit into that time
         assert!(r.share(1) > 0.5 + 3.5 * INCREMENT && r.share(1) <= SHARE_INITIAL);
         assert!((r.share(1) - 0.5 - crossed).abs() < 1e-12, "the next reversal crosses what this one crossed in total");
-    }
-
-    #[test]
-    fn a_reversal_that_crosses_a_part_grows_no_share_until_it_has_crossed_it() {
-        let mut r = BacklashAdaptation::default();
-        let half = Patience { crosses: 0.5, ..PATIENT };
-        let mut crossed = 0.5 * SHARE_INITIAL;
-        for k in 0..150 {
-            crossed += r.step(if k == 0 { REVERSAL } else { QUIET }, &Vector2::new(0.01, 0.0), &half, 0.01)[1];
-            assert!((r.share(1) - crossed.max(SHARE_INITIAL)).abs() < 1e-12, "{k}");
-        }
-        assert!(crossed > SHARE_INITIAL);
     }
 
     #[test]

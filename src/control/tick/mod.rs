@@ -16,7 +16,6 @@ mod path;
 mod pistons;
 mod restart;
 mod sense;
-mod setpoint;
 mod state;
 mod types;
 

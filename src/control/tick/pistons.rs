@@ -1,8 +1,7 @@
 //! The command path of the tick: bend command → bellow lengths → transmission inverse → limits → piston targets.
 
 use super::path::{self, Passing};
-use super::setpoint::SetPoint;
-use super::state::{Hold, LoopState};
+use super::state::{Hold, LoopState, SetPoint};
 use super::types::LoopConfig;
 use crate::control::backlash_adaptation::Patience;
 use crate::control::limits::Cut;
@@ -124,14 +123,13 @@ fn invert_transmission(
     dt_s: f64,
 ) -> Vector3<f64> {
     let by_feedback = config.feedback.is_some_and(|f| f.learn_backlash) && !moving;
-    let crosses = state.feedback.calm.crosses();
     let motion = path::bellow_motion(config, &state.setpoint, lead_s(config, state));
     let (lines, backlash) = (&mut state.transmission, &mut state.feedback.backlash);
     let mut described = config.feedforward.as_deref().zip(lines.described.as_mut());
     let bellow_mm = described.as_mut().map_or(*bellow_mm, |(machine, state)| state.invert(machine, bellow_mm));
     let mut reversed = [false; 3];
     let piston_mm = Vector3::from_fn(|i, _| {
-        let reach = if by_feedback { backlash.share(i) * crosses } else { 1.0 };
+        let reach = if by_feedback { backlash.share(i) } else { 1.0 };
         let wanted = Wanted { q_mm: bellow_mm[i], dt_s, reach };
         let (piston_mm, next) = match motion {
             Some([speed, acceleration]) => {
@@ -153,7 +151,7 @@ fn invert_transmission(
     let worth_rad = config.feedback.map_or(0.0, |f| f.standstill.open_deg.to_radians());
     // at its limit the feedback can correct nothing
     let error = if state.feedback.integral_full { Vector2::zeros() } else { state.setpoint.target.bend.0 - estimate.0 };
-    let increments = backlash.step(reversed, &error, &Patience { answer_s, worth_rad, crosses }, dt_s);
+    let increments = backlash.step(reversed, &error, &Patience { answer_s, worth_rad }, dt_s);
     for (side, increment) in lines.sides.iter_mut().zip(increments) {
         side.side = (side.side + 2.0 * increment * side.way).clamp(-1.0, 1.0);
     }
