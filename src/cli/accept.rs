@@ -47,6 +47,8 @@ struct Step {
     served: bool,
     #[serde(default)]
     goes_on: bool,
+    #[serde(default)]
+    hardware: bool,
     remedy: String,
 }
 
@@ -70,7 +72,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let version = env!("CARGO_PKG_VERSION");
     page.text(&format!("retroflex {version}. Nothing of it stays on the machine: its service had a folder of its own."));
     let (mut rows, mut texts, mut good, mut goes_on) = (Vec::new(), Vec::new(), true, true);
-    for step in toml::from_str::<Steps>(STEPS).into_diagnostic()?.step {
+    let applies = |step: &Step| !step.hardware || board.hardware().is_some();
+    for step in toml::from_str::<Steps>(STEPS).into_diagnostic()?.step.into_iter().filter(applies) {
         let began = Instant::now();
         let agreed = goes_on && (!asks || step.confirm.is_empty() || confirmed(&step.confirm));
         let done = agreed && procedure.step(&step);

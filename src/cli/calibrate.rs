@@ -38,11 +38,11 @@ pub struct Args {
     /// Duration of a live reading, s.
     #[arg(long, default_value_t = 30.0, value_parser = within(1.0..=3600.0, "s"))]
     seconds: f64,
-    /// Calibration file whose `[imu]` table is updated; everything else in it is kept.
+    /// Calibration file whose `[imu]` table is updated; the other values in it are kept, comments are not.
     #[arg(long, default_value = "calib/imu.toml")]
     out: PathBuf,
     /// Day of the recording, YYYY-MM-DD; the default is today.
-    #[arg(long)]
+    #[arg(long, value_parser = day)]
     date: Option<String>,
     /// Time after its last step at which a driver reduces its current, s (motors only).
     #[arg(long, default_value_t = 0.35, value_parser = within(0.0..=60.0, "s"))]
@@ -93,6 +93,20 @@ pub fn run(command: &Calibrate) -> Result<CommandOutcome> {
     output::write(&args.out, &toml::to_string_pretty(&table).into_diagnostic()?)?;
     eprintln!("written to {}", args.out.display());
     Ok(CommandOutcome::Good)
+}
+
+/// A day as `--date` gives it.
+fn day(text: &str) -> std::result::Result<String, String> {
+    let number = |range: std::ops::Range<usize>| text.get(range).and_then(|part| part.parse::<u16>().ok());
+    let month = number(5..7).and_then(|m| time::Month::try_from(u8::try_from(m).ok()?).ok());
+    let known = match (text.len(), number(0..4), month, number(8..10).and_then(|d| u8::try_from(d).ok())) {
+        (10, Some(year), Some(month), Some(day)) => time::Date::from_calendar_date(i32::from(year), month, day).ok(),
+        _ => None,
+    };
+    known
+        .map(|date| date.to_string())
+        .filter(|date| date == text)
+        .ok_or_else(|| "a day is written YYYY-MM-DD, such as 2026-03-31".to_owned())
 }
 
 /// The tables of a calibration file; none if the file does not exist.

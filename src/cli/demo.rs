@@ -29,16 +29,14 @@ pub struct Args {
 /// A report that names the step that failed.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::check(&[("--html", Some(&args.html))], &[])?;
-    // before half a minute is spent
     let report = args.html.display();
-    let mut options = std::fs::File::options();
-    let opened = options.append(true).create(true).open(&args.html);
-    opened.map_err(|e| miette!("--html {report}: {e}; name a file in a folder in which you may write"))?;
     let scratch = output::Scratch::new("demo")?;
     let program = std::env::current_exe().into_diagnostic()?;
     let demo = Demo { program, folder: &scratch.0 };
     std::fs::write(demo.file("schedule.csv"), SCHEDULE).into_diagnostic()?;
-    output::print(format!("A simulated tip, {PACE} times faster than real time. Every line after `$` is a command that you can type.\n"));
+    output::print(format!(
+        "A simulated tip, {PACE} times faster than real time. Each step shows its command after `$`; its files are temporary.\n"
+    ));
     {
         let service = Some(&demo.serve("healthy", None)?);
         demo.step("The tip moves.", &["arm"], service)?;

@@ -242,10 +242,15 @@ fn summary(e: &Evaluation) -> String {
         (n, true) => format!("Algorithm 1, {n} passes"),
         (n, false) => format!("Algorithm 1, NOT converged after {n} passes"),
     };
-    let header = &pictures::ARM_COLUMNS;
+    // a figure a row, so that the table is narrow
+    let rows = pictures::arm_rows(e);
+    let line = |c: usize, title: &str| std::iter::once(title.to_owned()).chain(rows.iter().map(|r| r[c].clone())).collect::<Vec<_>>();
+    let header = line(0, "");
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    let figures = pictures::ARM_COLUMNS.iter().enumerate().skip(1).map(|(c, title)| line(c, title));
     let arms = match e.arms.len() {
         0 => String::new(),
-        _ => format!("{}\n", output::table(header, 1..header.len(), pictures::arm_rows(e))),
+        _ => format!("{}\n", output::table(&header, 1..header.len(), figures)),
     };
     let path = e.track.as_ref().map_or(String::new(), |t| {
         format!(

@@ -106,7 +106,7 @@ pub struct ManArgs {
 pub fn man(args: &ManArgs, command: Command) -> Result<CommandOutcome> {
     let folder = args.folder.display();
     if !args.folder.is_dir() {
-        return Err(miette!("{folder}: there is no such folder; create it first"));
+        return Err(miette!("{folder}: this is no folder; create one and name it"));
     }
     clap_mangen::generate_to(command, &args.folder).map_err(|e| miette!("{folder}: {e}"))?;
     Ok(CommandOutcome::Good)

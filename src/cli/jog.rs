@@ -33,7 +33,7 @@ pub struct Args {
     #[arg(long)]
     stay: bool,
     /// Number of strokes.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     times: u32,
 }
 

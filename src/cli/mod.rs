@@ -115,6 +115,7 @@ pub fn parse() -> Cli {
 
 /// Runs a command and returns its exit code.
 pub fn run(cli: Cli) -> ExitCode {
+    output::end_when_mute();
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Demo(args) => demo::run(&args),

@@ -2,16 +2,21 @@
 //!
 //! A result option takes a file name, or `-` for standard output.
 
-use comfy_table::{CellAlignment, Row, Table, presets};
+use comfy_table::{CellAlignment, ContentArrangement, Row, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};
 use serde::Serialize;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
 use std::io::{Read, Write};
 use std::ops::Range;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// A temporary folder, which is removed at the end.
+/// Width of a table, columns; longer cells are wrapped.
+const TABLE_COLUMNS: u16 = 100;
+
+/// A temporary folder, which is removed at the end and on SIGINT or SIGTERM, which end the program.
 pub struct Scratch(pub PathBuf);
 
 impl Scratch {
@@ -22,6 +27,15 @@ impl Scratch {
     pub fn new(name: &str) -> Result<Self> {
         let path = std::env::temp_dir().join(format!("retroflex-{name}-{}", std::process::id()));
         std::fs::create_dir(&path).map_err(|e| miette!("{}: {e}", path.display()))?;
+        let mut signals = Signals::new([SIGINT, SIGTERM]).into_diagnostic()?;
+        let folder = path.clone();
+        std::thread::spawn(move || {
+            if let Some(signal) = signals.forever().next() {
+                // the operating system removes what is left
+                let _ = std::fs::remove_dir_all(folder);
+                std::process::exit(128 + signal);
+            }
+        });
         Ok(Self(path))
     }
 }
@@ -50,6 +64,7 @@ pub fn bar(length: u64, text: &str) -> ProgressBar {
 pub fn table<R: Into<Row>>(header: &[&str], numbers: Range<usize>, rows: impl IntoIterator<Item = R>) -> Table {
     let mut table = Table::new();
     table.load_style(presets::UTF8_HORIZONTAL_ONLY);
+    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(TABLE_COLUMNS);
     table.set_header(header.to_vec());
     for row in rows {
         table.add_row(row);
@@ -61,10 +76,30 @@ pub fn table<R: Into<Row>>(header: &[&str], numbers: Range<usize>, rows: impl In
     table
 }
 
-/// Prints on standard output. A reader that has closed its end, such as `head`, is not an error.
+/// Prints on standard output. A reader that has closed its end, such as `head`, is not an error; any other obstacle, such as a full disk,
+/// ends the program with code 2.
 pub fn print(text: impl AsRef<[u8]>) {
     let mut out = std::io::stdout();
-    let _ = out.write_all(text.as_ref()).and_then(|()| out.flush());
+    match out.write_all(text.as_ref()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => unprintable(&format!("standard output: {e}")),
+        _ => {}
+    }
+}
+
+/// Ends the program with code 2, with this message if it can be printed.
+fn unprintable(message: &str) -> ! {
+    let _ = writeln!(std::io::stderr(), "{message}");
+    std::process::exit(2)
+}
+
+/// Makes a message that cannot be printed, because nobody reads it or the disk is full, end the program with code 2. The macros of the
+/// standard library panic.
+pub fn end_when_mute() {
+    let otherwise = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| match info.payload_as_str() {
+        Some(text) if text.starts_with("failed printing to") => unprintable(text),
+        _ => otherwise(info),
+    }));
 }
 
 /// Prints text for people on standard output, or on standard error if `json` occupies standard output.
@@ -103,6 +138,11 @@ pub fn check(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> Result<()> 
             let folder = folder.display();
             bail!("{option} {file}: the folder {folder} does not exist; create it first");
         }
+        if path.is_file() || !path.exists() {
+            let probe = beside(path);
+            let made = std::fs::File::create(&probe).and_then(|_| std::fs::remove_file(&probe));
+            made.map_err(|e| miette!("{option} {file}: {e}; name a file in a folder in which you may write"))?;
+        }
         if let Some(input) = inputs.iter().find(|input| same_file(path, input)) {
             let input = input.display();
             bail!("{option} {file} would overwrite the input file {input}; give the result another name");
@@ -114,20 +154,13 @@ pub fn check(results: &[(&str, Option<&Path>)], inputs: &[&Path]) -> Result<()> 
 
 /// Refuses to replace a file whose content is not what the option writes.
 fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
-    let begins: &[u8] = match option {
-        "--json" => b"{[",
-        "--html" | "--svg" => b"<",
-        "--parquet" => b"P",
-        _ => return Ok(()),
-    };
     // opening a pipe could block
     if !path.is_file() {
         return Ok(());
     }
     let file = path.display();
     let old = head(path).map_err(|e| miette!("{option} {file}: {e}"))?;
-    let first = old.iter().find(|b| !b.is_ascii_whitespace());
-    if first.is_none_or(|first| begins.contains(first)) {
+    if old.trim_ascii().is_empty() || may_replace(option, path, old.trim_ascii_start()) {
         return Ok(());
     }
     let inputs: Vec<String> = inputs.iter().map(|p| p.display().to_string()).collect();
@@ -136,6 +169,23 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
     bail!(
         "{option} {file} would overwrite an existing file of another kind, perhaps an input{beside}{inputs}; give the result another name"
     )
+}
+
+/// Whether a file that begins with `old` is of the kind that the option writes.
+fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
+    let is_toml = || std::fs::read_to_string(path).ok().and_then(|text| text.parse::<toml::Table>().ok());
+    let has = |key: &str| is_toml().is_some_and(|table| table.contains_key(key));
+    match (option, path.extension().and_then(|e| e.to_str())) {
+        ("--json", _) => matches!(old[0], b'{' | b'['),
+        ("--html" | "--svg", _) => old[0] == b'<',
+        ("--parquet" | "--rows" | "--merged", _) => old.starts_with(b"PAR1"),
+        ("--save", _) => has("with_effects"),
+        ("--calib" | "--prior", _) | ("--out", Some("toml")) => crate::cli::inputs::calibration(Some(path)).is_ok() || has("conformal"),
+        ("--csv", _) | ("--out", Some("csv")) => old.contains(&b',') && is_toml().is_none() && old[0] != b'<',
+        ("--out", Some("mcap")) => old.starts_with(b"\x89MCAP"),
+        ("--out", _) => is_toml().is_none() && old[0] != b'<',
+        _ => true,
+    }
 }
 
 fn head(path: &Path) -> std::io::Result<Vec<u8>> {
@@ -173,13 +223,18 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
     if path.exists() && !path.is_file() {
         return std::fs::write(path, content).map_err(|e| miette!("{}: {e}", path.display()));
     }
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let beside = folder_of(path).join(format!(".{name}.{}.part", std::process::id()));
+    let beside = beside(path);
     replace(path, &beside, content).map_err(|e| {
         // the temporary file may not exist
         let _ = std::fs::remove_file(&beside);
         miette!("{}: {e}", path.display())
     })
+}
+
+/// The temporary file of a result.
+fn beside(path: &Path) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    folder_of(path).join(format!(".{name}.{}.part", std::process::id()))
 }
 
 fn replace(path: &Path, beside: &PathBuf, content: &[u8]) -> std::io::Result<()> {

@@ -51,6 +51,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let text = toml::to_string_pretty(&calibration(&model, &args.model, path)?).into_diagnostic()?;
         output::write(path, &text)?;
     }
+    if let Some(path) = &args.calib {
+        eprintln!("written to {}", path.display());
+    }
     eprintln!("calibration: k_epsilon and k_lambda as re-identified on {}", model.source);
     for e in &effects {
         match place(&model, e.as_ref()) {
