@@ -10,13 +10,14 @@ use rayon::prelude::*;
 use retroflex::diagnosis::diagnose::diagnose;
 use retroflex::diagnosis::document::Diagnosis;
 use retroflex::diagnosis::exam::question::{Content, Question};
-use retroflex::diagnosis::exam::record::record;
+use retroflex::diagnosis::exam::record::{PERIOD_S, record};
 use retroflex::diagnosis::observe::Observed;
 use retroflex::diagnosis::rig::Rig;
 use retroflex::log::bend_log::BendLog;
 use retroflex::model::Line;
 use retroflex::model::effects::catalogue;
 use retroflex::simulation::plant::PlantConfig;
+use retroflex::simulation::sim::Sim;
 
 /// First seed; effect `n` has seed `SEED + n`.
 const SEED: u64 = 4000;
@@ -72,7 +73,7 @@ fn an_imu_on_the_base_explains_the_motion_of_the_base() {
         let mut plant = plant.with_effect("base_motion", 0.5, &mut rng).unwrap().with_effect(name, 0.7, &mut rng).unwrap();
         let motion = plant.effects.base_motion.as_mut().unwrap();
         (motion.angle_deg, motion.sway_deg, motion.sway_period_s) = (20.0, 5.0, 6.0);
-        let mut log = record(&plant, &lines, SEED, false).unwrap();
+        let mut log = record(|noise| Ok(Sim::new(&plant, 0, noise, PERIOD_S)?), &lines, SEED, false).unwrap();
         let verdict = |log: &BendLog| diagnose(&Observed::new(log, &Rig::default()).unwrap(), &catalogue(), &lines, 1).document.verdict;
         let with = verdict(&log);
         log.base = None;

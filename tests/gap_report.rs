@@ -38,7 +38,12 @@ fn diagnosis(kind: VerdictKind, names: &[&'static str], equivalent: &[&[&'static
             effect("transport_delay", "timing", 0.48, 0.89),
             effect("creep", "bellows", 0.02, 0.1),
         ],
-        verdict: VerdictEntry { kind, names: names.to_vec(), equivalent: equivalent.iter().map(|g| g.to_vec()).collect() },
+        verdict: VerdictEntry {
+            kind,
+            names: names.to_vec(),
+            equivalent: equivalent.iter().map(|g| g.to_vec()).collect(),
+            conformal: vec![],
+        },
         unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37, predictable_deg_s: 0.0 },
         logs: vec![],
         rivals: vec![],

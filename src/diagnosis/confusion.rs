@@ -2,11 +2,7 @@
 
 use crate::model::effects::by_name;
 
-/// Pairs that are reported as equivalent if a log without a tracker leaves the same with either. The tip IMU observes
-/// only the sum of the two delays; to first order in the bend, turned bellows look like a turned sensor.
-pub const EQUIVALENT_WITHOUT_TRACKER: [[&str; 2]; 2] = [["transport_delay", "sensor_latency"], ["clocking", "mount_misalignment"]];
-
-/// Pairs that no motion separates, and whether a tracker separates them. Displaced bellows multiply the bend by a
+/// Pairs that no motion separates (the tip IMU observes only the sum of the two delays), and whether a tracker separates them. Displaced bellows multiply the bend by a
 /// constant matrix, and so does an anisotropic stiffness.
 const INSEPARABLE_BY_MOTION: [([&str; 2], bool); 2] =
     [(["transport_delay", "sensor_latency"], true), (["clocking", "cable_stiffness"], false)];
@@ -19,9 +15,4 @@ pub fn separable(a: &str, b: &str, tracker: bool) -> bool {
 /// Names of the effects with a signature similar to that of `name`; empty for an unknown name.
 pub fn confused_with(name: &str) -> &'static [&'static str] {
     by_name(name).map_or(&[], |e| e.info().confused_with)
-}
-
-/// Whether either of two effects lists the other as similar.
-pub fn confusable(a: &str, b: &str) -> bool {
-    confused_with(a).contains(&b) || confused_with(b).contains(&a)
 }

@@ -1,27 +1,22 @@
 //! Puts a diagnosis together: size of the gap, location, effects, verdict.
 
 use crate::diagnosis::chain::{Model, run};
-use crate::diagnosis::confusion::EQUIVALENT_WITHOUT_TRACKER;
 use crate::diagnosis::credit::{credits, stages};
-use crate::diagnosis::decide::{Verdict, decide};
-use crate::diagnosis::document::{Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue, Rival, UnknownEntry, VerdictEntry};
+use crate::diagnosis::decide::{Verdict, VerdictKind, decide};
+use crate::diagnosis::document::{
+    Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue, Rival, StatementEntry, UnknownEntry, VerdictEntry,
+};
 use crate::diagnosis::holdout::{HeldOut, score};
 use crate::diagnosis::interval::{Compared, closed_ci95};
 use crate::diagnosis::location::BeforeAfter;
 use crate::diagnosis::observe::{Observed, Segment};
-use crate::diagnosis::quantity::Quantity;
+use crate::diagnosis::posterior::Posterior;
 use crate::diagnosis::search::{Candidate, Candidates, search};
 use crate::diagnosis::sense::{every_bin, sense};
 use crate::model::effects::Effect;
 use crate::model::{Line, lines, nominal_theta};
 use nalgebra::Vector3;
 
-/// Share of the gap by which energies must differ for their probabilities to differ by a factor e.
-const TEMPERATURE: f64 = 0.04;
-/// Handicap, in natural logarithms, of every set other than the verdict's, and the same per effect of difference in size.
-const HANDICAP: f64 = 2.0;
-/// Energies closer than this share of the gap are equal.
-const EQUAL_SHARE: f64 = 0.02;
 /// Residuals are correlated over about this long, s: one independent observation per stretch.
 const CORRELATED_S: f64 = 2.0;
 /// Compared sets of each size in the document.
@@ -41,29 +36,23 @@ pub struct Diagnosed {
 /// bootstrap.
 pub fn diagnose(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], seed: u64) -> Diagnosed {
     let found = search(log, catalogue, lines);
-    let (verdict, chosen) = decide(log, &found);
-    let probabilities = probabilities(log, &found, &verdict, chosen);
-    let assembly = Assembly { log, catalogue, found: &found, chosen, probabilities: &probabilities, seed };
+    let posterior = Posterior::new(log, &found);
+    let (verdict, chosen) = decide(log, &found, &posterior);
+    let probabilities: Vec<_> = found.singles.iter().map(|s| (s.names[0], posterior.effect(s.names[0]))).collect();
+    let conformal = conformal(&posterior);
+    let assembly = Assembly { log, catalogue, found: &found, chosen, probabilities: &probabilities, conformal, seed };
     let document = assembly.document(verdict, lines);
     let chosen = chosen.clone();
     Diagnosed { document, found, chosen }
 }
 
-/// Probability of each effect by name: the candidates weighted by the energy they leave.
-fn probabilities(log: &Observed, found: &Candidates, verdict: &Verdict, chosen: &Candidate) -> Vec<(&'static str, f64)> {
-    let unit = (TEMPERATURE * (found.nominal.energy() - log.noise_energy())).max(0.05);
-    let weight = |c: &Candidate| {
-        let size = c.names.len().abs_diff(verdict.names.len()) as f64;
-        let behind = ((c.energy() - chosen.energy()) / unit).max(0.0) + HANDICAP + HANDICAP * size;
-        if c.names == verdict.names { 1.0 } else { (-behind).exp() }
+/// The statements of which one is true with 95 %.
+fn conformal(posterior: &Posterior<'_>) -> Vec<StatementEntry> {
+    let entry = |&(set, probability): &(Option<&Candidate>, f64)| {
+        let kind = set.map_or(VerdictKind::Unknown, |c| VerdictKind::new(c.names.is_empty(), false));
+        StatementEntry { kind, names: set.map_or(vec![], |c| c.names.clone()), probability }
     };
-    let weighted: Vec<(&Candidate, f64)> = found.all().map(|c| (c, weight(c))).collect();
-    let total: f64 = weighted.iter().map(|r| r.1).sum();
-    let of = |name: &'static str| {
-        let with = weighted.iter().filter(|(c, _)| c.names.contains(&name));
-        (name, with.fold(0.0, |sum, (_, w)| sum + w / total))
-    };
-    found.singles.iter().map(|s| of(s.names[0])).collect()
+    posterior.ranked.iter().take(posterior.conformal).map(entry).collect()
 }
 
 /// What a document is assembled from.
@@ -73,6 +62,7 @@ struct Assembly<'a> {
     found: &'a Candidates,
     chosen: &'a Candidate,
     probabilities: &'a [(&'static str, f64)],
+    conformal: Vec<StatementEntry>,
     seed: u64,
 }
 
@@ -81,7 +71,6 @@ impl Assembly<'_> {
         let (log, found, chosen) = (self.log, self.found, self.chosen);
         let mut effects: Vec<EffectEntry> = self.catalogue.iter().map(|e| self.entry(e.as_ref())).collect();
         effects.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.closed.total_cmp(&a.closed)));
-        let equivalent = self.equivalent(&verdict);
         let place = BeforeAfter { log, before: &found.nominal.held_out, after: &chosen.held_out };
         Diagnosis {
             schema: 1,
@@ -93,7 +82,7 @@ impl Assembly<'_> {
             },
             location: Location {
                 stages: stages(self.catalogue, &credits(found, chosen, found.gap(log)), self.probabilities),
-                merged: self.merged(&equivalent),
+                merged: self.merged(&verdict.equivalent),
                 regions: place.regions(),
                 when: place.when(),
                 kinds: place.quantities(),
@@ -103,7 +92,12 @@ impl Assembly<'_> {
                 rmse_deg: log.rms_deg((chosen.energy() - log.noise_energy()).max(0.0)),
                 predictable_deg_s: verdict.predictable_deg_s,
             },
-            verdict: VerdictEntry { kind: verdict.kind, names: verdict.names, equivalent },
+            verdict: VerdictEntry {
+                kind: verdict.kind,
+                names: verdict.names,
+                equivalent: verdict.equivalent,
+                conformal: self.conformal.clone(),
+            },
             effects,
             logs: self.logs(),
             rivals: rivals(found),
@@ -174,18 +168,6 @@ impl Assembly<'_> {
             }
         };
         e.params().iter().enumerate().map(one).collect()
-    }
-
-    /// Groups of effects, one of them in the verdict, that this log cannot separate.
-    fn equivalent(&self, verdict: &Verdict) -> Vec<Vec<&'static str>> {
-        let equal = EQUAL_SHARE * (self.found.nominal.energy() - self.log.noise_energy());
-        let energy = |name: &str| self.found.single(name).map(Candidate::energy);
-        EQUIVALENT_WITHOUT_TRACKER
-            .iter()
-            .filter(|pair| pair.iter().any(|n| verdict.names.contains(n)) && !self.log.has[Quantity::Reference])
-            .filter(|[a, b]| matches!((energy(a), energy(b)), (Some(a), Some(b)) if (a - b).abs() < equal))
-            .map(|pair| self.found.singles.iter().map(|s| s.names[0]).filter(|n| pair.contains(n)).collect())
-            .collect()
     }
 
     /// Stages of each group that spans more than one.

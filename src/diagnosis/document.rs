@@ -115,6 +115,19 @@ pub struct VerdictEntry {
     pub names: Vec<&'static str>,
     /// Groups of effects that this log cannot separate.
     pub equivalent: Vec<Vec<&'static str>>,
+    /// Statements of which one is true in 95 % of all logs, the most probable first.
+    pub conformal: Vec<StatementEntry>,
+}
+
+/// A statement about a log.
+#[derive(Debug, Clone, Serialize)]
+pub struct StatementEntry {
+    /// Kind.
+    pub kind: VerdictKind,
+    /// Names of the effects that explain the log.
+    pub names: Vec<&'static str>,
+    /// Its probability.
+    pub probability: f64,
 }
 
 /// The unexplained remainder.

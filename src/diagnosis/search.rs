@@ -9,7 +9,7 @@ use crate::diagnosis::fit::{Fitted, fit};
 use crate::diagnosis::holdout::{CLAIM_DEG, HeldOut, leave_out};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::{Point, Problem};
-use crate::diagnosis::start::{best_start, dated_again};
+use crate::diagnosis::start::{Start, best_start, dated_again};
 use crate::diagnosis::tangent::{BaseFit, Tangent};
 use crate::model::effects::Effect;
 use crate::model::{Line, nominal_theta};
@@ -17,10 +17,10 @@ use rayon::prelude::*;
 
 /// Rounds of a fit.
 const ROUNDS: usize = 8;
-/// Singles that are extended to pairs.
-const BEAM: usize = 3;
-/// Pairs that are fitted from each single.
-const GROWN: usize = 5;
+/// Pairs that are fitted from each of the best singles.
+const GROWN: [usize; 3] = [9, 4, 3];
+/// Residuals are correlated over about this long, s.
+const CORRELATED_S: f64 = 2.0;
 /// Most rounds in which events are dated again after a fit, for a single effect and for a pair: the first of a pair has been dated.
 const DATED: [usize; 2] = [4, 1];
 /// A fit with events dated again is kept if it leaves less than this part of the cost.
@@ -98,9 +98,9 @@ pub fn search(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) 
     sort_by_energy(&mut singles);
     let mut pairs = Vec::new();
     if singles.first().is_some_and(|s| can_gain(log, &s.held_out)) {
-        for seed in &singles[..singles.len().min(BEAM)] {
+        for (seed, grown) in singles.iter().zip(GROWN) {
             let known: Vec<Vec<&str>> = pairs.iter().map(|p: &Candidate| p.names.clone()).collect();
-            pairs.extend(grow(log, catalogue, seed, &known));
+            pairs.extend(grow(log, catalogue, seed, grown, &known));
         }
         sort_by_energy(&mut pairs);
     }
@@ -135,8 +135,8 @@ fn settle<'a>(problem: Problem<'a>, start: &[f64]) -> (Candidate, BaseFit<'a>) {
     (Candidate::new(&base), base)
 }
 
-/// The most promising pairs of a single with another effect, except the `known` ones.
-fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, known: &[Vec<&str>]) -> Vec<Candidate> {
+/// The most promising pairs of a single with another effect by Schwarz's criterion, except the `known` ones.
+fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, grown: usize, known: &[Vec<&str>]) -> Vec<Candidate> {
     let (_, base) = settle(Problem::new(log, Model::named(catalogue, &seed.names)), &seed.fitted.theta);
     let pair = |e: &dyn Effect| Problem::new(log, Model::named(catalogue, &[seed.names[0], e.name()]));
     let fresh = |e: &dyn Effect| {
@@ -148,7 +148,9 @@ fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, known: 
         .filter(|e| fresh(e.as_ref()))
         .filter_map(|e| best_start(&base, &pair(e.as_ref()), e.as_ref()).map(|s| (e, s)))
         .collect();
-    promising.sort_by(|a, b| a.1.predicted.total_cmp(&b.1.predicted));
-    promising.truncate(GROWN);
+    let independent = log.duration_s() / CORRELATED_S * 3.0 * log.quantities().count() as f64;
+    let criterion = |(e, s): &(&Box<dyn Effect>, Start)| independent * s.predicted.ln() + e.params().len() as f64 * independent.ln();
+    promising.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
+    promising.truncate(grown);
     promising.par_iter().map(|(e, s)| settle(pair(e.as_ref()), &s.theta).0).collect()
 }

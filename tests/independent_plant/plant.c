@@ -108,6 +108,7 @@ static const char *NAMES[EFFECTS] = {
     "gyro_bias", "accel_bias", "hard_iron", "motor_field", "mount_misalignment", "transport_delay", "sensor_latency",
     "base_motion", "stick_slip", "respiration", "pinch", "sway", "soft_wall", "wall_release", "short_reach"};
 static int active[EFFECTS];
+static int calibrated; /* the sensors' constant errors are those that a calibration leaves */
 static double size = 1.0, value_override = NAN;
 /* The effect's main figure: drawn from its range, scaled, or given outright with --value. */
 static double figure(double lo, double hi) {
@@ -134,7 +135,7 @@ static void draw_unit(void) {
         half_play[i] = draw(0.4, 1.2);
         gyro_bias0[i] = 0.007 * gauss_of(&rng_state);
         acc_bias[i] = 0.03 * gauss_of(&rng_state);
-        iron[i] = 0.6 * gauss_of(&rng_state);
+        iron[i] = (calibrated ? 0.15 : 0.6) * gauss_of(&rng_state);
     }
     r_mm = 7.0 / sqrt(3.0) * draw(0.96, 1.04);
     lag_s = draw(0.015, 0.045);
@@ -397,6 +398,10 @@ int main(int argc, char **argv) {
         }
         if (!strcmp(argv[i], "--calib")) {
             print_calib = 1;
+            continue;
+        }
+        if (!strcmp(argv[i], "--calibrated")) {
+            calibrated = 1;
             continue;
         }
         if (!strcmp(argv[i], "--base-imu")) {

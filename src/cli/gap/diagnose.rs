@@ -73,7 +73,10 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     let lines = lines()?;
     let observed = input::observe_together(&args.logs, &input::rig(args.board.as_deref())?)?;
+    let bar = output::bar(0, "the effects are fitted,");
+    bar.enable_steady_tick(std::time::Duration::from_millis(200));
     let done = diagnose(&observed, &catalogue(), &lines, args.seed);
+    bar.finish_and_clear();
     for (path, text) in files(args, &observed, &done)? {
         output::write(path, &text)?;
     }

@@ -5,7 +5,7 @@ use crate::diagnosis::decide::VerdictKind;
 use crate::diagnosis::document::Diagnosis;
 use crate::diagnosis::exam::question::{Question, questions};
 use crate::diagnosis::exam::run::{Answer, run as answer_all};
-use crate::diagnosis::exam::score::{Count, ExamScore, Method, Row, score};
+use crate::diagnosis::exam::score::{Count, ExamScore, Method, ReliabilityBin, Row, score};
 use crate::model::effects::catalogue;
 use miette::{IntoDiagnostic, Result};
 use serde::Serialize;
@@ -88,9 +88,12 @@ fn share(c: &Count) -> String {
 
 fn summary(s: &ExamScore) -> String {
     format!(
-        "{}\ncalibration error of the probabilities {:.3}\n{}\nanswers that differ from the truth:\n{}",
+        "{}\n{}\ncalibration error: effects {:.3}, unknown {:.3}; a 95 % set has {:.1} statements\n{}\nanswers that differ from the truth:\n{}",
         own(s),
-        s.calibration_error,
+        reliability(s),
+        s.effects.error,
+        s.unknown.error,
+        s.conformal_size,
         comparison(s),
         mistakes(s).join("\n")
     )
@@ -107,10 +110,24 @@ fn own(s: &ExamScore) -> comfy_table::Table {
         row("effect-free logs with a claim", &s.diagnosis.alarm),
         row("outside the catalogue: unknown", &s.outside),
         row("removed from the catalogue: unknown", &s.left_out),
+        row("95 % sets of statements that hold", &s.conformal),
         row("stated intervals that hold", &s.coverage),
+        ["known effects called unknown".to_owned(), share(&s.known_called_unknown), String::new()],
+        ["logs with a group of equivalent effects".to_owned(), share(&s.grouped), String::new()],
         ["gap closed on a fresh log, median".to_owned(), percent(s.fresh_closed[0]), percent(s.fresh_closed[1])],
     ];
     output::table(&["", "lab", "field"], 1..3, rows)
+}
+
+/// Table of stated probabilities and frequencies.
+fn reliability(s: &ExamScore) -> comfy_table::Table {
+    let row = |what: &str, b: &ReliabilityBin| {
+        let [low, high] = b.ci95;
+        [what.to_owned(), format!("{:.2}", b.stated), share(&b.count), format!("{:.0} to {:.0} %", low * 100.0, high * 100.0)]
+    };
+    let effects = s.effects.bins.iter().map(|b| row("an effect", b));
+    let rows: Vec<[String; 4]> = effects.chain(s.unknown.bins.iter().map(|b| row("unknown", b))).collect();
+    output::table(&["statement", "stated", "true", "95 %"], 1..4, rows)
 }
 
 /// Table of the diagnosis beside the other methods.

@@ -8,6 +8,7 @@ pub mod excite;
 pub mod input;
 pub mod map;
 pub mod rows;
+pub mod train;
 
 use crate::cli::CommandOutcome;
 use miette::Result;
@@ -23,6 +24,8 @@ pub enum Gap {
     Apply(apply::Args),
     /// Design a schedule that separates effects.
     Excite(excite::Args),
+    /// Fit the probabilities of the diagnosis to logs of random units.
+    Train(train::Args),
     /// Test the diagnosis on logs of the built-in plant with hidden labels.
     Exam(exam::Args),
 }
@@ -37,6 +40,7 @@ pub fn run(command: &Gap) -> Result<CommandOutcome> {
         Gap::Check(args) => check::run(args),
         Gap::Apply(args) => apply::run(args),
         Gap::Excite(args) => excite::run(args),
+        Gap::Train(args) => train::run(args),
         Gap::Exam(args) => exam::run(args),
     }
 }

@@ -4,20 +4,22 @@
 //! calibration is a few percent off. The size of an effect is drawn; one that changes no signal by `VISIBLE_DEG` is
 //! drawn again.
 
-use crate::diagnosis::exam::record::record;
+use crate::diagnosis::exam::record::{PERIOD_S, record};
 use crate::log::bend_log::BendLog;
 use crate::model::Line;
 use crate::simulation::plant::config::BaseConfig;
 use crate::simulation::plant::imu::chip::ImuConfig;
 use crate::simulation::plant::spread::Spread;
-use crate::simulation::plant::{EffectName, PlantConfig, PlantError, effect_names};
+use crate::simulation::plant::{EffectName, PlantConfig, effect_names};
+use crate::simulation::sim::Sim;
+use crate::supervisor::MachineError;
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt, SeedableRng};
 
 /// Least RMS change of some signal by an effect, degrees (°/s for the gyroscope).
-const VISIBLE_DEG: f64 = 0.8;
+pub const VISIBLE_DEG: f64 = 0.8;
 /// Draws of the size of an effect; the last is the largest size.
 const DRAWS: usize = 6;
 
@@ -89,8 +91,8 @@ impl Question {
     /// Draws the unit and records its logs.
     ///
     /// # Errors
-    /// [`PlantError`] for a plant that cannot run.
-    pub fn draw(&self) -> Result<Logs, PlantError> {
+    /// [`MachineError`] for a plant that cannot run.
+    pub fn draw(&self) -> Result<Logs, MachineError> {
         let mut rng = StdRng::seed_from_u64(self.seed);
         let bare = unit(&mut rng);
         let lines = std::array::from_fn(|i| Line {
@@ -98,14 +100,15 @@ impl Question {
             k_lambda_mm: bare.line.k_lambda_mm[i] * rng.random_range(0.9..1.1),
         });
         let (first, second) = (rng.next_u64(), rng.next_u64());
-        let without = record(&bare, &lines, first, true)?;
+        let of = |make: &PlantConfig, seed, lab| record(|noise| Ok(Sim::new(make, 0, noise, PERIOD_S)?), &lines, seed, lab);
+        let without = of(&bare, first, true)?;
         let mut make = bare;
         let mut log = without.clone();
         for name in &self.names {
             for draw in 0..DRAWS {
                 let severity = if draw + 1 == DRAWS { 1.0 } else { rng.random_range(0.0..1.0) };
                 let with = make.clone().with_effect(name, severity, &mut rng)?;
-                let log_with = record(&with, &lines, first, true)?;
+                let log_with = of(&with, first, true)?;
                 let enough = difference_deg(&log, &log_with) > VISIBLE_DEG;
                 if enough || draw + 1 == DRAWS {
                     (make, log) = (with, log_with);
@@ -116,7 +119,7 @@ impl Question {
         if !self.lab {
             log.reference = None;
         }
-        Ok(Logs { log, fresh: record(&make, &lines, second, self.lab)?, lines })
+        Ok(Logs { log, fresh: of(&make, second, self.lab)?, lines })
     }
 }
 
@@ -151,7 +154,7 @@ fn unit(rng: &mut StdRng) -> PlantConfig {
 }
 
 /// Largest RMS difference of a signal between two logs, degrees (°/s for the gyroscope).
-fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
+pub fn difference_deg(a: &BendLog, b: &BendLog) -> f64 {
     let rms = |x: &[Vector3<f64>], y: &[Vector3<f64>], unit: f64| {
         let (sum, n) =
             x.iter().zip(y).map(|(x, y)| (x - y).norm_squared()).filter(|d| !d.is_nan()).fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));

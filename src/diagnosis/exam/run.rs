@@ -10,7 +10,7 @@ use crate::diagnosis::refuse::ObserveError;
 use crate::diagnosis::rig::Rig;
 use crate::diagnosis::saved::SavedModel;
 use crate::model::effects::{self, Effect};
-use crate::simulation::plant::PlantError;
+use crate::supervisor::MachineError;
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -22,7 +22,7 @@ const LEFT_OUT_EVERY: usize = 3;
 pub enum ExamError {
     /// A unit cannot run.
     #[error(transparent)]
-    Plant(#[from] PlantError),
+    Machine(#[from] MachineError),
     /// A log cannot be diagnosed.
     #[error("question {0}: {1}")]
     Observe(usize, ObserveError),

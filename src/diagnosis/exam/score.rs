@@ -1,14 +1,15 @@
 //! Scores of an exam.
 
 use crate::diagnosis::decide::VerdictKind;
+use crate::diagnosis::document::StatementEntry;
 use crate::diagnosis::exam::question::{Content, Question};
 use crate::diagnosis::exam::run::Answer;
 use crate::model::effects::by_name;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Least probability of an effect that enters the calibration error.
-const PROBABLE: f64 = 0.05;
+/// Least probability of an effect that enters the reliability: the many improbable effects would hide the error of the others.
+const PROBABLE: f64 = 0.02;
 
 /// Right answers out of all.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
@@ -52,6 +53,48 @@ pub struct Method {
     pub macro_f1: f64,
 }
 
+/// How often statements of about the same probability are true.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ReliabilityBin {
+    /// Mean of the stated probabilities.
+    pub stated: f64,
+    /// True statements out of all.
+    pub count: Count,
+    /// 95 % interval of the frequency (Wilson, *JASA* 1927).
+    pub ci95: [f64; 2],
+}
+
+/// Stated probabilities beside frequencies.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Reliability {
+    /// Up to ten bins of equal width that have statements.
+    pub bins: Vec<ReliabilityBin>,
+    /// Mean distance of the two, weighted by the number of statements (Naeini et al., AAAI 2015).
+    pub error: f64,
+}
+
+impl Reliability {
+    fn of(said: impl Iterator<Item = (f64, bool)>) -> Self {
+        let mut sums = [(0.0, Count::default()); 10];
+        for (p, right) in said {
+            let bin = &mut sums[((p * 10.0) as usize).min(9)];
+            *bin = (bin.0 + p, Count { right: bin.1.right + usize::from(right), of: bin.1.of + 1 });
+        }
+        let all: usize = sums.iter().map(|b| b.1.of).sum();
+        let error = sums.iter().map(|(p, c)| (p - c.right as f64).abs()).sum::<f64>() / all.max(1) as f64;
+        let filled = sums.iter().filter(|b| b.1.of > 0);
+        let bin = |&(p, count): &(f64, Count)| ReliabilityBin { stated: p / count.of as f64, count, ci95: wilson(&count) };
+        Self { bins: filled.map(bin).collect(), error }
+    }
+}
+
+/// 95 % interval of a frequency.
+fn wilson(c: &Count) -> [f64; 2] {
+    let (n, p, z2) = (c.of as f64, c.share(), 1.96 * 1.96);
+    let half = 1.96 * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
+    [-half, half].map(|side| (p + z2 / (2.0 * n) + side) / (1.0 + z2 / n))
+}
+
 /// Score of an exam.
 #[derive(Debug, Clone, Serialize)]
 pub struct ExamScore {
@@ -67,8 +110,18 @@ pub struct ExamScore {
     pub outside: Row,
     /// `unknown` for effects whose entry was removed from the catalogue.
     pub left_out: Row,
-    /// Mean distance of stated probabilities from frequencies.
-    pub calibration_error: f64,
+    /// Probabilities of effects, on all logs.
+    pub effects: Reliability,
+    /// Probability of a cause outside the catalogue, on all logs.
+    pub unknown: Reliability,
+    /// Conformal sets that contain the truth.
+    pub conformal: Row,
+    /// Mean number of statements in a conformal set.
+    pub conformal_size: f64,
+    /// Logs with a stated group of effects that the log cannot separate.
+    pub grouped: Count,
+    /// Verdict `unknown` for effects of the catalogue.
+    pub known_called_unknown: Count,
     /// Median part of the gap closed on a fresh log, single effects: with the tracker and without.
     pub fresh_closed: [f64; 2],
     /// Stated 95 % intervals that contain the part closed on the fresh log.
@@ -146,6 +199,7 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
     };
     let singles = |lab: bool| all.iter().filter(move |(q, _)| q.content == Content::Single && q.lab == lab);
     let left_out = |lab| Count::of(singles(lab).filter_map(|(_, a)| a.left_out).map(|kind| kind == VerdictKind::Unknown));
+    let known = all.iter().filter(|(q, _)| matches!(q.content, Content::Single | Content::Pair));
     ExamScore {
         seed,
         logs: all.len(),
@@ -153,7 +207,15 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
         stage: row(&all, Content::Single, stage),
         outside: row(&all, Content::Outside, |_, a| a.diagnosis.verdict.kind == VerdictKind::Unknown),
         left_out: Row { lab: left_out(true), field: left_out(false) },
-        calibration_error: calibration_error(&all),
+        effects: Reliability::of(all.iter().flat_map(|(q, a)| {
+            let said = a.diagnosis.effects.iter().filter(|e| e.probability > PROBABLE);
+            said.map(|e| (e.probability, q.names.contains(&e.name) && q.content != Content::Outside))
+        })),
+        unknown: Reliability::of(all.iter().map(|(q, a)| (a.diagnosis.unknown.probability, q.content == Content::Outside))),
+        conformal: Row { lab: conformal(&all, true), field: conformal(&all, false) },
+        conformal_size: all.iter().map(|(_, a)| a.diagnosis.verdict.conformal.len() as f64).sum::<f64>() / all.len().max(1) as f64,
+        grouped: Count::of(all.iter().map(|(_, a)| !a.diagnosis.verdict.equivalent.is_empty())),
+        known_called_unknown: Count::of(known.map(|(_, a)| a.diagnosis.verdict.kind == VerdictKind::Unknown)),
         fresh_closed: [true, false].map(|lab| median(singles(lab).map(|(_, a)| a.fresh_closed).collect())),
         coverage: row(&all, Content::Single, |_, a| covered(a)),
         bic,
@@ -200,18 +262,13 @@ fn macro_f1(all: &[Answered<'_>], answer: impl Fn(&Answer) -> String) -> f64 {
     classes.iter().map(|c| f1(c)).sum::<f64>() / classes.len().max(1) as f64
 }
 
-/// Expected calibration error of the probabilities of the effects, in ten bins (Naeini et al., AAAI 2015). The many
-/// improbable effects are left out; they would hide the error of the probable ones.
-fn calibration_error(all: &[Answered<'_>]) -> f64 {
-    let mut bins = [(0.0, 0.0, 0.0); 10];
-    for (q, a) in all.iter().filter(|(q, _)| q.content != Content::Outside) {
-        for e in a.diagnosis.effects.iter().filter(|e| e.probability > PROBABLE) {
-            let b = &mut bins[((e.probability * 10.0) as usize).min(9)];
-            *b = (b.0 + e.probability, b.1 + f64::from(u8::from(q.names.contains(&e.name))), b.2 + 1.0);
-        }
-    }
-    let n: f64 = bins.iter().map(|b| b.2).sum();
-    bins.iter().map(|b| (b.0 - b.1).abs()).sum::<f64>() / n.max(1.0)
+/// Logs whose conformal set contains the true statement.
+fn conformal(all: &[Answered<'_>], lab: bool) -> Count {
+    let holds = |(q, a): &Answered<'_>| {
+        let class = |s: &StatementEntry| if s.kind == VerdictKind::Effects { joined(&s.names) } else { s.kind.name().to_owned() };
+        a.diagnosis.verdict.conformal.iter().any(|s| class(s) == truth(q))
+    };
+    Count::of(all.iter().filter(|(q, _)| q.lab == lab).map(holds))
 }
 
 fn median(mut v: Vec<f64>) -> f64 {

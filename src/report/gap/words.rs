@@ -1,7 +1,7 @@
 //! A diagnosis in words.
 
 use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::document::{Diagnosis, EffectEntry, ParamValue};
+use crate::diagnosis::document::{Diagnosis, EffectEntry, ParamValue, StatementEntry};
 use crate::model::effects::by_name;
 
 /// Name of an effect without underscores.
@@ -97,6 +97,15 @@ pub fn limits(d: &Diagnosis) -> Vec<String> {
     if d.verdict.kind != VerdictKind::None && d.unknown.probability > 0.05 {
         let (percent, rest) = (100.0 * d.unknown.probability, d.unknown.rmse_deg);
         out.push(format!("The probability of a cause outside the catalogue is {percent:.0} % ({rest:.2}° remain above the noise)."));
+    }
+    if d.verdict.conformal.len() > 1 {
+        let one = |s: &StatementEntry| match s.kind {
+            VerdictKind::None => format!("no effect ({:.2})", s.probability),
+            VerdictKind::Unknown => format!("a cause outside the catalogue ({:.2})", s.probability),
+            VerdictKind::Effects => format!("{} ({:.2})", listed(&s.names, "with"), s.probability),
+        };
+        let said: Vec<String> = d.verdict.conformal.iter().map(one).collect();
+        out.push(format!("With 95 % it is one of these: {}.", said.join("; ")));
     }
     out
 }

@@ -1,0 +1,86 @@
+//! `retroflex gap train`: fits the probabilities of the diagnosis to logs of training units.
+
+use crate::cli::{CommandOutcome, output};
+use crate::diagnosis::train::case::Case;
+use crate::diagnosis::train::fit::fit;
+use crate::diagnosis::train::unit;
+use miette::{IntoDiagnostic, Result, miette};
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// Arguments of `gap train`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// File that keeps every finished log; a run that was stopped goes on from it.
+    #[arg(long)]
+    cases: PathBuf,
+    /// Write the weights (TOML); the program has them as `src/diagnosis/posterior.toml`.
+    #[arg(long)]
+    out: PathBuf,
+    /// Number of logs; 2000 take about 45 minutes on two cores.
+    #[arg(long, default_value_t = 2000)]
+    logs: u64,
+    /// Seed of the first unit; the others follow.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+/// Records and searches the logs that are missing, and writes the weights.
+///
+/// # Errors
+/// A report that names the file, or the unit that cannot run.
+pub fn run(args: &Args) -> Result<CommandOutcome> {
+    output::check(&[("--out", Some(&args.out))], &[])?;
+    let mut cases = read(&args.cases)?;
+    let seeds = args.seed..args.seed.saturating_add(args.logs);
+    cases.retain(|c| seeds.contains(&c.seed));
+    let known: BTreeSet<u64> = cases.iter().map(|c| c.seed).collect();
+    let missing: Vec<u64> = seeds.filter(|s| !known.contains(s)).collect();
+    eprintln!("seed {}, {} logs, {} of them in {}", args.seed, args.logs, known.len(), args.cases.display());
+    let named = |e: std::io::Error| miette!("{}: {e}", args.cases.display());
+    let file = Mutex::new(OpenOptions::new().create(true).append(true).open(&args.cases).map_err(named)?);
+    let bar = output::bar(missing.len() as u64, "{pos} of {len} logs, {eta} left,");
+    let one = |seed: &u64| {
+        let unit = unit::draw(*seed).into_diagnostic()?;
+        let case = Case::new(*seed, &unit).into_diagnostic()?;
+        let line = serde_json::to_string(&case).into_diagnostic()? + "\n";
+        let mut file = file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        file.write_all(line.as_bytes()).map_err(named)?;
+        bar.inc(1);
+        Ok(case)
+    };
+    cases.extend(missing.par_iter().map(one).collect::<Result<Vec<Case>>>()?);
+    bar.finish_and_clear();
+    cases.sort_by_key(|c| c.seed);
+    let trained = fit(&cases);
+    let [fitted, check, lost] = trained.logs;
+    let head = format!(
+        "# Weights of the posterior (src/diagnosis/posterior.rs), made by\n# retroflex gap train --logs {} --seed {}\n\
+         # {fitted} logs fitted; {check} others checked: the truth has {:.2} on the geometric mean; {lost} logs whose true set the search misses.\n",
+        args.logs,
+        args.seed,
+        (-trained.loss).exp()
+    );
+    let text = head + &toml::to_string(&trained.weights).into_diagnostic()?;
+    output::write(&args.out, text.as_bytes())?;
+    eprint!("{text}");
+    Ok(CommandOutcome::Good)
+}
+
+/// The finished logs of a file that need not exist; a last line that was cut off is left out.
+fn read(path: &Path) -> Result<Vec<Case>> {
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
+        Err(e) => return Err(miette!("{}: {e}", path.display())),
+    };
+    let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+    let parse = |(n, line): (usize, &str)| {
+        serde_json::from_str(line).map_err(|e| miette!("{}, line {}: {e}; remove the file to start anew", path.display(), n + 1))
+    };
+    whole.lines().enumerate().map(parse).collect()
+}
