@@ -72,10 +72,6 @@ fn a_replay_with_other_settings_is_a_flight_log() {
     let folder = tempfile::tempdir().unwrap();
     let [log, other, html] = ["flight.mcap", "other.mcap", "info.html"].map(|name| folder.path().join(name));
     fly(&log, Gains::default(), 8.0, script);
-    let retroflex = |args: &[&str], files: &[&Path]| {
-        let out = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(args).args(files).output().unwrap();
-        (out.status.code(), String::from_utf8_lossy(&[out.stdout, out.stderr].concat()).into_owned())
-    };
     let (code, text) = retroflex(&["replay", "--filter", "mekf", "--out"], &[&other, &log]);
     assert!(code == Some(0) && text.contains("speculation"), "{text}");
     let (code, text) = retroflex(&["replay"], &[&other]);
@@ -122,4 +118,68 @@ fn a_parquet_table_equals_the_bend_log() {
     assert!(rows > 500 && lines.next().is_none(), "{rows} rows");
     // the magnetometer is slower than the other sensors, and no pressure is measured
     assert!(nulls > 3 * rows, "{nulls}");
+}
+
+/// A log with an inverted bit in its middle, or a chunk twice: what can be read is read, the damage is reported with code 1 and stays
+/// reported in what is made of the log, and no part of a second is lost besides.
+#[test]
+fn damage_is_reported_and_only_the_damaged_chunk_is_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    fly(&file("whole.mcap"), Gains::default(), 8.0, script);
+    let whole = std::fs::read(file("whole.mcap")).unwrap();
+    let chunks: Vec<usize> = (0..whole.len() - 45).filter(|k| whole[*k] == 6 && whole[k + 37..k + 45] == *b"\x04\0\0\0zstd").collect();
+    let [at, next] = [chunks[5], chunks[6]];
+    let flipped = |k: usize| [&whole[..k], &[whole[k] ^ 8], &whole[k + 1..]].concat();
+    let damaged = [("content", flipped((at + next) / 2)), ("length", flipped(at + 4)), ("kind", flipped(at))];
+    let twice = ("twice", [&whole[..next], &whole[at..]].concat());
+    for (name, bytes) in damaged.into_iter().chain([twice]) {
+        let log = file(name);
+        std::fs::write(&log, bytes).unwrap();
+        let (info, replay) = (retroflex(&["log", "info"], &[&log]), retroflex(&["replay"], &[&log]));
+        let export = retroflex(&["log", "export", "--csv"], &[&file("bend.csv"), &log]);
+        let cut = retroflex(&["log", "cut", "--out"], &[&file("cut.mcap"), &log]);
+        let again = retroflex(&["log", "info"], &[&file("cut.mcap")]);
+        std::fs::remove_file(file("cut.mcap")).unwrap();
+        for (code, text) in [&info, &replay, &export, &cut, &again] {
+            assert!(*code == Some(1) && text.contains("damaged at byte"), "{name}: {code:?} {text}");
+        }
+        let (lost, cycles) = if name == "twice" { ("0.00 s lost", 8000) } else { ("0.50 s lost", 7500) };
+        assert!(info.1.contains(lost) && info.1.contains(&format!("cycles: {cycles}")), "{name}: {}", info.1);
+        assert_eq!(info.1.contains("gap: 500 cycles") && replay.1.contains("gap: 500 cycles"), name != "twice", "{name}: {}", info.1);
+        assert!(!info.1.contains("gap: 0") && replay.1.contains(" 0 differ"), "{name}: {}", replay.1);
+    }
+    // a part of a run that is damaged is named by what follows it
+    let parts = ["flight-000001-001.mcap", "flight-000001-002.mcap"].map(file);
+    std::fs::write(&parts[0], flipped((at + next) / 2)).unwrap();
+    std::fs::write(&parts[1], &whole).unwrap();
+    let (code, text) = retroflex(&["replay"], &[&parts[1]]);
+    assert!(code == Some(1) && text.contains("001.mcap: damaged at byte"), "{text}");
+    for text in ["", "a text"] {
+        std::fs::write(file("text"), text).unwrap();
+        let (code, text) = retroflex(&["log", "info"], &[&file("text")]);
+        assert!(code == Some(2) && text.contains("no MCAP file"), "{text}");
+    }
+}
+
+/// A cut has the cycles of the times that were asked for, and begins with them.
+#[test]
+fn a_cut_is_exact_to_the_cycle() {
+    let folder = tempfile::tempdir().unwrap();
+    let [log, out] = ["whole.mcap", "part.mcap"].map(|name| folder.path().join(name));
+    fly(&log, Gains::default(), 4.0, script);
+    for (from, to, cycles) in [("0", "1.2345", 1235), ("2.05", "2.0512", 2), ("1.2505", "3.1005", 1850)] {
+        let (code, text) = retroflex(&["log", "cut", "--from", from, "--to", to, "--out"], &[&out, &log]);
+        assert_eq!(code, Some(0), "{text}");
+        let (_, text) = retroflex(&["log", "info", "--json", "-"], &[&out]);
+        let info: serde_json::Value = serde_json::from_str(text.split("\nflight").next().unwrap().split("\n/").next().unwrap()).unwrap();
+        let duration_s = info["duration_s"].as_f64().unwrap() - (to.parse::<f64>().unwrap() - from.parse::<f64>().unwrap());
+        assert!(info["cycles"] == cycles && (-0.002..=0.001).contains(&duration_s), "{from} to {to}: {info}");
+        std::fs::remove_file(&out).unwrap();
+    }
+}
+
+fn retroflex(args: &[&str], files: &[&Path]) -> (Option<i32>, String) {
+    let out = Command::new(env!("CARGO_BIN_EXE_retroflex")).args(args).args(files).output().unwrap();
+    (out.status.code(), String::from_utf8_lossy(&[out.stdout, out.stderr].concat()).into_owned())
 }

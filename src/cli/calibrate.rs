@@ -7,6 +7,7 @@ use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, output};
 use crate::estimation::imu_calibration::{ELLIPSOID_SAMPLES_MIN, ImuCalibration, Pedigree, Refusal, accel, gyro, mag, motor, mount, still};
 use crate::log::bend_log;
+use crate::log::table::text;
 use crate::primitives::ImuSample;
 use miette::{IntoDiagnostic, Result, miette};
 use nalgebra::Vector3;
@@ -111,7 +112,7 @@ fn day(text: &str) -> std::result::Result<String, String> {
 
 /// The tables of a calibration file; none if the file does not exist.
 fn existing(path: &Path) -> Result<toml::Table> {
-    match std::fs::read_to_string(path) {
+    match text(path) {
         Ok(text) => text.parse().map_err(|e| miette!("{}: {e}", path.display())),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(toml::Table::new()),
         Err(e) => Err(miette!("{}: {e}", path.display())),

@@ -7,7 +7,7 @@ use crate::report::chart::{Axis, Chart, Series, Stroke};
 use crate::report::page::Page;
 use crate::report::svg::Ink;
 use crate::service::flight::channels::Changes;
-use crate::service::flight::file::{FlightFile, TOPICS, reason};
+use crate::service::flight::file::{FlightFile, TOPICS, io_error};
 use crate::service::flight::read::{Entry, messages};
 use crate::service::flight::start::Event;
 use crate::service::record;
@@ -43,7 +43,7 @@ pub enum Log {
         #[arg(long)]
         parquet: Option<PathBuf>,
     },
-    /// Write a part of a log as a log. It can be replayed if it begins with the start of the log.
+    /// Write a part of a log as a log, to the cycle. It can be replayed if it begins with the start of the log.
     Cut {
         /// Flight log.
         file: PathBuf,
@@ -110,8 +110,8 @@ impl Info {
                 Event::Path(..) => self.note("a path"),
             },
             Entry::Cycles(first, cycles) => {
-                if let Some(next) = self.next.filter(|next| *next != first) {
-                    let missing = first.saturating_sub(next);
+                if let Some(next) = self.next.filter(|next| *next < first) {
+                    let missing = first - next;
                     self.note(&format!("gap: {missing} cycles are missing before cycle {first}"));
                 }
                 self.next = Some(first + cycles.len() as u64);
@@ -168,7 +168,7 @@ fn info(path: &Path, json: Option<&Path>, html: Option<&Path>) -> Result<Command
     info.fact("begins", begins.map_or_else(|_| String::new(), |t| t.to_string()));
     info.fact("duration_s", (info.duration_s * 1e3).round() / 1e3);
     info.fact("cycles", info.cycles);
-    info.fact("ending", ending.as_deref().unwrap_or("complete"));
+    info.fact("ending", ending.to_string());
     let mut text = format!("{}\n", path.display());
     let shown = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let facts: Vec<[String; 2]> = info.facts.iter().map(|(name, value)| [name.clone(), shown(value)]).collect();
@@ -184,7 +184,7 @@ fn info(path: &Path, json: Option<&Path>, html: Option<&Path>) -> Result<Command
         output::write(html, info.page(path, &facts).html())?;
     }
     output::show(&text, json);
-    Ok(CommandOutcome::Good)
+    Ok(ending.damage.is_empty().into())
 }
 
 fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<CommandOutcome> {
@@ -216,10 +216,12 @@ fn export(path: &Path, csv: Option<&Path>, parquet: Option<&Path>) -> Result<Com
         let table: Vec<(&str, Column)> = record::HEADER.trim_end().split(',').enumerate().map(column).collect();
         output::write(path, columns::write(&table).into_diagnostic()?)?;
     }
-    let ending = ending.map_or_else(String::new, |ending| format!("; {ending}"));
-    eprintln!("{:.3} s{ending}", rows_of.last_s);
-    Ok(CommandOutcome::Good)
+    eprintln!("{:.3} s; {ending}", rows_of.last_s);
+    Ok(ending.damage.is_empty().into())
 }
+
+/// Rounding of the times of a log, s.
+const ROUNDING_S: f64 = 1e-6;
 
 fn cut(path: &Path, from_s: f64, to_s: f64, out: &Path) -> Result<CommandOutcome> {
     if from_s >= to_s {
@@ -227,23 +229,32 @@ fn cut(path: &Path, from_s: f64, to_s: f64, out: &Path) -> Result<CommandOutcome
     }
     output::check(&[("--out", Some(out))], &[path])?;
     let (name, shown) = (path.display(), out.display());
-    let failed = |e: McapError| format!("{shown}: {}", reason(&e));
+    let failed = |e: McapError| format!("{shown}: {}", io_error(e));
     let mut file = FlightFile::create(out, 0).map_err(|e| miette!("{}", failed(e)))?;
-    let (mut begin_ns, mut flushed_s, mut cycles) = (None, 0.0, 0u64);
+    let (mut begin_ns, mut flushed_s, mut cycles) = (None, 0.0, 0);
     let copied = messages(path, &mut |message| {
         let t_s = since(&mut begin_ns, &message);
-        let topic = message.channel.topic.as_str();
-        if topic == TOPICS[1]
-            && let Entry::Event(event) = Entry::of(&message)?
-        {
-            // every part says with what it was written
-            return file.event(&event, message.log_time).map_err(failed);
+        match message.channel.topic.as_str() {
+            topic if topic == TOPICS[1] => {
+                if let (true, Entry::Event(event)) = (t_s <= to_s, Entry::of(&message)?) {
+                    // every part says with what it was written
+                    file.event(&event, message.log_time + ((from_s - t_s).max(0.0) * 1e9) as u64).map_err(failed)?;
+                }
+            }
+            topic if topic == TOPICS[0] => {
+                let Entry::Cycles(first, all) = Entry::of(&message)? else { return Ok(()) };
+                let last_s = all.last().map_or(0.0, |cycle| cycle.sensed.t.0);
+                let before = |at_s: f64| all.partition_point(|cycle| t_s + cycle.sensed.t.0 - last_s < at_s - ROUNDING_S);
+                let part = before(from_s)..before(to_s);
+                if let Some(cycle) = all[part.clone()].last() {
+                    let early_ns = ((last_s - cycle.sensed.t.0) * 1e9) as u64;
+                    file.write_cycles(first + part.start as u64, &all[part.clone()], message.log_time - early_ns).map_err(failed)?;
+                }
+                cycles += part.len();
+            }
+            _ if (from_s..to_s).contains(&t_s) => file.copy(&message).map_err(failed)?,
+            _ => {}
         }
-        if !(from_s..=to_s).contains(&t_s) {
-            return Ok(());
-        }
-        cycles += u64::from(topic == TOPICS[0]);
-        file.copy(&message).map_err(failed)?;
         if t_s - flushed_s > 0.4 {
             flushed_s = t_s;
             file.flush(false).map_err(failed)?;
@@ -252,13 +263,13 @@ fn cut(path: &Path, from_s: f64, to_s: f64, out: &Path) -> Result<CommandOutcome
     });
     let done = copied.and_then(|ending| match cycles {
         0 => Err(format!("{name}: there is nothing from {from_s} s to {to_s} s")),
-        _ => file.finish().map_err(failed).map(|()| ending),
+        _ => file.state_damage(&ending.damage).and_then(|()| file.finish()).map_err(failed).map(|()| ending),
     });
     if done.is_err() {
         // it holds nothing of use
         let _ = std::fs::remove_file(out);
     }
     let ending = done.map_err(|e| miette!("{e}"))?;
-    eprintln!("{}", ending.as_deref().unwrap_or("complete"));
-    Ok(CommandOutcome::Good)
+    eprintln!("{ending}");
+    Ok(ending.damage.is_empty().into())
 }

@@ -8,9 +8,9 @@ use crate::control::LoopConfig;
 use crate::log::error::why_unreadable;
 use crate::model::Line;
 use crate::service::flight::cycle::Cycle;
-use crate::service::flight::file::{FlightFile, TOPICS, reason};
+use crate::service::flight::file::{FlightFile, TOPICS, io_error};
 use crate::service::flight::log::{part_path, run_and_part};
-use crate::service::flight::read::{Entry, messages};
+use crate::service::flight::read::{Ending, Entry, messages};
 use crate::service::flight::start::{Event, Header, Logged, hash};
 use crate::service::record::flight_path;
 use crate::service::start::{Start, with_gains};
@@ -61,8 +61,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
         let file = path.display();
         bail!("{file}: cannot be replayed, because it does not begin with the start of a supervisor: the part before is missing");
     }
-    let ending = ending.map_or_else(String::new, |ending| format!("; {ending}"));
-    println!("{cycles} cycles replayed, {different} differ{ending}");
+    let shown = if ending == Ending::COMPLETE { String::new() } else { format!("; {ending}") };
+    println!("{cycles} cycles replayed, {different} differ{shown}");
     for (before, t_s, lost) in &replay.gaps {
         println!("gap: {lost} cycles are missing before cycle {before} at {t_s:.3} s");
     }
@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     if replay.altered.is_some() {
         show(&replay.changes, cycles);
     }
-    let Some((number, t_s, fields)) = replay.first else { return Ok(CommandOutcome::Good) };
+    let Some((number, t_s, fields)) = replay.first else { return Ok(ending.damage.is_empty().into()) };
     let program = replay.header.as_ref().map_or("", |header| &header.program);
     let fields = match fields.len() {
         0 => "a field without a digest".to_owned(),
@@ -144,25 +144,27 @@ struct Replay<'a> {
 }
 
 impl Replay<'_> {
-    /// Replays a log and the parts before it. Returns how it ends, as [`messages`].
-    fn read(&mut self, path: &Path) -> std::result::Result<Option<String>, String> {
-        let mut ending = None;
+    /// Replays a log and the parts before it. Returns how it ends, and where any part is damaged.
+    fn read(&mut self, path: &Path) -> std::result::Result<Ending, String> {
+        let (mut ending, mut damage) = (Ending::default(), Vec::new());
         for part in parts(path) {
             ending = messages(&part, &mut |message| match TOPICS.contains(&message.channel.topic.as_str()) {
                 true => self.take(Entry::of(&message)?),
                 false => Ok(()),
             })?;
+            let file = if part == path { String::new() } else { format!("{}: ", part.display()) };
+            damage.extend(ending.damage.drain(..).map(|place| file.clone() + &place));
         }
-        Ok(ending)
+        Ok(Ending { damage, ..ending })
     }
 
     /// As [`Self::read`], and writes what is replayed.
-    fn write(&mut self, path: &Path, out: &Path) -> std::result::Result<Option<String>, String> {
-        let failed = |e: McapError| format!("--out {}: {}", out.display(), reason(&e));
+    fn write(&mut self, path: &Path, out: &Path) -> std::result::Result<Ending, String> {
+        let failed = |e: McapError| format!("--out {}: {}", out.display(), io_error(e));
         self.out = Some(FlightFile::create(out, 0).map_err(failed)?);
         let written = self.read(path).and_then(|ending| {
-            let file = self.out.take();
-            file.map_or(Ok(()), FlightFile::finish).map_err(failed).map(|()| ending)
+            let Some(mut file) = self.out.take() else { return Ok(ending) };
+            file.state_damage(&ending.damage).and_then(|()| file.finish()).map_err(failed).map(|()| ending)
         });
         written.inspect_err(|_| {
             // it holds nothing of use
@@ -247,9 +249,12 @@ impl Replay<'_> {
 
     fn turn(&mut self, number: u64, cycle: &Cycle) -> std::result::Result<(), String> {
         let t_s = cycle.sensed.t.0;
-        if number != self.next {
-            let lost = number.saturating_sub(self.next);
-            self.gaps.push((number, t_s, lost));
+        if number < self.next {
+            // a copy
+            return Ok(());
+        }
+        if number > self.next {
+            self.gaps.push((number, t_s, number - self.next));
             self.supervisor = None;
         }
         self.next = number + 1;
@@ -274,7 +279,7 @@ impl Replay<'_> {
         let Some(file) = &mut self.out else { return Ok(()) };
         let written = file.write(&Logged { number, events: take(&mut self.events), output });
         let flushed = written.and_then(|()| if number.is_multiple_of(CHUNK) { file.flush(false) } else { Ok(()) });
-        flushed.map_err(|e| format!("--out: {e}"))
+        flushed.map_err(|e| format!("--out: {}", io_error(e)))
     }
 }
 

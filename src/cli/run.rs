@@ -4,10 +4,11 @@ use crate::cli::inputs::within;
 use crate::cli::{CommandOutcome, Unreachable, inputs, logging, manual_motion};
 use crate::config::show;
 use crate::config::supervisor::assemble;
-use crate::config::{Board, Calibration, PressureBound};
+use crate::config::{Board, Calibration, PressureBound, ServiceSection, source};
 use crate::hardware::machine::Hardware;
 use crate::service::error::ServiceError;
 use crate::service::flight::start::hash;
+use crate::service::record::{flight_path, make_room};
 use crate::service::start::RunConfig;
 use crate::service::{Claim, Setup, serve};
 use crate::simulation::link::Link;
@@ -15,6 +16,7 @@ use crate::simulation::lockstep::Lockstep;
 use crate::simulation::sim::Sim;
 use crate::supervisor::Machine;
 use miette::{IntoDiagnostic, Result, bail, miette};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `run`.
@@ -83,7 +85,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let feedforward = inputs::feedforward(given, args.calib.as_deref(), &calibration);
     let described = feedforward.as_deref().map(|path| inputs::described(path, &board)).transpose()?;
     if let Some(path) = &feedforward {
-        texts.push(std::fs::read_to_string(path).into_diagnostic()?);
+        texts.push(source::text_of(path)?);
     }
     if let Some(socket) = &args.socket {
         board.service.socket = Some(socket.clone());
@@ -91,6 +93,9 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     }
     if let Some(state) = &args.state {
         board.service.state = Some(state.clone());
+    }
+    if let Some(path) = &args.record {
+        check_record(path, &board.service)?;
     }
     let bound = PressureBound::of(&board);
     if !foreign && !bound.is_bounded() {
@@ -122,6 +127,16 @@ fn report(error: ServiceError) -> miette::Report {
         ServiceError::Machine(_) | ServiceError::LoopPanicked => Unreachable::report("the machine", error),
         _ => miette!("{error}"),
     }
+}
+
+/// Refuses a recording whose files exist already or cannot be written.
+fn check_record(path: &Path, bounds: &ServiceSection) -> Result<()> {
+    let refused = |e| miette!("--record {}: {e}; give a new name in a folder that this user may write to", path.display());
+    make_room(path, bounds).map_err(refused)?;
+    for file in [path, &flight_path(path)] {
+        File::create_new(file).and_then(|_| std::fs::remove_file(file)).map_err(refused)?;
+    }
+    Ok(())
 }
 
 /// The mounted tip. A calibration file of another tip is refused unless it is accepted explicitly.

@@ -9,6 +9,7 @@ use crate::config::message::plain;
 use crate::config::place::{key_at, span_of};
 use crate::config::shipped;
 use crate::log::error::why_unreadable;
+use crate::log::table::text;
 use crate::primitives::{Check, Checker, Invalid, shown};
 use miette::{Diagnostic, NamedSource, SourceSpan};
 use serde::de::DeserializeOwned;
@@ -62,8 +63,7 @@ pub fn read<T: DeserializeOwned + Check>(path: &Path) -> Result<T, ConfigError> 
 /// # Errors
 /// [`ConfigError::Unreadable`].
 pub fn text_of(path: &Path) -> Result<String, ConfigError> {
-    std::fs::read_to_string(path)
-        .map_err(|e| ConfigError::Unreadable { path: path.display().to_string(), problem: why_unreadable(path, &e) })
+    text(path).map_err(|e| ConfigError::Unreadable { path: path.display().to_string(), problem: why_unreadable(path, &e) })
 }
 
 /// Parses and checks a text; `name` stands for it in errors.

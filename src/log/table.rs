@@ -2,7 +2,7 @@
 //!
 //! An empty field or `nan` is a missing value and reads as NaN. Gzip is recognised by its first two bytes.
 
-use crate::log::error::{ReadError, why_unreadable};
+use crate::log::error::{ReadError, short, why_unreadable};
 use flate2::read::MultiGzDecoder;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::fs::File;
@@ -14,11 +14,47 @@ const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
 /// Largest deviation of a reference quaternion's norm from one: two printed decimals of each component.
 const UNIT_TOLERANCE: f64 = 0.02;
 
+/// Longest line of a table, and most bytes of all its lines.
+const BYTES_MAX: [u64; 2] = [64 << 10, 4 << 30];
+/// Most bytes of a text that is read as a whole.
+const TEXT_MAX: u64 = 1 << 20;
+
+/// The text of a file that is read as a whole: settings, or a token.
+///
+/// # Errors
+/// The operating system's, or [`io::ErrorKind::FileTooLarge`] above 1 MiB.
+pub fn text(path: &Path) -> io::Result<String> {
+    let mut bytes = Vec::new();
+    match File::open(path)?.take(TEXT_MAX + 1).read_to_end(&mut bytes)? as u64 {
+        0..=TEXT_MAX => String::from_utf8(bytes).map_err(|_| io::ErrorKind::InvalidData.into()),
+        _ => Err(io::ErrorKind::FileTooLarge.into()),
+    }
+}
+
+/// Text that ends with an error if a line, or all of it, is too long to be a table.
+struct Bounded<R> {
+    text: R,
+    line: u64,
+    all: u64,
+}
+
+impl<R: Read> Read for Bounded<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = self.text.read(buffer)?;
+        self.all += n as u64;
+        self.line = buffer[..n].iter().rev().position(|b| *b == b'\n').map_or(self.line + n as u64, |k| k as u64);
+        if self.line > BYTES_MAX[0] {
+            return Err(io::Error::other("a line is longer than 64 KiB"));
+        }
+        if self.all > BYTES_MAX[1] { Err(io::Error::other("the table is larger than 4 GiB")) } else { Ok(n) }
+    }
+}
+
 /// The content of a file, decompressed if it is gzip.
 ///
 /// # Errors
 /// The operating system's.
-pub fn reader(path: &Path) -> io::Result<Box<dyn Read>> {
+fn reader(path: &Path) -> io::Result<Box<dyn Read>> {
     let mut file = BufReader::new(File::open(path)?);
     let gzip = file.fill_buf()?.starts_with(&GZIP_MAGIC);
     Ok(if gzip { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) })
@@ -42,6 +78,8 @@ pub struct Table {
     /// Values of each column in header order; empty for ignored columns.
     columns: Vec<Vec<f64>>,
     lines: Vec<u64>,
+    /// Row and text of the first field of each column that says `nan`.
+    nans: Vec<Option<(usize, String)>>,
 }
 
 impl Table {
@@ -64,15 +102,15 @@ impl Table {
     /// [`ReadError`], as for [`Table::open`].
     pub fn parse(file: &str, text: impl Read, schema: &Schema<'_>) -> Result<Self, ReadError> {
         let mut options = csv::ReaderBuilder::new();
-        let mut reader = options.flexible(true).trim(csv::Trim::All).from_reader(text);
+        let mut reader = options.flexible(true).trim(csv::Trim::All).from_reader(Bounded { text, line: 0, all: 0 });
         let broken = |line, e: &csv::Error| {
             let (file, reason) = (file.to_owned(), e.to_string());
             ReadError::Broken { file, line, reason }
         };
         let header = reader.headers().map_err(|e| broken(1, &e))?;
         let header: Vec<String> = header.iter().map(str::to_owned).collect();
-        let (columns, lines) = (vec![vec![]; header.len()], vec![]);
-        let mut table = Self { file: file.to_owned(), header, columns, lines };
+        let (columns, lines, nans) = (vec![vec![]; header.len()], vec![], vec![None; header.len()]);
+        let mut table = Self { file: file.to_owned(), header, columns, lines, nans };
         if !table.header.is_empty() {
             let mut names = schema.required.iter();
             names.try_for_each(|name| table.position(name).map(drop))?;
@@ -101,7 +139,12 @@ impl Table {
         self.lines.push(line);
         for (k, field) in record.iter().enumerate().filter(|(k, _)| known[*k]) {
             match if field.is_empty() { Ok(f64::NAN) } else { field.parse() } {
-                Ok(value) if !f64::is_infinite(value) => self.columns[k].push(value),
+                Ok(value) if !f64::is_infinite(value) => {
+                    if value.is_nan() && !field.is_empty() {
+                        self.nans[k].get_or_insert_with(|| (self.lines.len() - 1, field.to_owned()));
+                    }
+                    self.columns[k].push(value);
+                }
                 _ => {
                     let (row, column) = (self.rows() - 1, &self.header[k]);
                     return Err(self.refuse(row, column, field, "a finite number"));
@@ -194,7 +237,10 @@ impl Table {
     pub fn complete(&self, name: &str) -> Result<&[f64], ReadError> {
         let values = self.required(name)?;
         match values.iter().position(|v| v.is_nan()) {
-            Some(row) => Err(self.refuse(row, name, "", "a number; this column must not have gaps")),
+            Some(row) => {
+                let nan = self.nans[self.position(name)?].as_ref().filter(|(at, _)| *at == row);
+                Err(self.refuse(row, name, nan.map_or("", |(_, text)| text), "a number; this column must not have gaps"))
+            }
             None => Ok(values),
         }
     }
@@ -230,7 +276,7 @@ impl Table {
     /// The error for a value that its column does not allow; `row` counts from 0.
     pub fn refuse(&self, row: usize, column: &str, value: &str, expected: &str) -> ReadError {
         let (file, line) = (self.file.clone(), self.lines[row]);
-        let [column, value, expected] = [column, value, expected].map(str::to_owned);
+        let [column, value, expected] = [column.to_owned(), short(value), expected.to_owned()];
         ReadError::Field { file, line, column, value, expected }
     }
 }
@@ -270,11 +316,23 @@ mod tests {
             ("t,x\n0,a\n", "folder/t.csv, line 2, column x: `a` is not a finite number"),
             ("t,x\n0,inf\n", "line 2, column x: `inf`"),
             ("t,x\n0,0\n,0\n", "line 3, column t: `` is not a number"),
+            ("t,x\nNaN,0\n", "line 2, column t: `NaN` is not a number"),
+            ("t,x\n1e300,0\n0,0\n", "line 3, column t: 0 s does not come after 1e300 s"),
             ("t,x\n0,0\n0,0\n", "folder/t.csv, line 3, column t: 0 s does not come after 0 s"),
         ] {
             let message = error(text);
             assert!(message.starts_with("folder/t.csv") && message.contains(expected), "{message}");
         }
+    }
+
+    #[test]
+    fn endless_text_is_refused() {
+        let zeros = Table::parse("zeros.csv", io::repeat(0), &SCHEMA).unwrap_err().to_string();
+        assert!(zeros.starts_with("zeros.csv, line 1: ") && zeros.contains("longer than 64 KiB"), "{zeros}");
+        let late = io::Cursor::new("t,x\n0,0\n").chain(io::repeat(b'1'));
+        let late = Table::parse("late.csv", late, &SCHEMA).unwrap_err().to_string();
+        assert!(late.starts_with("late.csv, line 3: ") && late.contains("longer than 64 KiB"), "{late}");
+        assert_eq!(text(Path::new("/dev/zero")).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
     }
 
     #[test]

@@ -16,10 +16,9 @@ pub enum Belief {
 }
 
 impl Belief {
-    /// The belief in what was recalled. `simulated`: the plant begins with the service, at rest.
-    pub fn in_recall(recall: &Recall, simulated: bool) -> Self {
+    /// The belief in what was recalled.
+    pub fn in_recall(recall: &Recall) -> Self {
         match (recall.found, &recall.memory) {
-            (Found::Absent, _) if simulated => Self::Certain,
             (Found::Intact, Some(memory)) if !memory.lost && (!memory.armed || memory.restart.is_some()) => {
                 if memory.armed {
                     Self::Checked
@@ -41,13 +40,10 @@ mod tests {
     fn only_an_intact_memory_is_believed() {
         let recall =
             |found, armed, lost| Recall { memory: Some(Memory { armed, lost, ..Memory::default() }), damaged: vec![], found, sequence: 1 };
-        assert_eq!(Belief::in_recall(&Recall::default(), true), Belief::Certain, "a plant that begins with the service");
-        assert_eq!(Belief::in_recall(&Recall::default(), false), Belief::Lost, "a real machine without a memory");
-        for simulated in [true, false] {
-            assert_eq!(Belief::in_recall(&recall(Found::Intact, false, false), simulated), Belief::Certain);
-            for bad in [recall(Found::Intact, true, false), recall(Found::Intact, false, true), recall(Found::Damaged, false, false)] {
-                assert_eq!(Belief::in_recall(&bad, simulated), Belief::Lost, "{bad:?}");
-            }
+        assert_eq!(Belief::in_recall(&Recall::default()), Belief::Lost, "a machine without a memory");
+        assert_eq!(Belief::in_recall(&recall(Found::Intact, false, false)), Belief::Certain);
+        for bad in [recall(Found::Intact, true, false), recall(Found::Intact, false, true), recall(Found::Damaged, false, false)] {
+            assert_eq!(Belief::in_recall(&bad), Belief::Lost, "{bad:?}");
         }
     }
 }

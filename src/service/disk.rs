@@ -1,5 +1,6 @@
 //! Space on the disk.
 
+use crate::config::ServiceSection;
 use std::ffi::CString;
 use std::io;
 use std::os::unix::ffi::OsStrExt;
@@ -27,4 +28,17 @@ pub fn free_bytes(path: &Path) -> io::Result<u64> {
     };
     #[allow(clippy::useless_conversion, reason = "narrower on computers of 32 bits")]
     Ok(u64::from(stat.f_bavail) * u64::from(stat.f_frsize))
+}
+
+/// Refuses a disk with less free space than `service.record_free_mib`.
+///
+/// # Errors
+/// What is free, the limit and the remedy, or the operating system's.
+pub fn require_free(folder: &Path, bounds: &ServiceSection) -> io::Result<()> {
+    let (free, least_mib) = (free_bytes(folder)?, bounds.record_free_mib);
+    if free >= mib(least_mib) {
+        return Ok(());
+    }
+    let free = format!("only {} MiB of the disk are free, and service.record_free_mib keeps {least_mib} MiB", free >> 20);
+    Err(io::Error::new(io::ErrorKind::StorageFull, format!("{free}: delete files, or set a smaller limit in the board file")))
 }

@@ -116,9 +116,13 @@ pub struct Setup {
 pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     let Setup { machine, mut config, pace, record } = setup;
     let Claim { mut store, recall, control, status, stop } = claim;
-    let belief = Belief::in_recall(&recall, machine.is_simulated());
+    let mut belief = Belief::in_recall(&recall);
+    let mut memory = recall.memory.clone().unwrap_or_default();
+    if machine.is_simulated() && belief != Belief::Certain {
+        // a simulated plant begins at rest with the service
+        (belief, memory.restart, memory.unverified) = (Belief::Certain, None, false);
+    }
     log_recall(&recall, belief);
-    let mut memory = recall.memory.unwrap_or_default();
     memory.lost = belief == Belief::Lost;
     let start = Start::new(&config, &memory, belief);
     config.supervisor = start.config.clone();

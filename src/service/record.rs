@@ -11,8 +11,8 @@ use crate::config::ServiceSection;
 use crate::estimation::fusion::health::ImuReading;
 use crate::model::Shape;
 use crate::primitives::ImuSample;
-use crate::service::disk::{free_bytes, mib};
-use crate::service::flight::file::FlightFile;
+use crate::service::disk::{free_bytes, mib, require_free};
+use crate::service::flight::file::{FlightFile, io_error};
 use crate::service::flight::start::{Event, Logged};
 use crate::supervisor::Sensed;
 use flate2::{Compression, write::GzEncoder};
@@ -238,6 +238,16 @@ pub fn write_row(log: &mut Vec<u8>, row: &[f64]) {
     log.push(b'\n');
 }
 
+/// Creates the folder of a recording, and refuses a disk without room for it.
+///
+/// # Errors
+/// The operating system's, or what is free.
+pub fn make_room(path: &Path, limits: &ServiceSection) -> io::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder)?;
+    require_free(folder, limits)
+}
+
 /// The thread: returns the reason if a limit ended the recording.
 fn write(
     path: &Path,
@@ -246,20 +256,18 @@ fn write(
     chunks: &Receiver<Chunk>,
     report: &Sender<Progress>,
 ) -> io::Result<Option<&'static str>> {
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder)?;
-    }
+    make_room(path, limits)?;
     let compressed = path.extension().is_some_and(|e| e == "gz");
     let mut log = Output::create(path, compressed)?;
-    let mut flight = flight.map(|zero| FlightFile::create(&flight_path(path), zero)).transpose().map_err(io::Error::other)?;
+    let mut flight = flight.map(|zero| FlightFile::create(&flight_path(path), zero)).transpose().map_err(io_error)?;
     // the hub is gone only when the service ends
     let _ = report.send(Progress::Started);
     let mut reason = None;
     for (rows, cycles) in chunks {
         log.write(&rows)?;
         if let Some(flight) = &mut flight {
-            cycles.iter().try_for_each(|logged| flight.write(logged)).map_err(io::Error::other)?;
-            flight.flush(false).map_err(io::Error::other)?;
+            cycles.iter().try_for_each(|logged| flight.write(logged)).map_err(io_error)?;
+            flight.flush(false).map_err(io_error)?;
         }
         if log.size()? + flight.as_ref().map_or(Ok(0), FlightFile::size)? > mib(limits.record_max_mib) {
             reason = Some("it reached service.record_max_mib");
@@ -271,7 +279,7 @@ fn write(
         }
     }
     log.finish()?;
-    flight.map_or(Ok(()), FlightFile::finish).map_err(io::Error::other)?;
+    flight.map_or(Ok(()), FlightFile::finish).map_err(io_error)?;
     Ok(reason)
 }
 

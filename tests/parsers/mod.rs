@@ -84,7 +84,7 @@ pub fn memory(bytes: &[u8]) -> bool {
 
 /// A flight log: the input as a file, and as a message with cycles, of which most have no file around them.
 pub fn flight(bytes: &[u8]) -> bool {
-    let file = read::parse(bytes, &mut |message| read::Entry::of(&message).map(|_| ()));
+    let file = read::parse(std::io::Cursor::new(bytes), &mut |message| read::Entry::of(&message).map(|_| ()));
     assert!(file.as_ref().is_err_and(|why| !why.is_empty()) || file.is_ok(), "a refusal without a reason");
     cycle::decode(bytes).is_ok() || file.is_ok()
 }

@@ -70,6 +70,7 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     }
     let optional = [
         ("fault", &s["fault"]),
+        ("lost", &s["lost"]),
         ("limit", &s["shortfall"]),
         ("base", &s["base"]),
         ("world", &s["world"]),
@@ -78,6 +79,7 @@ pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
         ("running", &s["calibrating"]),
         ("recording", &s["recording"]["path"]),
         ("recorded", &s["recording_ended"]),
+        ("log", &s["flight_log"]["problem"]),
         ("memory", &s["memory"]["error"]),
     ];
     let present = optional.iter().filter(|(_, v)| !v.is_null());

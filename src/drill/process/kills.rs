@@ -90,7 +90,7 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
                 let recalled = recall.sequence;
                 row.require(recall.found == Found::Damaged || newest, |_| format!("kill {n}: recalled {recalled} after {acknowledged}"));
             } else {
-                row.require(Belief::in_recall(&recall, true) == Belief::Lost, |_| format!("kill {n}: a damaged memory is believed"));
+                row.require(Belief::in_recall(&recall) == Belief::Lost, |_| format!("kill {n}: a damaged memory is believed"));
             }
             count[match start_at_rest(config, &recall, row, n).map_err(io::Error::other)? {
                 Mode::Disarmed => 0,
@@ -112,7 +112,7 @@ pub fn rows(plan: &Plan<'_>) -> io::Result<Vec<Row>> {
 fn start_at_rest(config: &BenchConfig, recall: &Recall, row: &mut Row, n: u32) -> Result<Mode, MachineError> {
     let machine = FaultyMachine::new(config.sim(0, 3)?, &config.board.drive_limits());
     let memory = recall.memory.clone().unwrap_or_default();
-    let belief = Belief::in_recall(recall, true);
+    let belief = Belief::in_recall(recall);
     let (supervisor, restart) = (config.supervisor(machine.info()), memory.restart);
     let start = Start { config: supervisor, restart, belief, unverified: false };
     let mut bench: Bench = config.bench_on(machine, None, 0.0);

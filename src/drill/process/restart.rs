@@ -1,12 +1,12 @@
 //! Kills, stops and restarts.
 
-use super::daemon::{Daemon, WATCHDOG_S, ask, mode_of};
+use super::daemon::{Daemon, WATCHDOG_S, mode_of};
 use crate::drill::bench::{Bench, BenchConfig, bend};
 use crate::drill::row::Row;
-use crate::service::protocol::Request;
+use crate::service::protocol::{Frame, Request};
 use crate::simulation::plant::InjectedFault;
 use crate::supervisor::{MachineError, Mode, Order};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::io;
 use std::path::Path;
 use std::process::Command;
@@ -17,10 +17,10 @@ pub fn distance(a: &[i32; 3], b: &[i32; 3]) -> i64 {
     a.iter().zip(b).map(|(a, b)| i64::from((a - b).abs())).sum()
 }
 
-/// SIGSTOP during a move: the heartbeat stops, the manager kills the service and starts it again, and the new service does
-/// not move before `zero`.
+/// SIGSTOP during a move: the heartbeat stops, the manager kills the service and starts it again, and the new service, whose
+/// plant begins at rest, does not move before `arm`.
 pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
-    let requires = "the heartbeat stops; the next service is lost and moves only after `zero`";
+    let requires = "the heartbeat stops; the next service is disarmed, at rest, and moves only after `arm`";
     let mut row = Row::new("sigstop", requires);
     let daemon = Daemon::start(program, folder)?;
     daemon.take_off()?;
@@ -44,16 +44,15 @@ pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
     daemon.kill();
     let again = Daemon::start(program, folder)?;
     let decided = |s: &Value| s["mode"] != "aligning" && s["mode"] != "boot";
-    let mode = mode_of(&again.until(15.0, "a decision", decided)?);
-    row.require(mode == "lost", |_| format!("mode {mode} although the plant started at rest"));
-    row.state = mode;
-    let mut client = again.client()?;
-    let refusal = client.request(&Request::Arm {}).err();
-    row.message = refusal.map(|f| f.message).unwrap_or_default();
-    let named = row.message.contains("zero");
-    row.require(named, |row| format!("`arm` was answered with `{}`", row.message));
-    ask(&mut client, &Request::Zero { straight: false })?;
-    again.until(15.0, "alignment", |s| s["mode"] == "disarmed")?;
+    let status = again.until(15.0, "a decision", decided)?;
+    row.state = mode_of(&status);
+    row.require(row.state == "disarmed", |row| format!("mode {} although the plant started at rest", row.state));
+    let counted = &status["counted"];
+    row.require(*counted == json!([0, 0, 0]), |_| format!("the pistons are counted at {counted}"));
+    let bend = Request::Bend { bend_deg: 20.0, dir_deg: 0.0, length_mm: None, speed_deg_s: None, frame: Frame::Base };
+    row.message = again.client()?.request(&bend).err().map(|refusal| refusal.message).unwrap_or_default();
+    let named = row.message.contains("arm");
+    row.require(named, |row| format!("`bend` was answered with `{}`", row.message));
     let (success, _) = again.end()?;
     row.require(success, |_| "the service did not end with success");
     Ok(row)

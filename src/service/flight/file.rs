@@ -15,6 +15,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Topic of the cycles, and of what a replay starts from or is given later.
 pub const TOPICS: [&str; 2] = ["/cycles", "/events"];
+/// Name of the metadata in which a log that was made from a damaged one states the damage.
+pub const DAMAGE: &str = "retroflex damage";
 const LAYOUT: &str = "Cycles in the binary format of the Rust crate postcard; src/service/flight/cycle.rs defines them.";
 /// Cycles from one with digests of its fields to the next.
 const FIELDS_EVERY: u64 = 16;
@@ -25,7 +27,7 @@ const CYCLES_MAX: usize = 1000;
 pub struct FlightFile {
     writer: Writer<BufWriter<File>>,
     file: File,
-    channels: HashMap<&'static str, Arc<Channel<'static>>>,
+    channels: HashMap<String, Arc<Channel<'static>>>,
     shown: Channels,
     /// When the channels were shown last, on the loop's clock, s.
     shown_s: f64,
@@ -36,11 +38,11 @@ pub struct FlightFile {
     step_mm: f64,
 }
 
-/// What the operating system says, where an error is one of its.
-pub fn reason(error: &McapError) -> String {
+/// The error of the operating system, where it is one of its.
+pub fn io_error(error: McapError) -> io::Error {
     match error {
-        McapError::Io(io) => io.to_string(),
-        other => other.to_string(),
+        McapError::Io(io) => io,
+        other => io::Error::other(other),
     }
 }
 
@@ -135,7 +137,25 @@ impl FlightFile {
     /// # Errors
     /// See [`Self::create`].
     pub fn copy(&mut self, message: &Message<'_>) -> McapResult<()> {
-        self.writer.write(message)
+        let channel = || {
+            let schema = message.channel.schema.as_ref();
+            let [name, encoding] = schema.map_or_else(Default::default, |s| [s.name.clone(), s.encoding.clone()]);
+            let text = schema.map_or_else(String::new, |s| String::from_utf8_lossy(&s.data).into_owned());
+            [name, encoding, text, message.channel.message_encoding.clone()]
+        };
+        self.put(&message.channel.topic, channel, message.log_time, message.data.to_vec())
+    }
+
+    /// States what is missing because the log that this one is made from is damaged.
+    ///
+    /// # Errors
+    /// See [`Self::create`].
+    pub fn state_damage(&mut self, damage: &[String]) -> McapResult<()> {
+        if damage.is_empty() {
+            return Ok(());
+        }
+        let metadata = BTreeMap::from([(DAMAGE.to_owned(), format!("made from a damaged log: {}", damage.join("; ")))]);
+        self.writer.write_metadata(&Metadata { name: DAMAGE.to_owned(), metadata })
     }
 
     fn put_json(&mut self, topic: &'static str, name: &str, unix_ns: u64, value: &Value) -> McapResult<()> {
@@ -144,9 +164,9 @@ impl FlightFile {
     }
 
     /// `channel` is name, encoding and text of the schema, and the encoding of the messages.
-    fn put(&mut self, topic: &'static str, channel: impl FnOnce() -> [String; 4], unix_ns: u64, data: Vec<u8>) -> McapResult<()> {
+    fn put(&mut self, topic: &str, channel: impl FnOnce() -> [String; 4], unix_ns: u64, data: Vec<u8>) -> McapResult<()> {
         let id = self.channels.len() as u16 + 1;
-        let channel = self.channels.entry(topic).or_insert_with(|| {
+        let channel = self.channels.entry(topic.to_owned()).or_insert_with(|| {
             let [name, encoding, text, message_encoding] = channel();
             let data = text.into_bytes().into();
             let schema = Some(Arc::new(Schema { id, name, encoding, data }));
@@ -163,10 +183,18 @@ impl FlightFile {
 
     fn close_message(&mut self) -> McapResult<()> {
         let Some(last) = self.cycles.last() else { return Ok(()) };
-        let unix_ns = self.unix_ns(last.sensed.t.0);
-        let message = encode(self.first, &self.cycles).map_err(io::Error::other)?;
-        self.first += self.cycles.len() as u64;
-        self.cycles.clear();
+        let (first, unix_ns) = (self.first, self.unix_ns(last.sensed.t.0));
+        let cycles = std::mem::take(&mut self.cycles);
+        self.first += cycles.len() as u64;
+        self.write_cycles(first, &cycles, unix_ns)
+    }
+
+    /// Writes consecutive cycles from this number on, the last of which is of this time.
+    ///
+    /// # Errors
+    /// See [`Self::create`].
+    pub fn write_cycles(&mut self, first: u64, cycles: &[Cycle], unix_ns: u64) -> McapResult<()> {
+        let message = encode(first, cycles).map_err(io::Error::other)?;
         let channel = || ["retroflex.Cycles", "postcard", LAYOUT, "postcard"].map(str::to_owned);
         self.put(TOPICS[0], channel, unix_ns, message)
     }

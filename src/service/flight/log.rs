@@ -1,16 +1,17 @@
 //! The log of a run: a series of files, written by a thread of its own and bounded on the disk.
 //!
 //! The hub hands over cycles in batches and never waits. A batch that finds the queue full is dropped, and the numbers of the
-//! cycles show the gap.
+//! cycles show the gap. While the disk has no room, or fails, nothing is written, and the status says why.
 
 use crate::config::ServiceSection;
-use crate::service::disk::{free_bytes, mib};
-use crate::service::flight::file::{FlightFile, zero_unix_ns};
+use crate::service::disk::{mib, require_free};
+use crate::service::flight::file::{FlightFile, io_error, zero_unix_ns};
 use crate::service::flight::start::{Event, Logged};
 use mcap::McapResult;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -29,6 +30,7 @@ pub struct FlightLog {
     /// `None` once the log has ended.
     queue: Option<SyncSender<Vec<Logged>>>,
     thread: JoinHandle<()>,
+    problem: Arc<Mutex<Option<String>>>,
     /// Cycles that the queue had no place for.
     pub lost: u64,
 }
@@ -40,13 +42,10 @@ impl FlightLog {
     /// The operating system's, if there is no thread.
     pub fn start(folder: &Path, bounds: &ServiceSection) -> io::Result<Self> {
         let (queue, work) = sync_channel(BATCHES_MAX);
-        let (folder, bounds) = (folder.to_owned(), bounds.clone());
-        let thread = std::thread::Builder::new().name("flight log".into()).spawn(move || {
-            if let Err(e) = run(&folder, &bounds, &work) {
-                tracing::error!(event = "flight_log", "{}: the flight log has ended: {e}", folder.display());
-            }
-        })?;
-        Ok(Self { batch: Vec::new(), queue: Some(queue), thread, lost: 0 })
+        let (folder, bounds, problem) = (folder.to_owned(), bounds.clone(), Arc::new(Mutex::new(None)));
+        let shared = Arc::clone(&problem);
+        let thread = std::thread::Builder::new().name("flight log".into()).spawn(move || run(folder, bounds, &work, &shared))?;
+        Ok(Self { batch: Vec::new(), queue: Some(queue), thread, problem, lost: 0 })
     }
 
     /// Adds one cycle.
@@ -59,14 +58,15 @@ impl FlightLog {
         match queue.try_send(std::mem::take(&mut self.batch)) {
             Ok(()) => {}
             Err(TrySendError::Full(batch)) => self.lost += batch.len() as u64,
-            // the thread has reported why
+            // the thread has panicked
             Err(TrySendError::Disconnected(_)) => self.queue = None,
         }
     }
 
-    /// True while cycles are accepted.
-    pub fn is_writing(&self) -> bool {
-        self.queue.is_some()
+    /// Why nothing is written at present.
+    pub fn problem(&self) -> Option<String> {
+        let told = self.problem.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        told.or_else(|| self.queue.is_none().then(|| "its thread has ended".to_owned()))
     }
 
     /// Hands over what is left and waits for the disk, but not for longer than `most`.
@@ -101,50 +101,103 @@ fn flights(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(logs)
 }
 
-/// The thread: writes `flight-RUN-PART.mcap`.
-fn run(folder: &Path, bounds: &ServiceSection, work: &Receiver<Vec<Logged>>) -> McapResult<()> {
-    std::fs::create_dir_all(folder)?;
-    let run = flights(folder)?.last().and_then(|path| run_and_part(path)).map_or(1, |(run, _)| run + 1);
-    let (mut part, mut start, mut zero_ns) = (0, None, None);
-    let (mut open, mut flushed, mut synced): (Option<(FlightFile, f64)>, _, _) = (None, Instant::now(), Instant::now());
+/// The thread. A disk that fails is tried again: the log goes on in a new file.
+fn run(folder: PathBuf, bounds: ServiceSection, work: &Receiver<Vec<Logged>>, problem: &Mutex<Option<String>>) {
+    let now = Instant::now();
+    let mut series = Series { folder, bounds, run: None, part: 0, start: None, zero_ns: None, open: None, flushed: now, synced: now };
+    let set = |now: Option<String>| std::mem::replace(&mut *problem.lock().unwrap_or_else(PoisonError::into_inner), now);
+    let mut again = now;
+    let tell = |series: &Series, e| {
+        let why = io_error(e).to_string();
+        if set(Some(why.clone())).is_none() {
+            tracing::error!(event = "flight_log", "{}: the flight log is not written: {why}", series.folder.display());
+        }
+    };
     loop {
         let batch = match work.recv_timeout(CHUNK) {
             Ok(batch) => batch,
             Err(RecvTimeoutError::Timeout) => Vec::new(),
-            Err(RecvTimeoutError::Disconnected) => return open.map_or(Ok(()), |(file, _)| file.finish()),
+            Err(RecvTimeoutError::Disconnected) => break,
         };
-        for logged in &batch {
-            let t_s = logged.output.sensed.t.0;
-            let began = logged.events.iter().rfind(|event| matches!(***event, Event::Start(_)));
-            start = began.map(|event| event.at(logged.number)).or(start);
-            let (file, _) = match &mut open {
-                Some(open) => open,
-                none => {
-                    prune(folder, bounds, &[])?;
-                    part += 1;
-                    let zero_ns = *zero_ns.get_or_insert_with(|| zero_unix_ns(t_s));
-                    let mut file = FlightFile::create(&part_path(folder, run, part), zero_ns)?;
-                    if let Some(start) = start.as_ref().filter(|_| began.is_none()) {
-                        // every file says with what it was written
-                        file.event(start, zero_ns + (t_s * 1e9) as u64)?;
-                    }
-                    none.insert((file, t_s))
-                }
-            };
-            file.write(logged)?;
+        let events = batch.iter().flat_map(|logged| logged.events.iter().map(|event| (logged.number, event)));
+        let began = events.rev().find(|(_, event)| matches!(***event, Event::Start(_)));
+        series.start = began.map(|(number, event)| event.at(number)).or(series.start.take());
+        if Instant::now() < again {
+            continue;
         }
-        let (Some((file, since_s)), true) = (&mut open, flushed.elapsed() > CHUNK) else { continue };
-        flushed = Instant::now();
-        let syncs = synced.elapsed() > SYNC;
+        if let Err(e) = series.write(&batch) {
+            tell(&series, e);
+            again = Instant::now() + SYNC;
+            // what the disk has accepted can be read
+            let _ = series.close();
+        } else if series.open.is_some() && set(None).is_some() {
+            tracing::info!(event = "flight_log", "the flight log is written again");
+        }
+    }
+    if let Err(e) = series.close() {
+        tell(&series, e);
+    }
+}
+
+/// The files `flight-RUN-PART.mcap` of a run.
+struct Series {
+    folder: PathBuf,
+    bounds: ServiceSection,
+    run: Option<u64>,
+    part: u32,
+    /// The start of the present supervisor.
+    start: Option<Event>,
+    zero_ns: Option<u64>,
+    /// The file, and the time at which it begins on the loop's clock, s.
+    open: Option<(FlightFile, f64)>,
+    flushed: Instant,
+    synced: Instant,
+}
+
+impl Series {
+    fn write(&mut self, batch: &[Logged]) -> McapResult<()> {
+        for logged in batch {
+            if self.open.is_none() {
+                self.open = Some(self.create(logged)?);
+            }
+            if let Some((file, _)) = &mut self.open {
+                file.write(logged)?;
+            }
+        }
+        let (Some((file, since_s)), true) = (&mut self.open, self.flushed.elapsed() > CHUNK) else { return Ok(()) };
+        self.flushed = Instant::now();
+        let syncs = self.synced.elapsed() > SYNC;
         file.flush(syncs)?;
-        if syncs {
-            synced = flushed;
-            prune(folder, bounds, &[part_path(folder, run, part)])?;
-        }
         let age_s = batch.last().map_or(0.0, |logged| logged.output.sensed.t.0 - *since_s);
-        if file.size()? > mib(bounds.flight_file_mib) || age_s > bounds.flight_file_s {
-            open.take().map_or(Ok(()), |(file, _)| file.finish())?;
+        let full = file.size()? > mib(self.bounds.flight_file_mib) || age_s > self.bounds.flight_file_s;
+        if syncs {
+            self.synced = self.flushed;
+            let run = self.run.unwrap_or_default();
+            prune(&self.folder, &self.bounds, &[part_path(&self.folder, run, self.part)])?;
         }
+        if full { self.close() } else { Ok(()) }
+    }
+
+    /// Creates the next file, whose first cycle is this one.
+    fn create(&mut self, first: &Logged) -> McapResult<(FlightFile, f64)> {
+        std::fs::create_dir_all(&self.folder)?;
+        let last = flights(&self.folder)?.last().and_then(|path| run_and_part(path));
+        let run = *self.run.get_or_insert_with(|| last.map_or(1, |(run, _)| run + 1));
+        prune(&self.folder, &self.bounds, &[])?;
+        self.part += 1;
+        let t_s = first.output.sensed.t.0;
+        let zero_ns = *self.zero_ns.get_or_insert_with(|| zero_unix_ns(t_s));
+        let mut file = FlightFile::create(&part_path(&self.folder, run, self.part), zero_ns)?;
+        let begins = first.events.iter().any(|event| matches!(**event, Event::Start(_)));
+        if let Some(start) = self.start.as_ref().filter(|_| !begins) {
+            // every file says with what it was written
+            file.event(start, zero_ns + (t_s * 1e9) as u64)?;
+        }
+        Ok((file, t_s))
+    }
+
+    fn close(&mut self) -> McapResult<()> {
+        self.open.take().map_or(Ok(()), |(file, _)| file.finish())
     }
 }
 
@@ -154,14 +207,13 @@ fn prune(folder: &Path, bounds: &ServiceSection, keep: &[PathBuf]) -> io::Result
     let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
     let mut old: Vec<PathBuf> = flights(folder)?.into_iter().filter(|path| !keep.contains(path)).rev().collect();
     loop {
-        let short = free_bytes(folder)? < mib(bounds.record_free_mib);
+        let room = require_free(folder, bounds);
         let much = old.iter().map(size).sum::<u64>() > mib(bounds.flight_max_mib - bounds.flight_file_mib);
         match old.pop() {
-            Some(path) if short || much => {
+            Some(path) if room.is_err() || much => {
                 std::fs::remove_file(path).or_else(|e| if e.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(e) })?
             }
-            None if short => return Err(io::Error::other("less than service.record_free_mib of the disk is free")),
-            _ => return Ok(()),
+            _ => return room,
         }
     }
 }

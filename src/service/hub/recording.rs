@@ -13,6 +13,7 @@ use crate::service::rt_loop::Message;
 use crate::service::shared::Watched;
 use crate::service::start::Start;
 use crate::service::status;
+use crate::supervisor::cycle::order::hint;
 use crate::supervisor::{Guidance, Mode};
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -172,6 +173,15 @@ impl Hub {
         self.status_cache.clone().unwrap_or_default()
     }
 
+    fn why_lost(&self) -> &str {
+        match (self.facts.damaged.first(), self.facts.belief) {
+            (Some(damage), _) => damage,
+            (None, Belief::Lost) => "no memory of the position was found at the start",
+            (None, Belief::Checked) => "the service ended while the drivers were energised, and the tip is not in the pose of its memory",
+            (None, Belief::Certain) => "the drivers have been released since the last zero",
+        }
+    }
+
     /// The status as a JSON object.
     fn status(&self) -> Value {
         let last = self.last.as_ref();
@@ -198,6 +208,7 @@ impl Hub {
             "recording": self.recording.as_ref().map(|state| recording_json(&state.recording)),
             "recording_ended": self.recording_ended,
             "flight_log": self.flight.as_ref().map(flight_json),
+            "lost": (self.mode() == Mode::Lost).then(|| format!("{}: {}", self.why_lost(), hint(Mode::Lost))),
             "unverified": memory.unverified,
             "hangs_deg": self.hangs_deg(),
             "thread_age_s": Watched::ALL.iter().map(|w| (w.name(), shared.age_s(*w))).collect::<HashMap<_, _>>(),
@@ -233,5 +244,6 @@ fn recording_json(r: &Recording) -> Value {
 }
 
 fn flight_json(flight: &FlightLog) -> Value {
-    json!({"writing": flight.is_writing(), "lost": flight.lost})
+    let problem = flight.problem();
+    json!({"writing": problem.is_none(), "lost": flight.lost, "problem": problem})
 }

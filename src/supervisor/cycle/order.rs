@@ -135,7 +135,8 @@ impl Refusal {
     }
 }
 
-fn hint(mode: Mode) -> &'static str {
+/// What is to be done, or waited for, in a mode.
+pub fn hint(mode: Mode) -> &'static str {
     match mode {
         Mode::Boot => "the devices are being opened",
         Mode::Aligning => "the tip must be still for 2 s first",
