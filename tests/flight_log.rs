@@ -131,7 +131,8 @@ fn damage_is_reported_and_only_the_damaged_chunk_is_lost() {
     let chunks: Vec<usize> = (0..whole.len() - 45).filter(|k| whole[*k] == 6 && whole[k + 37..k + 45] == *b"\x04\0\0\0zstd").collect();
     let [at, next] = [chunks[5], chunks[6]];
     let flipped = |k: usize| [&whole[..k], &[whole[k] ^ 8], &whole[k + 1..]].concat();
-    let damaged = [("content", flipped((at + next) / 2)), ("length", flipped(at + 4)), ("kind", flipped(at))];
+    let damaged =
+        [("content", flipped((at + next) / 2)), ("length", flipped(at + 4)), ("short length", flipped(at + 2)), ("kind", flipped(at))];
     let twice = ("twice", [&whole[..next], &whole[at..]].concat());
     for (name, bytes) in damaged.into_iter().chain([twice]) {
         let log = file(name);

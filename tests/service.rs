@@ -282,7 +282,7 @@ fn a_second_service_with_the_same_state_folder_is_refused() {
 
 /// Without flags, an ordinary user's service and commands find each other; damaged memory is lost until an asserted zero.
 #[test]
-fn an_ordinary_user_needs_no_flags_and_damaged_memory_is_lost() {
+fn an_ordinary_user_needs_no_flags_and_a_simulated_plant_begins_at_rest() {
     let folder = tempfile::tempdir().unwrap();
     let command = |args: &[&str]| {
         let mut command = Command::new(program());
@@ -303,22 +303,39 @@ fn an_ordinary_user_needs_no_flags_and_damaged_memory_is_lost() {
         }
     };
     let memory = folder.path().join("state/memory.b");
-    for (damage, mode) in [(false, "disarmed"), (true, "lost")] {
+    // a kill in motion, and a damaged memory after it, concern the pistons of a real machine only
+    for damage in [false, false, true] {
         if damage {
             std::fs::write(&memory, b"").unwrap();
         }
         let mut child = command(&["run"]).stderr(std::process::Stdio::null()).spawn().unwrap();
-        until(mode);
-        if damage {
-            let asserted: [(&[&str], _, _); 3] = [(&["arm"], 1, "zero"), (&["zero", "--straight"], 0, ""), (&["arm"], 0, "")];
-            for (args, code, part) in asserted {
-                let out = command(args).output().unwrap();
-                let text = String::from_utf8_lossy(&out.stderr).into_owned();
-                assert!(out.status.code() == Some(code) && text.contains(part), "{args:?}: {text}");
-            }
+        until("disarmed");
+        assert_eq!(status()["counted"], serde_json::json!([0, 0, 0]));
+        for args in [&["arm"][..], &["bend", "40", "--wait"]] {
+            let out = command(args).output().unwrap();
+            assert!(out.status.success(), "{args:?}: {}", String::from_utf8_lossy(&out.stderr));
         }
         child.kill().unwrap();
         child.wait().unwrap();
+    }
+}
+
+/// Without room for them no log is written, the status and the refusal of a recording say why, and files in the way are refused.
+#[test]
+fn a_full_disk_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let board = folder.path().join("board.toml");
+    std::fs::write(&board, "base = \"sim\"\n[service]\nrecord_free_mib = 1e6\n").unwrap();
+    let daemon = Daemon::start_with(program(), folder.path(), &["--board", board.to_str().unwrap()]).unwrap();
+    let problem = |s: &serde_json::Value| s["flight_log"]["problem"].as_str().is_some_and(|why| why.contains("record_free_mib"));
+    let status = daemon.until(5.0, "the problem", problem).unwrap();
+    assert_eq!(status["flight_log"]["writing"], false);
+    let socket = daemon.sockets()[0].clone();
+    expect(&socket, &["status"], 0, "record_free_mib");
+    expect(&socket, &["record", "start", "x"], 1, "record_free_mib");
+    for file in [&board, &board.join("x.csv")] {
+        let out = Command::new(program()).args(["run", "--board", "sim", "--record"]).arg(file).output().unwrap();
+        assert!(out.status.code() == Some(2) && String::from_utf8_lossy(&out.stderr).contains("--record"), "{file:?}: {out:?}");
     }
 }
 

@@ -35,7 +35,8 @@ parameters! {
         record_max_s: f64 = 3600.0, "s", 1.0..=1e6, "an hour";
         /// Largest recording, bend log and flight log together. A larger value fills more of the disk.
         record_max_mib: f64 = 1024.0, "MiB", 1.0..=1e6, "1024 is some hours, compressed";
-        /// A recording ends when less of the disk is free. A larger value leaves more to the state and to others.
+        /// A recording ends, and the flight log pauses, when less of the disk is free. A larger value leaves more to the
+        /// state and to others.
         record_free_mib: f64 = 256.0, "MiB", 1.0..=1e6, "the state needs 1 MiB";
         /// Flight logs of all runs together; the oldest files are deleted first. 0 writes none. A larger value keeps more runs and
         /// fills more of the disk.

@@ -78,8 +78,6 @@ pub struct Table {
     /// Values of each column in header order; empty for ignored columns.
     columns: Vec<Vec<f64>>,
     lines: Vec<u64>,
-    /// Row and text of the first field of each column that says `nan`.
-    nans: Vec<Option<(usize, String)>>,
 }
 
 impl Table {
@@ -109,8 +107,8 @@ impl Table {
         };
         let header = reader.headers().map_err(|e| broken(1, &e))?;
         let header: Vec<String> = header.iter().map(str::to_owned).collect();
-        let (columns, lines, nans) = (vec![vec![]; header.len()], vec![], vec![None; header.len()]);
-        let mut table = Self { file: file.to_owned(), header, columns, lines, nans };
+        let (columns, lines) = (vec![vec![]; header.len()], vec![]);
+        let mut table = Self { file: file.to_owned(), header, columns, lines };
         if !table.header.is_empty() {
             let mut names = schema.required.iter();
             names.try_for_each(|name| table.position(name).map(drop))?;
@@ -139,12 +137,9 @@ impl Table {
         self.lines.push(line);
         for (k, field) in record.iter().enumerate().filter(|(k, _)| known[*k]) {
             match if field.is_empty() { Ok(f64::NAN) } else { field.parse() } {
-                Ok(value) if !f64::is_infinite(value) => {
-                    if value.is_nan() && !field.is_empty() {
-                        self.nans[k].get_or_insert_with(|| (self.lines.len() - 1, field.to_owned()));
-                    }
-                    self.columns[k].push(value);
-                }
+                // the sign tells a field that says `nan` from an empty one
+                Ok(value) if value.is_nan() => self.columns[k].push(value.copysign(if field.is_empty() { 1.0 } else { -1.0 })),
+                Ok(value) if !f64::is_infinite(value) => self.columns[k].push(value),
                 _ => {
                     let (row, column) = (self.rows() - 1, &self.header[k]);
                     return Err(self.refuse(row, column, field, "a finite number"));
@@ -238,8 +233,8 @@ impl Table {
         let values = self.required(name)?;
         match values.iter().position(|v| v.is_nan()) {
             Some(row) => {
-                let nan = self.nans[self.position(name)?].as_ref().filter(|(at, _)| *at == row);
-                Err(self.refuse(row, name, nan.map_or("", |(_, text)| text), "a number; this column must not have gaps"))
+                let text = if values[row].is_sign_negative() { "nan" } else { "" };
+                Err(self.refuse(row, name, text, "a number; this column must not have gaps"))
             }
             None => Ok(values),
         }
@@ -316,7 +311,7 @@ mod tests {
             ("t,x\n0,a\n", "folder/t.csv, line 2, column x: `a` is not a finite number"),
             ("t,x\n0,inf\n", "line 2, column x: `inf`"),
             ("t,x\n0,0\n,0\n", "line 3, column t: `` is not a number"),
-            ("t,x\nNaN,0\n", "line 2, column t: `NaN` is not a number"),
+            ("t,x\nNaN,0\n", "line 2, column t: `nan` is not a number"),
             ("t,x\n1e300,0\n0,0\n", "line 3, column t: 0 s does not come after 1e300 s"),
             ("t,x\n0,0\n0,0\n", "folder/t.csv, line 3, column t: 0 s does not come after 0 s"),
         ] {

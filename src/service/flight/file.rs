@@ -137,13 +137,12 @@ impl FlightFile {
     /// # Errors
     /// See [`Self::create`].
     pub fn copy(&mut self, message: &Message<'_>) -> McapResult<()> {
-        let channel = || {
-            let schema = message.channel.schema.as_ref();
-            let [name, encoding] = schema.map_or_else(Default::default, |s| [s.name.clone(), s.encoding.clone()]);
-            let text = schema.map_or_else(String::new, |s| String::from_utf8_lossy(&s.data).into_owned());
-            [name, encoding, text, message.channel.message_encoding.clone()]
+        let Channel { topic, schema, message_encoding, .. } = &*message.channel;
+        let channel = || match schema.as_deref() {
+            None => Default::default(),
+            Some(s) => [&s.name, &s.encoding, &*String::from_utf8_lossy(&s.data), message_encoding].map(str::to_owned),
         };
-        self.put(&message.channel.topic, channel, message.log_time, message.data.to_vec())
+        self.put(topic, channel, message.log_time, message.data.to_vec())
     }
 
     /// States what is missing because the log that this one is made from is damaged.
@@ -151,10 +150,7 @@ impl FlightFile {
     /// # Errors
     /// See [`Self::create`].
     pub fn state_damage(&mut self, damage: &[String]) -> McapResult<()> {
-        if damage.is_empty() {
-            return Ok(());
-        }
-        let metadata = BTreeMap::from([(DAMAGE.to_owned(), format!("made from a damaged log: {}", damage.join("; ")))]);
+        let metadata = damage.iter().map(|place| (format!("made from a damaged log: {place}"), String::new())).collect();
         self.writer.write_metadata(&Metadata { name: DAMAGE.to_owned(), metadata })
     }
 

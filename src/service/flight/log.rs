@@ -24,13 +24,16 @@ const CHUNK: Duration = Duration::from_millis(500);
 /// The disk is asked this often to keep what it has: what a loss of power loses.
 const SYNC: Duration = Duration::from_secs(5);
 
+/// After the disk has failed, the log is written again no earlier than this.
+const RETRY: Duration = Duration::from_secs(1);
+
 /// The hub's end.
 pub struct FlightLog {
     batch: Vec<Logged>,
     /// `None` once the log has ended.
     queue: Option<SyncSender<Vec<Logged>>>,
     thread: JoinHandle<()>,
-    problem: Arc<Mutex<Option<String>>>,
+    problem: Arc<Problem>,
     /// Cycles that the queue had no place for.
     pub lost: u64,
 }
@@ -44,7 +47,7 @@ impl FlightLog {
         let (queue, work) = sync_channel(BATCHES_MAX);
         let (folder, bounds, problem) = (folder.to_owned(), bounds.clone(), Arc::new(Mutex::new(None)));
         let shared = Arc::clone(&problem);
-        let thread = std::thread::Builder::new().name("flight log".into()).spawn(move || run(folder, bounds, &work, &shared))?;
+        let thread = std::thread::Builder::new().name("flight log".into()).spawn(move || keep_writing(&folder, &bounds, &work, &shared))?;
         Ok(Self { batch: Vec::new(), queue: Some(queue), thread, problem, lost: 0 })
     }
 
@@ -101,103 +104,77 @@ fn flights(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(logs)
 }
 
-/// The thread. A disk that fails is tried again: the log goes on in a new file.
-fn run(folder: PathBuf, bounds: ServiceSection, work: &Receiver<Vec<Logged>>, problem: &Mutex<Option<String>>) {
-    let now = Instant::now();
-    let mut series = Series { folder, bounds, run: None, part: 0, start: None, zero_ns: None, open: None, flushed: now, synced: now };
-    let set = |now: Option<String>| std::mem::replace(&mut *problem.lock().unwrap_or_else(PoisonError::into_inner), now);
-    let mut again = now;
-    let tell = |series: &Series, e| {
+/// What is the matter with the disk, for the status.
+type Problem = Mutex<Option<String>>;
+
+fn set(problem: &Problem, now: Option<String>) -> Option<String> {
+    std::mem::replace(&mut problem.lock().unwrap_or_else(PoisonError::into_inner), now)
+}
+
+/// The thread: writes, and tries again, as another run, after the disk has failed.
+fn keep_writing(folder: &Path, bounds: &ServiceSection, work: &Receiver<Vec<Logged>>, problem: &Problem) {
+    let mut start = None;
+    while let Err(e) = run(folder, bounds, work, &mut start, problem) {
         let why = io_error(e).to_string();
-        if set(Some(why.clone())).is_none() {
-            tracing::error!(event = "flight_log", "{}: the flight log is not written: {why}", series.folder.display());
+        if set(problem, Some(why.clone())).is_none() {
+            tracing::error!(event = "flight_log", "{}: the flight log is not written: {why}", folder.display());
         }
-    };
+        std::thread::sleep(RETRY);
+        work.try_iter().for_each(drop);
+    }
+}
+
+/// Writes `flight-RUN-PART.mcap`; `start` is the start of the present supervisor.
+fn run(
+    folder: &Path,
+    bounds: &ServiceSection,
+    work: &Receiver<Vec<Logged>>,
+    start: &mut Option<Event>,
+    problem: &Problem,
+) -> McapResult<()> {
+    std::fs::create_dir_all(folder)?;
+    let run = flights(folder)?.last().and_then(|path| run_and_part(path)).map_or(1, |(run, _)| run + 1);
+    let (mut part, mut zero_ns) = (0, None);
+    let (mut open, mut flushed, mut synced): (Option<(FlightFile, f64)>, _, _) = (None, Instant::now(), Instant::now());
     loop {
         let batch = match work.recv_timeout(CHUNK) {
             Ok(batch) => batch,
             Err(RecvTimeoutError::Timeout) => Vec::new(),
-            Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Disconnected) => return open.map_or(Ok(()), |(file, _)| file.finish()),
         };
-        let events = batch.iter().flat_map(|logged| logged.events.iter().map(|event| (logged.number, event)));
-        let began = events.rev().find(|(_, event)| matches!(***event, Event::Start(_)));
-        series.start = began.map(|(number, event)| event.at(number)).or(series.start.take());
-        if Instant::now() < again {
-            continue;
+        for logged in &batch {
+            let t_s = logged.output.sensed.t.0;
+            let began = logged.events.iter().rfind(|event| matches!(***event, Event::Start(_)));
+            *start = began.map(|event| event.at(logged.number)).or(start.take());
+            let (file, _) = match &mut open {
+                Some(open) => open,
+                none => {
+                    prune(folder, bounds, &[])?;
+                    part += 1;
+                    let zero_ns = *zero_ns.get_or_insert_with(|| zero_unix_ns(t_s));
+                    let mut file = FlightFile::create(&part_path(folder, run, part), zero_ns)?;
+                    if let Some(start) = start.as_ref().filter(|_| began.is_none()) {
+                        // every file says with what it was written
+                        file.event(start, zero_ns + (t_s * 1e9) as u64)?;
+                    }
+                    set(problem, None);
+                    none.insert((file, t_s))
+                }
+            };
+            file.write(logged)?;
         }
-        if let Err(e) = series.write(&batch) {
-            tell(&series, e);
-            again = Instant::now() + SYNC;
-            // what the disk has accepted can be read
-            let _ = series.close();
-        } else if series.open.is_some() && set(None).is_some() {
-            tracing::info!(event = "flight_log", "the flight log is written again");
-        }
-    }
-    if let Err(e) = series.close() {
-        tell(&series, e);
-    }
-}
-
-/// The files `flight-RUN-PART.mcap` of a run.
-struct Series {
-    folder: PathBuf,
-    bounds: ServiceSection,
-    run: Option<u64>,
-    part: u32,
-    /// The start of the present supervisor.
-    start: Option<Event>,
-    zero_ns: Option<u64>,
-    /// The file, and the time at which it begins on the loop's clock, s.
-    open: Option<(FlightFile, f64)>,
-    flushed: Instant,
-    synced: Instant,
-}
-
-impl Series {
-    fn write(&mut self, batch: &[Logged]) -> McapResult<()> {
-        for logged in batch {
-            if self.open.is_none() {
-                self.open = Some(self.create(logged)?);
-            }
-            if let Some((file, _)) = &mut self.open {
-                file.write(logged)?;
-            }
-        }
-        let (Some((file, since_s)), true) = (&mut self.open, self.flushed.elapsed() > CHUNK) else { return Ok(()) };
-        self.flushed = Instant::now();
-        let syncs = self.synced.elapsed() > SYNC;
+        let (Some((file, since_s)), true) = (&mut open, flushed.elapsed() > CHUNK) else { continue };
+        flushed = Instant::now();
+        let syncs = synced.elapsed() > SYNC;
         file.flush(syncs)?;
-        let age_s = batch.last().map_or(0.0, |logged| logged.output.sensed.t.0 - *since_s);
-        let full = file.size()? > mib(self.bounds.flight_file_mib) || age_s > self.bounds.flight_file_s;
         if syncs {
-            self.synced = self.flushed;
-            let run = self.run.unwrap_or_default();
-            prune(&self.folder, &self.bounds, &[part_path(&self.folder, run, self.part)])?;
+            synced = flushed;
+            prune(folder, bounds, &[part_path(folder, run, part)])?;
         }
-        if full { self.close() } else { Ok(()) }
-    }
-
-    /// Creates the next file, whose first cycle is this one.
-    fn create(&mut self, first: &Logged) -> McapResult<(FlightFile, f64)> {
-        std::fs::create_dir_all(&self.folder)?;
-        let last = flights(&self.folder)?.last().and_then(|path| run_and_part(path));
-        let run = *self.run.get_or_insert_with(|| last.map_or(1, |(run, _)| run + 1));
-        prune(&self.folder, &self.bounds, &[])?;
-        self.part += 1;
-        let t_s = first.output.sensed.t.0;
-        let zero_ns = *self.zero_ns.get_or_insert_with(|| zero_unix_ns(t_s));
-        let mut file = FlightFile::create(&part_path(&self.folder, run, self.part), zero_ns)?;
-        let begins = first.events.iter().any(|event| matches!(**event, Event::Start(_)));
-        if let Some(start) = self.start.as_ref().filter(|_| !begins) {
-            // every file says with what it was written
-            file.event(start, zero_ns + (t_s * 1e9) as u64)?;
+        let age_s = batch.last().map_or(0.0, |logged| logged.output.sensed.t.0 - *since_s);
+        if file.size()? > mib(bounds.flight_file_mib) || age_s > bounds.flight_file_s {
+            open.take().map_or(Ok(()), |(file, _)| file.finish())?;
         }
-        Ok((file, t_s))
-    }
-
-    fn close(&mut self) -> McapResult<()> {
-        self.open.take().map_or(Ok(()), |(file, _)| file.finish())
     }
 }
 

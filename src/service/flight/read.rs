@@ -3,12 +3,11 @@
 
 use crate::log::error::why_unreadable;
 use crate::service::flight::cycle::{Cycle, decode};
-use crate::service::flight::file::{DAMAGE, TOPICS};
+use crate::service::flight::file::{DAMAGE, TOPICS, io_error};
 use crate::service::flight::start::Event;
 use mcap::read::{ChannelAccumulator, ChunkReader, parse_record};
 use mcap::records::{ChunkHeader, Record, op};
-use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{MAGIC, McapError, McapResult, Message};
+use mcap::{MAGIC, McapResult, Message};
 use serde_json::Value;
 use std::fmt;
 use std::fs::File;
@@ -16,9 +15,10 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Largest record and largest chunk, bytes: a damaged length does not exhaust the memory.
-const RECORD_MAX: usize = 64 << 20;
-/// Bytes from the beginning of a chunk to the name of its compression, and that name with its length.
-const COMPRESSION: (usize, &[u8]) = (37, b"\x04\0\0\0zstd");
+const RECORD_MAX: u64 = 64 << 20;
+/// Name of the compression of a chunk with its length, and the place of its last byte in the chunk.
+const COMPRESSION: &[u8; 8] = b"\x04\0\0\0zstd";
+const COMPRESSION_END: usize = 44;
 
 /// How a file ends, and where it is damaged.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -37,12 +37,9 @@ impl Ending {
 impl fmt::Display for Ending {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let open = "the file was not closed; read up to its last whole chunk";
-        match (self.closed, self.damage.join("; ")) {
-            (true, damage) if damage.is_empty() => f.write_str("complete"),
-            (true, damage) => f.write_str(&damage),
-            (false, damage) if damage.is_empty() => f.write_str(open),
-            (false, damage) => write!(f, "{damage}; {open}"),
-        }
+        let all: Vec<&str> = self.damage.iter().map(String::as_str).chain((!self.closed).then_some(open)).collect();
+        f.write_str(if all.is_empty() { "complete" } else { "" })?;
+        f.write_str(&all.join("; "))
     }
 }
 
@@ -94,29 +91,43 @@ pub fn messages(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, String> {
 /// As for [`messages`], without the name of the file.
 pub fn parse(mut source: impl Read + Seek, visit: &mut Visit<'_>) -> Result<Ending, String> {
     let failed = |e: io::Error| format!("the file cannot be read: {e}");
-    let mut log = Reading::default();
-    if !has_magic(&mut source, SeekFrom::Start(0)) {
+    let mut has_magic = |at| {
+        let mut bytes = [0; MAGIC.len()];
+        source.seek(at).and_then(|_| source.read_exact(&mut bytes)).is_ok() && bytes == *MAGIC
+    };
+    let closed = has_magic(SeekFrom::End(-(MAGIC.len() as i64)));
+    if !has_magic(SeekFrom::Start(0)) {
         return Err("this is no MCAP file, and so no flight log".to_owned());
     }
-    let mut at = 0;
+    let (mut at, mut hole, mut known) = (MAGIC.len() as u64, None, false);
+    let mut log = Reading { ending: Ending { closed, damage: Vec::new() }, ..Reading::default() };
     loop {
-        source.seek(SeekFrom::Start(at)).map_err(failed)?;
-        let why = match log.stretch(&mut source, &mut at, visit) {
-            Ok(()) => break,
-            Err(Stop::Refused(why)) => return Err(why),
-            Err(Stop::Damaged(why)) => format!("damaged at byte {at} ({why})"),
-        };
-        let next = next_chunk(&mut source, at + 1).map_err(failed)?;
-        log.ending.closed |= next.is_none() && has_magic(&mut source, SeekFrom::End(-(MAGIC.len() as i64)));
-        if next.is_some() || log.ending.closed {
-            log.hole.get_or_insert(why);
-        }
-        match next {
-            Some(next) => at = next,
-            None => break,
+        let last_ns = log.last_ns;
+        match log.record(&mut source) {
+            Ok(None) => break,
+            Ok(Some((length, messages))) => {
+                at += length;
+                if let (Some(first), Some(hole)) = (messages.first(), hole.take_if(|_| !messages.is_empty())) {
+                    let lost_s = first.log_time.saturating_sub(last_ns) as f64 * 1e-9;
+                    let lost = if last_ns == 0 { "the beginning is".to_owned() } else { format!("{lost_s:.2} s") };
+                    log.ending.damage.push(format!("{hole}, {lost} lost"));
+                }
+                for message in messages {
+                    known |= message.channel.topic == TOPICS[1];
+                    visit(message)?;
+                }
+            }
+            Err(e) => {
+                let next = next_chunk(&mut source, at + 1).map_err(failed)?;
+                if next.is_some() || closed {
+                    hole.get_or_insert(format!("damaged at byte {at} ({})", io_error(e).to_string().to_lowercase()));
+                }
+                let Some(next) = next else { break };
+                at = source.seek(SeekFrom::Start(next)).map_err(failed)?;
+            }
         }
     }
-    let Reading { known, mut ending, hole, .. } = log;
+    let mut ending = log.ending;
     ending.damage.extend(hole.map(|hole| format!("{hole}, and nothing after it can be read")));
     match known {
         true => Ok(ending),
@@ -127,130 +138,87 @@ pub fn parse(mut source: impl Read + Seek, visit: &mut Visit<'_>) -> Result<Endi
     }
 }
 
-fn has_magic(source: &mut (impl Read + Seek), at: SeekFrom) -> bool {
-    let mut bytes = [0; MAGIC.len()];
-    source.seek(at).and_then(|_| source.read_exact(&mut bytes)).is_ok() && bytes == *MAGIC
-}
-
-/// Position of the next chunk from a byte on.
-fn next_chunk(source: &mut (impl Read + Seek), mut from: u64) -> io::Result<Option<u64>> {
-    let (before, name) = COMPRESSION;
-    let (most, overlap) = (1 << 20, before + name.len());
-    loop {
-        let mut block = Vec::new();
-        source.seek(SeekFrom::Start(from))?;
-        source.take(most as u64).read_to_end(&mut block)?;
-        if let Some(k) = block.windows(overlap).position(|w| w[0] == op::CHUNK && w[before..] == *name) {
-            return Ok(Some(from + k as u64));
+/// Position of the next chunk from a byte on, found by the name of its compression.
+fn next_chunk(source: &mut (impl Read + Seek), from: u64) -> io::Result<Option<u64>> {
+    source.seek(SeekFrom::Start(from))?;
+    let mut last = [0; COMPRESSION.len()];
+    for (k, byte) in source.bytes().enumerate() {
+        last.rotate_left(1);
+        last[COMPRESSION.len() - 1] = byte?;
+        if last == *COMPRESSION && k >= COMPRESSION_END {
+            return Ok(Some(from + (k - COMPRESSION_END) as u64));
         }
-        if block.len() < most {
-            return Ok(None);
-        }
-        from += (most - overlap) as u64;
     }
-}
-
-/// Why reading stops.
-enum Stop {
-    /// The file is damaged here.
-    Damaged(String),
-    /// The visitor, or the disk.
-    Refused(String),
-}
-
-impl From<McapError> for Stop {
-    fn from(e: McapError) -> Self {
-        Self::Damaged(e.to_string().to_lowercase())
-    }
+    Ok(None)
 }
 
 #[derive(Default)]
 struct Reading {
     channels: ChannelAccumulator<'static>,
-    known: bool,
-    /// Everything up to the summary has been read.
-    data_ended: bool,
     ending: Ending,
-    /// The damage that the next chunk follows.
-    hole: Option<String>,
     /// Time of the last message, ns.
     last_ns: u64,
 }
 
 impl Reading {
-    /// Reads the records from a byte on; `at` is then the end of the file or the beginning of a damaged record.
-    fn stretch(&mut self, source: &mut impl Read, at: &mut u64, visit: &mut Visit<'_>) -> Result<(), Stop> {
-        let options = LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(RECORD_MAX);
-        let whole = *at == 0;
-        let options = options.with_skip_start_magic(!whole).with_validate_data_section_crc(whole);
-        let mut reader = LinearReader::new_with_options(options.with_validate_summary_section_crc(true));
-        if whole {
-            *at = MAGIC.len() as u64;
+    /// The length and the messages of the next record; `None` at the end of the data.
+    fn record(&mut self, source: &mut impl Read) -> McapResult<Option<(u64, Vec<Message<'static>>)>> {
+        let mut head = [0; 9];
+        source.read_exact(&mut head)?;
+        let [opcode, length @ ..] = head;
+        let length = u64::from_le_bytes(length);
+        let wrong = |what: &str| Err(io::Error::other(what).into());
+        if length > RECORD_MAX {
+            return wrong("a record that is too long");
         }
-        while let Some(event) = reader.next_event() {
-            match event? {
-                LinearReadEvent::ReadRequest(need) => {
-                    let read = source.read(reader.insert(need)).map_err(|e| Stop::Refused(format!("the file cannot be read: {e}")))?;
-                    reader.notify_read(read);
-                }
-                LinearReadEvent::Record { opcode, data } => {
-                    self.record(opcode, data, visit)?;
-                    // after an opcode and a length
-                    *at += 9 + data.len() as u64;
-                }
-            }
+        let mut data = Vec::new();
+        if source.take(length).read_to_end(&mut data)? as u64 != length {
+            return wrong("a record that is cut off");
         }
-        Ok(())
-    }
-
-    fn record(&mut self, opcode: u8, data: &[u8], visit: &mut Visit<'_>) -> Result<(), Stop> {
-        match opcode {
-            op::CHUNK | op::METADATA => match parse_record(opcode, data)? {
-                Record::Chunk { header, data } => self.chunk(header, &data, visit)?,
-                Record::Metadata(mut stated) if stated.name == DAMAGE => self.ending.damage.extend(stated.metadata.remove(DAMAGE)),
-                _ => {}
+        let messages = match opcode {
+            op::DATA_END => return Ok(None),
+            op::HEADER | op::MESSAGE_INDEX | op::ATTACHMENT => Vec::new(),
+            op::CHUNK | op::METADATA => match parse_record(opcode, &data)? {
+                Record::Chunk { header, .. } if header.uncompressed_size > RECORD_MAX => return wrong("a chunk that is too large"),
+                Record::Chunk { header, .. } if 40 + header.compression.len() as u64 + header.compressed_size != length => {
+                    return wrong("a chunk of a wrong length");
+                }
+                Record::Chunk { header, data } => self.chunk(header, &data)?,
+                Record::Metadata(stated) => {
+                    self.ending.damage.extend(stated.metadata.into_keys().filter(|_| stated.name == DAMAGE));
+                    Vec::new()
+                }
+                _ => Vec::new(),
             },
-            op::HEADER | op::MESSAGE_INDEX | op::ATTACHMENT => {}
-            op::DATA_END => self.data_ended = true,
-            _ if self.data_ended => self.ending.closed |= opcode == op::FOOTER,
-            _ => return Err(Stop::Damaged("an unknown record".to_owned())),
-        }
-        Ok(())
+            _ => return wrong("an unknown record"),
+        };
+        Ok(Some((9 + length, messages)))
     }
 
-    fn chunk(&mut self, header: ChunkHeader, data: &[u8], visit: &mut Visit<'_>) -> Result<(), Stop> {
-        let (start_ns, end_ns) = (header.message_start_time, header.message_end_time);
-        if header.uncompressed_size > RECORD_MAX as u64 {
-            return Err(Stop::Damaged("a chunk that is too large".to_owned()));
-        }
-        // all of it before any message of it is believed
-        let records = ChunkReader::new(header, data)?.collect::<McapResult<Vec<_>>>()?;
-        if start_ns < self.last_ns && end_ns <= self.last_ns {
-            return Err(Stop::Damaged("a chunk that repeats what is before it".to_owned()));
-        }
-        if let Some(hole) = self.hole.take() {
-            let lost = match self.last_ns {
-                0 => "the beginning is lost".to_owned(),
-                last_ns => format!("{:.2} s lost", start_ns.saturating_sub(last_ns) as f64 * 1e-9),
-            };
-            self.ending.damage.push(format!("{hole}, {lost}"));
-        }
-        self.last_ns = end_ns;
-        for record in records {
+    /// The messages of a chunk, all of which is read before any of it is believed.
+    fn chunk(&mut self, header: ChunkHeader, data: &[u8]) -> McapResult<Vec<Message<'static>>> {
+        let mut messages: Vec<Message<'static>> = Vec::new();
+        for record in ChunkReader::new(header, data)?.collect::<McapResult<Vec<_>>>()? {
             match record {
                 Record::Schema { header, data } => self.channels.add_schema(header, data.into_owned().into())?,
                 Record::Channel(channel) => self.channels.add_channel(channel)?,
                 Record::Message { header, data } => {
                     // a channel of a chunk that is lost is unknown
                     let Some(channel) = self.channels.get(header.channel_id) else { continue };
-                    self.known |= channel.topic == TOPICS[1];
                     let (sequence, log_time, publish_time) = (header.sequence, header.log_time, header.publish_time);
-                    let message = Message { channel, sequence, log_time, publish_time, data: data.into_owned().into() };
-                    visit(message).map_err(Stop::Refused)?;
+                    messages.push(Message { channel, sequence, log_time, publish_time, data: data.into_owned().into() });
                 }
                 _ => {}
             }
         }
-        Ok(())
+        // the header has no checksum
+        let times = messages.iter().map(|message| message.log_time);
+        if let (Some(begin_ns), Some(end_ns)) = (times.clone().min(), times.max()) {
+            if begin_ns < self.last_ns && end_ns <= self.last_ns {
+                return Err(io::Error::other("a chunk that repeats what is before it").into());
+            }
+            self.last_ns = end_ns;
+        }
+        Ok(messages)
     }
 }
