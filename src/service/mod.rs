@@ -46,6 +46,7 @@ use crate::service::belief::Belief;
 use crate::service::error::ServiceError;
 use crate::service::hub::{Facts, Hub, HubIo};
 use crate::service::listener::Listener;
+use crate::service::memory::Memory;
 use crate::service::notify::Notifier;
 use crate::service::paths::Paths;
 use crate::service::port::Port;
@@ -116,14 +117,7 @@ pub struct Setup {
 pub fn serve(claim: Claim, setup: Setup) -> Result<(), ServiceError> {
     let Setup { machine, mut config, pace, record } = setup;
     let Claim { mut store, recall, control, status, stop } = claim;
-    let mut belief = Belief::in_recall(&recall);
-    let mut memory = recall.memory.clone().unwrap_or_default();
-    if machine.is_simulated() && belief != Belief::Certain {
-        // a simulated plant begins at rest with the service
-        (belief, memory.restart, memory.unverified) = (Belief::Certain, None, false);
-    }
-    log_recall(&recall, belief);
-    memory.lost = belief == Belief::Lost;
+    let (belief, memory) = believed(&recall, machine.is_simulated());
     let start = Start::new(&config, &memory, belief);
     config.supervisor = start.config.clone();
     if recall.found != Found::Intact {
@@ -204,7 +198,13 @@ fn control_priority(service: &ServiceSection) -> i32 {
     }
 }
 
-fn log_recall(recall: &Recall, belief: Belief) {
+/// What is believed of a memory. A simulated plant begins at rest with the service, whatever the memory says.
+fn believed(recall: &Recall, simulated: bool) -> (Belief, Memory) {
+    let (mut belief, mut memory) = (Belief::in_recall(recall), recall.memory.clone().unwrap_or_default());
+    if simulated && belief != Belief::Certain {
+        (belief, memory.restart, memory.unverified) = (Belief::Certain, None, false);
+    }
+    memory.lost = belief == Belief::Lost;
     for line in &recall.damaged {
         tracing::error!(event = "memory_damaged", "{line}");
     }
@@ -212,4 +212,5 @@ fn log_recall(recall: &Recall, belief: Belief) {
         let mend = "`retroflex zero`, or `retroflex home` without the service";
         tracing::error!(event = "lost", "no memory tells where the pistons are: {mend}");
     }
+    (belief, memory)
 }
