@@ -11,7 +11,7 @@ use mcap::{MAGIC, McapResult, Message};
 use serde_json::Value;
 use std::fmt;
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Largest record and largest chunk, bytes: a damaged length does not exhaust the memory.
@@ -89,7 +89,7 @@ pub fn messages(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, String> {
 ///
 /// # Errors
 /// As for [`messages`], without the name of the file.
-pub fn parse(mut source: impl Read + Seek, visit: &mut Visit<'_>) -> Result<Ending, String> {
+pub fn parse(mut source: impl BufRead + Seek, visit: &mut Visit<'_>) -> Result<Ending, String> {
     let failed = |e: io::Error| format!("the file cannot be read: {e}");
     let mut has_magic = |at| {
         let mut bytes = [0; MAGIC.len()];
@@ -139,7 +139,7 @@ pub fn parse(mut source: impl Read + Seek, visit: &mut Visit<'_>) -> Result<Endi
 }
 
 /// Position of the next chunk from a byte on, found by the name of its compression.
-fn next_chunk(source: &mut (impl Read + Seek), from: u64) -> io::Result<Option<u64>> {
+fn next_chunk(source: &mut (impl BufRead + Seek), from: u64) -> io::Result<Option<u64>> {
     source.seek(SeekFrom::Start(from))?;
     let mut last = [0; COMPRESSION.len()];
     for (k, byte) in source.bytes().enumerate() {
