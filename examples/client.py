@@ -10,6 +10,7 @@ answer has the same `id`. After `subscribe`, frames arrive between the answers. 
 """
 import argparse
 import json
+import math
 import os
 import socket
 import sys
@@ -76,11 +77,13 @@ def main():
     parser.add_argument("--toward", type=float, default=90.0, help="degrees")
     parser.add_argument("--seconds", type=float, default=3.0, help="time to watch the tip")
     args = parser.parse_args()
-    commands, watch = Tip(args.socket), Tip(args.socket)
-    deadline = time.monotonic() + 15
-    while commands.ask("status")["mode"] == "aligning" and time.monotonic() < deadline:
-        time.sleep(0.1)
+    if not all(map(math.isfinite, (args.bend, args.toward, args.seconds))):
+        sys.exit("--bend, --toward and --seconds must be finite numbers")
     try:
+        commands, watch = Tip(args.socket), Tip(args.socket)
+        deadline = time.monotonic() + 15
+        while commands.ask("status")["mode"] == "aligning" and time.monotonic() < deadline:
+            time.sleep(0.1)
         commands.ask("arm")
         commands.ask("bend", bend_deg=args.bend, dir_deg=args.toward)
         begin, printed = None, -1
@@ -99,6 +102,8 @@ def main():
         commands.ask("relax")
     except Refused as refusal:
         sys.exit(f"refused: {refusal}")
+    except OSError as problem:
+        sys.exit(f"{args.socket}: {problem}; is `retroflex run` running?")
 
 
 if __name__ == "__main__":

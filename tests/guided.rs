@@ -305,11 +305,15 @@ fn the_service_plays_a_path_and_streams_set_points_with_times() {
 
     expect(&["bend", "30", "--wait"], "", 0, "settled");
     let rows: String = (0..=50).map(|k| format!("{} 0 {}\n", 30.0 - 0.2 * f64::from(k), 7.0 + f64::from(k) * 0.02)).collect();
-    expect(&["stream"], &rows, 0, "");
+    expect(&["stream"], &rows, 0, "of 20.0° at 0°: settled");
     daemon
         .until(3.0, "the hold", |s| s["mode"] == "holding" && (s["target"]["bend_deg"].as_f64().unwrap_or(0.0) - 20.0).abs() < 0.5)
         .unwrap();
-    expect(&["stream"], "20 0 1\n20 x 2\n", 2, "line 2");
+    // the end of the input is a target, also where the times were too short for the tip
+    expect(&["stream"], "30 0 0.00\n30 4 0.02\n30 8 0.04\n", 0, "of 30.0° at 8°: settled");
+    expect(&["stream"], "20 0\n", 0, "of 20.0° at 0°: settled");
+    expect(&["stream"], "20 0 1\n20 x 2\n", 2, "line 2: DIR `x`: expected a number");
+    expect(&["stream"], "20 0\n120 0\n", 2, "line 2: the tip bends by at most");
     expect(&["bend", "20", "--world"], "", 1, "IMU on the base");
 
     // paths and set-points with times make the same decisions again

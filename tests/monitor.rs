@@ -149,18 +149,19 @@ fn a_session_restores_the_terminal() {
     let daemon = Daemon::start(program, folder.path()).unwrap();
     let socket = daemon.sockets()[0].clone();
     daemon.until(10.0, "alignment", |s| s["mode"] == "disarmed").unwrap();
-    for keys in ["sq", "s"] {
+    // what looks like the beginning of an escape sequence hides no key after it
+    for keys in [&["\x1b[<", "s", "q"][..], &["s", "\x1b[<"]] {
         let line = format!("stty rows 24 cols 80; echo $$ >pid; exec {} monitor --socket {}", program.display(), socket.display());
         let mut script = Command::new("script");
         script.args(["-qec", &line, "/dev/null"]).current_dir(folder.path()).env("TERM", "xterm");
         let mut child = script.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let mut input = child.stdin.take().unwrap();
         std::thread::sleep(Duration::from_millis(1500));
-        for key in keys.chars() {
+        for key in keys {
             write!(input, "{key}").unwrap();
             std::thread::sleep(Duration::from_millis(800));
         }
-        if keys == "s" {
+        if !keys.contains(&"q") {
             let pid = std::fs::read_to_string(folder.path().join("pid")).unwrap();
             assert!(Command::new("kill").args(["-TERM", pid.trim()]).status().unwrap().success());
         }
@@ -169,7 +170,7 @@ fn a_session_restores_the_terminal() {
         let status = child.wait().unwrap();
         assert!(status.success(), "{status}: {shown}");
         // a cell that does not change is not written
-        assert!(["disarmed", "accepted"].iter().all(|word| shown.contains(word)), "{keys}: {shown:?}");
+        assert!(["disarmed", "accepted"].iter().all(|word| shown.contains(word)), "{keys:?}: {shown:?}");
         let (opened, closed) = (shown.find("\x1b[?1049h").unwrap(), shown.rfind("\x1b[?1049l").unwrap());
         assert!(opened < closed && closed + 40 > shown.len(), "{shown}");
         assert!(shown.rfind("\x1b[?25h").unwrap() > opened, "the cursor is hidden: {shown}");

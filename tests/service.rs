@@ -47,6 +47,7 @@ fn a_session_from_start_to_end() {
     expect(&socket, &["bend", "40", "--toward", "30", "--wait"], 0, "settled");
     let status = daemon.until(2.0, "status", |_| true).unwrap();
     assert!((status["estimate"]["bend_deg"].as_f64().unwrap() - 40.0).abs() < 1.0, "{status}");
+    expect(&socket, &["zero"], 1, "not while holding: `retroflex relax` first");
 
     // a stop brakes at once and latches until `arm`
     expect(&socket, &["bend", "10", "--toward", "-90", "--speed", "20"], 0, "");
@@ -82,6 +83,39 @@ fn a_session_from_start_to_end() {
     let memory = recall.memory.unwrap();
     assert!(!memory.armed && memory.restart.unwrap().steps.0 == [0; 3]);
     expect(&socket, &["status"], 3, "");
+}
+
+#[test]
+fn commands_that_wait_end_and_say_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(program(), folder.path()).unwrap();
+    let socket = &daemon.sockets()[0].clone();
+    // the service has just been started
+    expect(socket, &["arm"], 0, "alignment");
+    for (other, part) in [(&["bend", "10"][..], "another command"), (&["hold"], "another command"), (&["stop"], "stopped")] {
+        std::thread::scope(|scope| {
+            let waiting = scope.spawn(|| cli(socket, &["bend", "-60", "--speed", "15", "--wait"]));
+            std::thread::sleep(Duration::from_millis(800));
+            expect(socket, other, 0, "");
+            let (code, text) = waiting.join().unwrap();
+            assert!(code == 1 && text.contains(part), "{other:?}: {code}: {text}");
+        });
+    }
+    expect(socket, &["arm"], 0, "");
+    expect(socket, &["bend", "-20", "--wait"], 0, "20.0° at 180°: settled");
+
+    let mut watching = Command::new("timeout");
+    watching.args(["20", program().to_str().unwrap(), "status", "--watch"]).env("RETROFLEX_SOCKET", socket);
+    let mut watching = watching.stdout(std::process::Stdio::piped()).spawn().unwrap();
+    drop(watching.stdout.take());
+    assert!(watching.wait().unwrap().success(), "nobody reads the status any more");
+
+    daemon.signal(libc::SIGSTOP);
+    let since = Instant::now();
+    expect(socket, &["stop"], 3, "cut the power of its motors");
+    expect(socket, &["status"], 3, "does not answer");
+    assert!(since.elapsed() < Duration::from_secs(6), "{:?}", since.elapsed());
+    daemon.signal(libc::SIGCONT);
 }
 
 /// A command without a service; returns its exit code and output.

@@ -14,6 +14,7 @@ pub mod page;
 pub mod play;
 pub mod status;
 pub mod steer;
+pub mod stream;
 
 /// Commands to a running service.
 #[derive(Debug, clap::Subcommand)]
@@ -27,7 +28,7 @@ pub enum Client {
     Stop(Plain),
     /// Return to rest slowly, then de-energise.
     Relax(Plain),
-    /// Energise the drivers and hold the present pose.
+    /// Energise the drivers and hold the present pose, at the end of an alignment that is in progress.
     Arm(Plain),
     /// Accept no more motion.
     Disarm(Plain),
@@ -46,7 +47,7 @@ pub enum Client {
     /// Run a schedule of `gap excite`: its poses, speeds and holds.
     Play(PlayArgs),
     /// Stream set-points from standard input, `BEND DIR` or `BEND DIR T` per line (degrees, and seconds if the tip shall follow a smooth curve
-    /// through them); the tip stops when the stream pauses.
+    /// through them). The tip stops when the stream pauses, and comes to rest at the last set-point when it ends.
     Stream(Plain),
     /// Bend the tip by hand, with a joystick or the arrow keys, while a button is held.
     Steer(steer::SteerArgs),
@@ -83,7 +84,7 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
         Client::Hold(p) => send(&p.at, &Request::Hold {}),
         Client::Stop(p) => connection::stop(&p.at),
         Client::Relax(p) => send(&p.at, &Request::Relax {}),
-        Client::Arm(p) => send(&p.at, &Request::Arm {}),
+        Client::Arm(p) => follow::arm(&p.at),
         Client::Disarm(p) => send(&p.at, &Request::Disarm {}),
         Client::Zero(args) => send_and_align(&args.at, &Request::Zero { straight: args.straight }),
         Client::ResetFault(p) => send(&p.at, &Request::ResetFault {}),
@@ -100,7 +101,7 @@ pub fn run(command: &Client) -> Result<CommandOutcome> {
         }
         Client::Play(args) => play::play(args),
         Client::Steer(args) => steer::steer(args),
-        Client::Stream(p) => status::stream(&p.at),
+        Client::Stream(p) => stream::stream(&p.at),
         Client::Page(args) => page::page(args),
         Client::Subscribe(args) => status::subscribe(args),
     }

@@ -4,7 +4,13 @@ use super::connection::At;
 use crate::cli::inputs::within;
 use crate::service::protocol::POSES;
 use clap::builder::TypedValueParser;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
+
+/// Bends that may be asked for, degrees. How far the tip reaches in a direction depends on the machine, and the service says it.
+pub(super) const BEND_DEG: RangeInclusive<f64> = -135.0..=135.0;
+/// Directions that may be asked for, degrees.
+pub(super) const DIR_DEG: RangeInclusive<f64> = -360.0..=360.0;
 
 /// Arguments of `bend`.
 #[derive(Debug, clap::Args)]
@@ -12,10 +18,10 @@ pub struct BendArgs {
     #[command(flatten)]
     pub(super) at: At,
     /// Bend angle, degrees.
-    #[arg(value_parser = within(-180.0..=180.0, "degrees"))]
+    #[arg(value_parser = within(BEND_DEG, "degrees"))]
     pub(super) bend: f64,
     /// Bend direction, degrees.
-    #[arg(long, default_value_t = 0.0, value_parser = within(-360.0..=360.0, "degrees"))]
+    #[arg(long, default_value_t = 0.0, value_parser = within(DIR_DEG, "degrees"))]
     pub(super) toward: f64,
     /// Length of the centre line, mm. Default: the rest length.
     #[arg(long, value_parser = within(5.0..=200.0, "mm"))]

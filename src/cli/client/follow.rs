@@ -1,9 +1,12 @@
 //! Commands that wait for their end: a move, an alignment, a calibration.
 
 use super::args::{BendArgs, TransmissionArgs};
-use super::connection::{ask, connect};
+use super::connection::{At, ask, ask_and_print, connect};
+use super::play::halted;
+use super::status::pose;
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
+use crate::model::Bend;
 use crate::report::page::Page;
 use crate::service::client::Client as Connection;
 use crate::service::protocol::{CalibrateAction, Frame, Request};
@@ -15,6 +18,10 @@ use std::time::{Duration, Instant};
 const ALIGNED_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for a move.
 const MOVED_MAX: Duration = Duration::from_secs(60);
+/// Longest wait of `arm` for a service that has just been started.
+const STARTED_MAX: Duration = Duration::from_secs(2);
+/// Largest difference between two targets that are the same, degrees: rounding.
+const SAME_DEG: f64 = 0.1;
 
 /// Period of the lines that report progress where there is no terminal.
 const SAID_EVERY: Duration = Duration::from_secs(5);
@@ -44,23 +51,35 @@ pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
     if !args.wait {
         return Ok(Good);
     }
+    settled(&mut connection, Bend::from_deg(args.bend, args.toward))
+}
+
+/// Waits until the tip has settled at the bend that it was sent to.
+///
+/// # Errors
+/// A report with the service's message.
+pub fn settled(connection: &mut Connection, sent_to: Bend) -> Result<CommandOutcome> {
     let (started, bar) = (Instant::now(), output::bar(0, "{msg}"));
-    let outcome = poll(&mut connection, 50, |s| {
-        let mode = s["mode"].as_str().unwrap_or("");
-        let estimate = s["estimate"]["bend_deg"].as_f64().unwrap_or(0.0);
-        let line = format!("{mode}  estimate {estimate:.1}° of {:.1}°", args.bend);
-        let why = match mode {
-            "holding" if s["settled"] == true => {
+    let outcome = poll(connection, 50, |s| {
+        let (mode, target) = (s["mode"].as_str().unwrap_or(""), &s["target"]);
+        let line = format!("{mode}  estimate {} of {}", pose(&s["estimate"]), pose(target));
+        let degrees = |key: &str| target[key].as_f64().unwrap_or(0.0);
+        let off = Bend::from_deg(degrees("bend_deg"), degrees("dir_deg")).0 - sent_to.0;
+        let why = match halted(s) {
+            Some(why) => why,
+            None if off.norm().to_degrees() > SAME_DEG => {
+                format!("another command replaced this one: the tip goes to, or holds, {}", pose(target))
+            }
+            None if s["settled"] == true => {
                 bar.finish_and_clear();
                 eprintln!("{line}: {}", s["shortfall"].as_str().unwrap_or("settled"));
                 return Some(if s["blocked"] == true { NotGoodEnough } else { Good });
             }
-            "tracking" | "holding" if started.elapsed() < MOVED_MAX => {
+            None if started.elapsed() < MOVED_MAX => {
                 bar.set_message(line);
                 return None;
             }
-            "faulted" => s["fault"].as_str().unwrap_or("a fault").to_owned(),
-            other => format!("mode {other}"),
+            None => format!("mode {mode}"),
         };
         bar.finish_and_clear();
         let suspicion = s["suspicion"].as_str().map_or_else(String::new, |x| format!("; {x}"));
@@ -71,6 +90,32 @@ pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
     outcome
 }
 
+/// `arm`, also right after the start of the service: waits for its socket and for the end of its alignment.
+///
+/// # Errors
+/// A report with the service's message.
+pub fn arm(at: &At) -> Result<CommandOutcome> {
+    let started = Instant::now();
+    let mut connection = loop {
+        match connect(at) {
+            Err(_) if started.elapsed() < STARTED_MAX => std::thread::sleep(Duration::from_millis(50)),
+            reached => break reached?,
+        }
+    };
+    let Some(status) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
+    if is_aligning(&status) {
+        eprintln!("waiting for the end of the alignment, for which the tip must be still for 2 s");
+        if aligned(&mut connection)? == NotGoodEnough {
+            return Ok(NotGoodEnough);
+        }
+    }
+    ask_and_print(&mut connection, &Request::Arm {})
+}
+
+fn is_aligning(status: &Value) -> bool {
+    status["mode"] == "boot" || status["mode"] == "aligning"
+}
+
 /// Waits for the end of an alignment.
 ///
 /// # Errors
@@ -78,7 +123,7 @@ pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
 pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
     let started = Instant::now();
     poll(connection, 100, |s| {
-        if s["mode"] != "aligning" {
+        if !is_aligning(s) {
             return Some(Good);
         }
         (started.elapsed() > ALIGNED_MAX).then(|| {

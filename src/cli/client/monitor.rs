@@ -14,14 +14,14 @@ use crate::service::protocol::{Failure, Request};
 use miette::{IntoDiagnostic, Result, bail};
 use player::Player;
 use ratatui::DefaultTerminal;
-use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
+use ratatui::crossterm::event::KeyCode;
 use serde_json::Value;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use std::io::{IsTerminal, stdin, stdout};
+use std::io::{IsTerminal, Read, stdin, stdout};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 use view::View;
@@ -32,6 +32,9 @@ const PERIOD: Duration = Duration::from_millis(100);
 const SILENT_S: f64 = 1.0;
 /// Step of the arrow keys in a log, s.
 const SEEK_S: f64 = 5.0;
+
+/// Ctrl-C on a terminal that does not translate it.
+const INTERRUPT: KeyCode = KeyCode::Char('\u{3}');
 
 /// Arguments of `monitor`.
 #[derive(Debug, clap::Args)]
@@ -72,30 +75,61 @@ pub fn monitor(args: &MonitorArgs) -> Result<CommandOutcome> {
     }
     // this also restores the terminal after a panic
     let mut terminal = ratatui::try_init().into_diagnostic()?;
-    let mut view = View::default();
-    let mut shown = Ok(true);
-    while matches!(shown, Ok(true)) && !ended.load(Relaxed) {
-        shown = show(&mut terminal, &mut source, &mut view);
-    }
-    ratatui::restore();
-    // a terminal that was closed cannot be drawn on
-    if ended.load(Relaxed) { Ok(Good) } else { shown.into_diagnostic().map(|_| Good) }
+    let (keys, mut view) = (pressed(), View::default());
+    while !ended.load(Relaxed) && show(&mut terminal, &keys, &mut source, &mut view) {}
+    // a terminal that was closed cannot be restored, nor drawn on
+    let _ = ratatui::try_restore();
+    Ok(Good)
 }
 
-/// Draws once and handles the keys until the next frame is due; false if the operator ends the monitor.
-fn show(terminal: &mut DefaultTerminal, source: &mut Source, view: &mut View) -> std::io::Result<bool> {
+/// Draws once and handles the keys until the next frame is due; false if the operator ends the monitor, or the terminal is gone.
+fn show(terminal: &mut DefaultTerminal, keys: &Receiver<KeyCode>, source: &mut Source, view: &mut View) -> bool {
     let due = Instant::now() + PERIOD;
     source.update(view);
-    terminal.draw(|frame| draw::draw(frame, view))?;
-    while event::poll(due.saturating_duration_since(Instant::now()))? {
-        let Event::Key(key) = event::read()? else { continue };
-        let interrupt = key.modifiers == KeyModifiers::CONTROL && key.code == KeyCode::Char('c');
-        if interrupt || key.code == KeyCode::Char('q') {
-            return Ok(false);
-        }
-        source.key(key.code);
+    if terminal.draw(|frame| draw::draw(frame, view)).is_err() {
+        return false;
     }
-    Ok(true)
+    while Instant::now() < due {
+        match keys.recv_timeout(due.saturating_duration_since(Instant::now())) {
+            Ok(INTERRUPT | KeyCode::Char('q')) | Err(RecvTimeoutError::Disconnected) => return false,
+            Ok(key) => source.key(key),
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+    }
+    true
+}
+
+/// The keys of the terminal, until that is gone. A thread of its own reads them, so that no input delays the screen.
+fn pressed() -> Receiver<KeyCode> {
+    let (send, pressed) = channel();
+    spawn(move || {
+        let mut bytes = [0; 4096];
+        while let Ok(n @ 1..) = stdin().lock().read(&mut bytes) {
+            // the monitor may have ended
+            keys(&bytes[..n]).into_iter().for_each(|key| _ = send.send(key));
+        }
+    });
+    pressed
+}
+
+/// The keys of bytes that came together. An escape sequence that is unknown or does not end among them is no key (ECMA-48, 5.4).
+fn keys(mut bytes: &[u8]) -> Vec<KeyCode> {
+    let mut keys = Vec::new();
+    while let [first, rest @ ..] = bytes {
+        bytes = rest;
+        if let (0x1b, [b'[' | b'O', sequence @ ..]) = (first, rest) {
+            let end = sequence.iter().position(|byte| byte.is_ascii_alphabetic() || *byte == b'~').unwrap_or(sequence.len());
+            keys.extend(match sequence.get(end) {
+                Some(b'C') => Some(KeyCode::Right),
+                Some(b'D') => Some(KeyCode::Left),
+                _ => None,
+            });
+            bytes = sequence.get(end + 1..).unwrap_or_default();
+        } else {
+            keys.push(KeyCode::Char(char::from(*first)));
+        }
+    }
+    keys
 }
 
 impl Source {
@@ -182,4 +216,18 @@ fn read(socket: &Path, to: &Sender<News>) -> std::result::Result<(), Failure> {
         sleep(PERIOD);
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_escape_sequence_hides_a_later_key() {
+        assert_eq!(keys(b"\x1b[D\x1bOCs"), [KeyCode::Left, KeyCode::Right, KeyCode::Char('s')]);
+        assert_eq!(keys(b"\x1b[<0;10;10Mq"), [KeyCode::Char('q')]);
+        for unfinished in [&b"\x1b[<"[..], b"\x1b["] {
+            assert!(keys(unfinished).is_empty());
+        }
+    }
 }

@@ -1,14 +1,15 @@
-//! `status`, `subscribe` and `stream`.
+//! `status` and `subscribe`.
 
 use super::args::{StatusArgs, SubscribeArgs};
-use super::connection::{At, ask, connect, report};
+use super::connection::{ask, connect, report};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
-use crate::cli::output::{self, print};
+use crate::cli::output;
 use crate::service::protocol::Request;
-use miette::{Result, miette};
+use miette::Result;
 use serde_json::Value;
-use std::io::{BufRead, IsTerminal, Write};
-use std::time::{Duration, Instant};
+use std::io::{IsTerminal, Write};
+use std::path::Path;
+use std::time::Duration;
 
 /// Clears the terminal and moves to its first place (ECMA-48).
 const CLEAR: &str = "\x1b[H\x1b[2J";
@@ -25,16 +26,34 @@ pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
     let redraw = args.watch && args.json.is_none() && std::io::stdout().is_terminal();
     loop {
         let Some(s) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
-        match &args.json {
-            Some(path) => output::write(path, format!("{s}\n"))?,
-            None if redraw => print(format!("{CLEAR}{}", readable(&s))),
-            None => print(readable(&s)),
-        }
-        if !args.watch {
+        let text = match args.json.as_deref() {
+            Some(path) if path != Path::new("-") => {
+                output::write(path, format!("{s}\n"))?;
+                String::new()
+            }
+            Some(_) => format!("{s}\n"),
+            None if redraw => format!("{CLEAR}{}", readable(&s)),
+            None => readable(&s),
+        };
+        let mut out = std::io::stdout();
+        // a reader that has closed its end, such as `head`, has seen enough
+        if out.write_all(text.as_bytes()).and_then(|()| out.flush()).is_err() || !args.watch {
             return Ok(Good);
         }
         std::thread::sleep(Duration::from_millis(500));
     }
+}
+
+fn number(v: &Value) -> f64 {
+    v.as_f64().unwrap_or(0.0)
+}
+
+/// A bend of the status in words.
+pub(super) fn pose(v: &Value) -> String {
+    let (bend, dir) = (number(&v["bend_deg"]), number(&v["dir_deg"]));
+    // the same direction, by one name
+    let dir = if dir < -179.5 { 180.0 } else { dir };
+    if v.is_null() { "–".to_owned() } else { format!("{bend:.1}° at {dir:.0}°") }
 }
 
 fn readable(s: &Value) -> String {
@@ -46,13 +65,8 @@ fn readable(s: &Value) -> String {
 pub(super) fn rows(s: &Value) -> Vec<(&'static str, String)> {
     let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
     let list = |v: &Value| v.as_array().cloned().unwrap_or_default();
-    let degrees = |v: &Value| v.as_f64().unwrap_or(0.0);
-    let pose = |v: &Value| {
-        let (bend, dir) = (degrees(&v["bend_deg"]), degrees(&v["dir_deg"]));
-        if v.is_null() { "–".to_owned() } else { format!("{bend:.1}° at {dir:.0}°") }
-    };
     let pistons = list(&s["piston_mm"]);
-    let pistons: Vec<String> = pistons.iter().map(|p| format!("{:.2}", degrees(p))).collect();
+    let pistons: Vec<String> = pistons.iter().map(|p| format!("{:.2}", number(p))).collect();
     let words = |key: &str, text: &'static str| if s[key] == true { text } else { "" };
     let energised = words("energised", ", energised");
     let stopped = words("stopped", ", stopped until `retroflex arm`");
@@ -112,50 +126,6 @@ fn wrapped(text: &str) -> String {
         }
     }
     lines.join(&format!("\n{:10}", ""))
-}
-
-/// Time by which a set-point with a time is sent ahead of it, s.
-const SENT_AHEAD_S: f64 = 0.3;
-
-/// `stream`: set-points from standard input, `BEND DIR` or `BEND DIR T` per line. A set-point with a time waits for it; after the last
-/// one the tip holds.
-///
-/// # Errors
-/// A report with the service's message.
-pub fn stream(at: &At) -> Result<CommandOutcome> {
-    let mut connection = connect(at)?;
-    let (mut began, mut end_s) = (None, None);
-    for (k, line) in std::io::stdin().lock().lines().enumerate() {
-        let line = line.map_err(|e| miette!("standard input, line {}: {e}", k + 1))?;
-        let numbers: std::result::Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
-        let (bend_deg, dir_deg, t_s) = match numbers.as_deref() {
-            Ok(&[bend_deg, dir_deg]) => (bend_deg, dir_deg, None),
-            Ok(&[bend_deg, dir_deg, t_s]) => (bend_deg, dir_deg, Some(t_s)),
-            _ => {
-                let expected = "expected BEND DIR or BEND DIR T, numbers in degrees and seconds";
-                return Err(miette!("standard input, line {}: `{line}`: {expected}", k + 1));
-            }
-        };
-        if let Some(t_s) = t_s {
-            let (start, from_s) = *began.get_or_insert_with(|| (Instant::now(), t_s));
-            sleep_until(start, t_s - from_s - SENT_AHEAD_S);
-            end_s = Some((start, t_s - from_s));
-        }
-        if ask(&mut connection, &Request::Stream { bend_deg, dir_deg, length_mm: None, t_s })?.is_none() {
-            return Ok(NotGoodEnough);
-        }
-    }
-    if let Some((start, at_s)) = end_s {
-        sleep_until(start, at_s);
-        return Ok(if ask(&mut connection, &Request::Hold {})?.is_none() { NotGoodEnough } else { Good });
-    }
-    Ok(Good)
-}
-
-/// Sleeps until `after_s` from `start`, which may have passed.
-fn sleep_until(start: Instant, after_s: f64) {
-    let left_s = after_s - start.elapsed().as_secs_f64();
-    std::thread::sleep(Duration::try_from_secs_f64(left_s).unwrap_or_default());
 }
 
 /// `subscribe`: frames as JSON lines, until the reader closes its end.

@@ -141,7 +141,7 @@ pub fn hint(mode: Mode) -> &'static str {
         Mode::Boot => "the devices are being opened",
         Mode::Aligning => "the tip must be still for 2 s first",
         Mode::Disarmed => "`retroflex arm` first",
-        Mode::Holding => "no motion is in progress",
+        Mode::Holding => "`retroflex relax` first",
         Mode::Tracking => "`retroflex stop` first",
         Mode::Relaxing => "the tip is returning to rest",
         Mode::Calibrating => "a calibration is running; `retroflex stop` ends it",
