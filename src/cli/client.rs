@@ -9,6 +9,7 @@ use miette::Result;
 pub mod args;
 pub mod connection;
 pub mod follow;
+pub mod keys;
 pub mod monitor;
 pub mod page;
 pub mod play;

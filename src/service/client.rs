@@ -3,14 +3,14 @@
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request, request_line};
 use serde_json::Value;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::time::Duration;
 
 /// Longest wait for a reply.
 const TIMEOUT: Duration = Duration::from_secs(10);
-/// Longest wait for the answer of the socket of `stop`.
+/// Longest wait for the answer of the socket of `stop`; five times as long for that of the command socket after it.
 const STOP_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// A connection to a service.
@@ -57,7 +57,7 @@ impl Client {
     /// [`Failure`].
     pub fn stop(control: &Path) -> Result<Value, Failure> {
         let direct = Self::connect_for(&paths::stop_socket(control), STOP_TIMEOUT).and_then(|mut client| result(&client.read()?));
-        direct.or_else(|_| Self::connect(control)?.request(&Request::Stop {}))
+        direct.or_else(|_| Self::connect_for(control, 5 * STOP_TIMEOUT)?.request(&Request::Stop {}))
     }
 
     /// Sends a request and waits for its reply. Events that arrive in between are skipped.
@@ -101,5 +101,8 @@ fn result(reply: &Value) -> Result<Value, Failure> {
 }
 
 fn no_reply(e: &std::io::Error) -> Failure {
-    unreachable(format!("the service does not reply: {e}"))
+    match e.kind() {
+        ErrorKind::WouldBlock => unreachable("it does not answer: it hangs, or its computer is overloaded".to_owned()),
+        _ => unreachable(format!("it does not answer: {e}")),
+    }
 }

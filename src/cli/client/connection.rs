@@ -5,10 +5,14 @@ use crate::cli::{CommandOutcome, Unreachable};
 use crate::service::client::Client as Connection;
 use crate::service::paths;
 use crate::service::protocol::{Failure, Request};
-use miette::{Report, Result, bail, miette};
+use miette::{Context, Report, Result, bail, miette};
 use serde_json::Value;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
+use std::time::Duration;
+
+/// Longest time after which a service that works says its status.
+const ANSWER_MAX: Duration = Duration::from_secs(2);
 
 /// Address of the service.
 #[derive(Debug, Clone, clap::Args)]
@@ -49,14 +53,17 @@ pub(super) fn socket(at: &At) -> Result<PathBuf> {
     Ok(sockets[0].clone())
 }
 
-/// Connects to the service.
+/// Connects to the service, once that has answered: what is asked next may take longer.
 pub(super) fn connect(at: &At) -> Result<Connection> {
-    Connection::connect(&socket(at)?).map_err(report)
+    let socket = socket(at)?;
+    let answer = Connection::connect_for(&socket, ANSWER_MAX).and_then(|mut to| to.request(&Request::Status {}));
+    answer.and_then(|_| Connection::connect(&socket)).map_err(report)
 }
 
 /// Stops the tip, that of every service if none is named.
 pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
-    let stop = |socket: &PathBuf| answered(Connection::stop(socket)).map(printed);
+    let advice = "the stop is not confirmed: if the tip moves, cut the power of its motors";
+    let stop = |socket: &PathBuf| answered(Connection::stop(socket)).map(printed).wrap_err(advice);
     let stopped: Vec<_> = at.sockets().iter().map(stop).collect();
     let outcomes: Vec<CommandOutcome> = stopped.into_iter().collect::<Result<_>>()?;
     Ok(outcomes.iter().all(|one| *one == CommandOutcome::Good).into())
@@ -65,6 +72,11 @@ pub(super) fn stop(at: &At) -> Result<CommandOutcome> {
 /// Sends a request. A refusal is printed on standard error and yields `None`; every other failure is an error.
 pub(super) fn ask(connection: &mut Connection, request: &Request) -> Result<Option<Value>> {
     answered(connection.request(request))
+}
+
+/// The status of the service.
+pub(super) fn status(connection: &mut Connection) -> Result<Value> {
+    connection.request(&Request::Status {}).map_err(report)
 }
 
 /// The result of a request. A refusal is printed on standard error and yields `None`; every other failure is an error.

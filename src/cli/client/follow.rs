@@ -1,7 +1,7 @@
 //! Commands that wait for their end: a move, an alignment, a calibration.
 
 use super::args::{BendArgs, TransmissionArgs};
-use super::connection::{At, ask, ask_and_print, connect};
+use super::connection::{At, ask, ask_and_print, connect, status};
 use super::play::halted;
 use super::status::pose;
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
@@ -12,6 +12,7 @@ use crate::service::client::Client as Connection;
 use crate::service::protocol::{CalibrateAction, Frame, Request};
 use miette::Result;
 use serde_json::Value;
+use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 /// Longest wait for an alignment.
@@ -29,9 +30,8 @@ const SAID_EVERY: Duration = Duration::from_secs(5);
 /// Polls the status until `done` returns a result, or until the service refuses.
 fn poll(connection: &mut Connection, period_ms: u64, mut done: impl FnMut(&Value) -> Option<CommandOutcome>) -> Result<CommandOutcome> {
     loop {
-        std::thread::sleep(Duration::from_millis(period_ms));
-        let Some(status) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
-        if let Some(outcome) = done(&status) {
+        sleep(Duration::from_millis(period_ms));
+        if let Some(outcome) = done(&status(connection)?) {
             return Ok(outcome);
         }
     }
@@ -45,20 +45,20 @@ pub fn bend(args: &BendArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
     let frame = if args.world { Frame::World } else { Frame::Base };
     let request = Request::Bend { bend_deg: args.bend, dir_deg: args.toward, length_mm: args.length, speed_deg_s: args.speed, frame };
-    if ask(&mut connection, &request)?.is_none() {
-        return Ok(NotGoodEnough);
+    match args.wait {
+        true => settle(&mut connection, &request, Bend::from_deg(args.bend, args.toward)),
+        false => ask_and_print(&mut connection, &request),
     }
-    if !args.wait {
-        return Ok(Good);
-    }
-    settled(&mut connection, Bend::from_deg(args.bend, args.toward))
 }
 
-/// Waits until the tip has settled at the bend that it was sent to.
+/// Sends the request of a bend, and waits until the tip has settled there.
 ///
 /// # Errors
 /// A report with the service's message.
-pub fn settled(connection: &mut Connection, sent_to: Bend) -> Result<CommandOutcome> {
+pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> Result<CommandOutcome> {
+    if ask(connection, request)?.is_none() {
+        return Ok(NotGoodEnough);
+    }
     let (started, bar) = (Instant::now(), output::bar(0, "{msg}"));
     let outcome = poll(connection, 50, |s| {
         let (mode, target) = (s["mode"].as_str().unwrap_or(""), &s["target"]);
@@ -67,9 +67,7 @@ pub fn settled(connection: &mut Connection, sent_to: Bend) -> Result<CommandOutc
         let off = Bend::from_deg(degrees("bend_deg"), degrees("dir_deg")).0 - sent_to.0;
         let why = match halted(s) {
             Some(why) => why,
-            None if off.norm().to_degrees() > SAME_DEG => {
-                format!("another command replaced this one: the tip goes to, or holds, {}", pose(target))
-            }
+            None if off.norm().to_degrees() > SAME_DEG => format!("another command replaced this one: {line}"),
             None if s["settled"] == true => {
                 bar.finish_and_clear();
                 eprintln!("{line}: {}", s["shortfall"].as_str().unwrap_or("settled"));
@@ -96,24 +94,14 @@ pub fn settled(connection: &mut Connection, sent_to: Bend) -> Result<CommandOutc
 /// A report with the service's message.
 pub fn arm(at: &At) -> Result<CommandOutcome> {
     let started = Instant::now();
-    let mut connection = loop {
-        match connect(at) {
-            Err(_) if started.elapsed() < STARTED_MAX => std::thread::sleep(Duration::from_millis(50)),
-            reached => break reached?,
-        }
-    };
-    let Some(status) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
-    if is_aligning(&status) {
-        eprintln!("waiting for the end of the alignment, for which the tip must be still for 2 s");
-        if aligned(&mut connection)? == NotGoodEnough {
-            return Ok(NotGoodEnough);
-        }
+    while connect(at).is_err() && started.elapsed() < STARTED_MAX {
+        sleep(Duration::from_millis(50));
     }
-    ask_and_print(&mut connection, &Request::Arm {})
-}
-
-fn is_aligning(status: &Value) -> bool {
-    status["mode"] == "boot" || status["mode"] == "aligning"
+    let mut connection = connect(at)?;
+    match aligned(&mut connection)? {
+        Good => ask_and_print(&mut connection, &Request::Arm {}),
+        refused => Ok(refused),
+    }
 }
 
 /// Waits for the end of an alignment.
@@ -121,10 +109,13 @@ fn is_aligning(status: &Value) -> bool {
 /// # Errors
 /// A report with the service's message.
 pub fn aligned(connection: &mut Connection) -> Result<CommandOutcome> {
-    let started = Instant::now();
+    let (started, mut said) = (Instant::now(), false);
     poll(connection, 100, |s| {
-        if !is_aligning(s) {
+        if !matches!(s["mode"].as_str(), Some("boot" | "aligning")) {
             return Some(Good);
+        }
+        if !std::mem::replace(&mut said, true) {
+            eprintln!("waiting for the end of the alignment, for which the tip must be still for 2 s");
         }
         (started.elapsed() > ALIGNED_MAX).then(|| {
             eprintln!("not aligned after {} s because the tip or the base is not still; the service keeps trying", ALIGNED_MAX.as_secs());

@@ -5,6 +5,7 @@ pub mod player;
 pub mod view;
 
 use super::connection::{At, report, socket};
+use super::keys::{Key, keys};
 use crate::cli::CommandOutcome::{self, Good};
 use crate::cli::inputs::within;
 use crate::cli::replay::flight_of;
@@ -14,7 +15,7 @@ use crate::service::protocol::{Failure, Request};
 use miette::{IntoDiagnostic, Result, bail};
 use player::Player;
 use ratatui::DefaultTerminal;
-use ratatui::crossterm::event::KeyCode;
+
 use serde_json::Value;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::io::{IsTerminal, Read, stdin, stdout};
@@ -34,7 +35,7 @@ const SILENT_S: f64 = 1.0;
 const SEEK_S: f64 = 5.0;
 
 /// Ctrl-C on a terminal that does not translate it.
-const INTERRUPT: KeyCode = KeyCode::Char('\u{3}');
+const INTERRUPT: char = '\u{3}';
 
 /// Arguments of `monitor`.
 #[derive(Debug, clap::Args)]
@@ -77,59 +78,37 @@ pub fn monitor(args: &MonitorArgs) -> Result<CommandOutcome> {
     let mut terminal = ratatui::try_init().into_diagnostic()?;
     let (keys, mut view) = (pressed(), View::default());
     while !ended.load(Relaxed) && show(&mut terminal, &keys, &mut source, &mut view) {}
-    // a terminal that was closed cannot be restored, nor drawn on
-    let _ = ratatui::try_restore();
+    // a terminal that is gone cannot be restored
+    let _ = (terminal.show_cursor(), ratatui::try_restore());
+    std::mem::forget(terminal);
     Ok(Good)
 }
 
 /// Draws once and handles the keys until the next frame is due; false if the operator ends the monitor, or the terminal is gone.
-fn show(terminal: &mut DefaultTerminal, keys: &Receiver<KeyCode>, source: &mut Source, view: &mut View) -> bool {
+fn show(terminal: &mut DefaultTerminal, keys: &Receiver<Key>, source: &mut Source, view: &mut View) -> bool {
     let due = Instant::now() + PERIOD;
     source.update(view);
-    if terminal.draw(|frame| draw::draw(frame, view)).is_err() {
-        return false;
-    }
-    while Instant::now() < due {
+    let mut drawn = terminal.draw(|frame| draw::draw(frame, view)).is_ok();
+    while drawn && Instant::now() < due {
         match keys.recv_timeout(due.saturating_duration_since(Instant::now())) {
-            Ok(INTERRUPT | KeyCode::Char('q')) | Err(RecvTimeoutError::Disconnected) => return false,
+            Ok(Key::Char('q' | INTERRUPT)) | Err(RecvTimeoutError::Disconnected) => drawn = false,
             Ok(key) => source.key(key),
             Err(RecvTimeoutError::Timeout) => {}
         }
     }
-    true
+    drawn
 }
 
 /// The keys of the terminal, until that is gone. A thread of its own reads them, so that no input delays the screen.
-fn pressed() -> Receiver<KeyCode> {
+fn pressed() -> Receiver<Key> {
     let (send, pressed) = channel();
     spawn(move || {
         let mut bytes = [0; 4096];
         while let Ok(n @ 1..) = stdin().lock().read(&mut bytes) {
-            // the monitor may have ended
             keys(&bytes[..n]).into_iter().for_each(|key| _ = send.send(key));
         }
     });
     pressed
-}
-
-/// The keys of bytes that came together. An escape sequence that is unknown or does not end among them is no key (ECMA-48, 5.4).
-fn keys(mut bytes: &[u8]) -> Vec<KeyCode> {
-    let mut keys = Vec::new();
-    while let [first, rest @ ..] = bytes {
-        bytes = rest;
-        if let (0x1b, [b'[' | b'O', sequence @ ..]) = (first, rest) {
-            let end = sequence.iter().position(|byte| byte.is_ascii_alphabetic() || *byte == b'~').unwrap_or(sequence.len());
-            keys.extend(match sequence.get(end) {
-                Some(b'C') => Some(KeyCode::Right),
-                Some(b'D') => Some(KeyCode::Left),
-                _ => None,
-            });
-            bytes = sequence.get(end + 1..).unwrap_or_default();
-        } else {
-            keys.push(KeyCode::Char(char::from(*first)));
-        }
-    }
-    keys
 }
 
 impl Source {
@@ -140,14 +119,14 @@ impl Source {
         }
     }
 
-    fn key(&mut self, key: KeyCode) {
+    fn key(&mut self, key: Key) {
         match (self, key) {
-            (Self::Live(live), KeyCode::Char('h')) => live.order(Request::Hold {}),
-            (Self::Live(live), KeyCode::Char('s')) => live.order(Request::Stop {}),
-            (Self::Live(live), KeyCode::Char('r')) => live.order(Request::Relax {}),
-            (Self::Log(player), KeyCode::Char(' ')) => player.paused = !player.paused,
-            (Self::Log(player), KeyCode::Left) => player.seek(-SEEK_S),
-            (Self::Log(player), KeyCode::Right) => player.seek(SEEK_S),
+            (Self::Live(live), Key::Char('h')) => live.order(Request::Hold {}),
+            (Self::Live(live), Key::Char('s')) => live.order(Request::Stop {}),
+            (Self::Live(live), Key::Char('r')) => live.order(Request::Relax {}),
+            (Self::Log(player), Key::Char(' ')) => player.paused = !player.paused,
+            (Self::Log(player), Key::Left) => player.seek(-SEEK_S),
+            (Self::Log(player), Key::Right) => player.seek(SEEK_S),
             _ => {}
         }
     }
@@ -216,18 +195,4 @@ fn read(socket: &Path, to: &Sender<News>) -> std::result::Result<(), Failure> {
         sleep(PERIOD);
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_escape_sequence_hides_a_later_key() {
-        assert_eq!(keys(b"\x1b[D\x1bOCs"), [KeyCode::Left, KeyCode::Right, KeyCode::Char('s')]);
-        assert_eq!(keys(b"\x1b[<0;10;10Mq"), [KeyCode::Char('q')]);
-        for unfinished in [&b"\x1b[<"[..], b"\x1b["] {
-            assert!(keys(unfinished).is_empty());
-        }
-    }
 }

@@ -4,7 +4,7 @@
 //! move by (1 + k_ε) Δq (Eq. 16), and all arrive at the same time.
 
 use super::args::PlayArgs;
-use super::connection::{answered, ask, connect, words};
+use super::connection::{answered, ask, connect, status, words};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
 use crate::diagnosis::excite::rows::{self, Row};
@@ -36,15 +36,15 @@ const K_EPSILON: f64 = 2.2;
 pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     let schedule = Schedule::read(&args.schedule)?;
     let mut connection = connect(&args.at)?;
-    let Some(status) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
-    if status["mode"] != "holding" || status["stopped"] == true {
+    let now = status(&mut connection)?;
+    if now["mode"] != "holding" || now["stopped"] == true {
         eprintln!("refused: the schedule moves the tip, so it must be armed and at a standstill: `retroflex arm` first");
         return Ok(NotGoodEnough);
     }
     if args.record.is_none() {
         return schedule.run(&mut connection);
     }
-    if status["counted"] != json!([0, 0, 0]) {
+    if now["counted"] != json!([0, 0, 0]) {
         eprintln!("refused: the log must begin at rest: `retroflex relax`, then `retroflex arm`");
         return Ok(NotGoodEnough);
     }
@@ -55,7 +55,7 @@ pub fn play(args: &PlayArgs) -> Result<CommandOutcome> {
     }
     // after an earlier motion the straight tip is not quite where the first row is
     let rest = Row::rest(AT_REST_S, &Geometry::default());
-    let rested = arrive_and_hold(&mut connection, clock_s(&status), 0.0, &rest)?;
+    let rested = arrive_and_hold(&mut connection, clock_s(&now), 0.0, &rest)?;
     let outcome = if rested { schedule.run(&mut connection) } else { Ok(NotGoodEnough) };
     if let Some(recorded) = ask(&mut connection, &request(RecordAction::Stop))? {
         output::print(words(&recorded));
@@ -101,11 +101,11 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutco
             return Ok(NotGoodEnough);
         }
     }
-    let Some(status) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
+    let now = status(connection)?;
     let (_, bend_deg, dir_deg, length_mm) = rows[0];
     let first = Row { bend_deg, dir_deg, hold_s: AT_FIRST_S, ..Row::rest(0.0, &Geometry::default()) };
     let request = Request::Bend { bend_deg, dir_deg, length_mm, speed_deg_s: None, frame: Frame::Base };
-    if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, clock_s(&status), 0.0, &first)? {
+    if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, clock_s(&now), 0.0, &first)? {
         return Ok(NotGoodEnough);
     }
     let played = connection.request(&Request::Path { rows: vec![], more: false });
@@ -115,7 +115,7 @@ fn run_path(connection: &mut Connection, file: &PathFile) -> Result<CommandOutco
     }
     loop {
         std::thread::sleep(Duration::from_millis(20));
-        let Some(s) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
+        let s = status(connection)?;
         if let Some(why) = halted(&s) {
             eprintln!("the path ended early: {why}");
             return Ok(NotGoodEnough);
@@ -152,11 +152,11 @@ fn run_rows(connection: &mut Connection, rows: &[Row]) -> Result<CommandOutcome>
     let bar = output::bar(rows.len() as u64, "row {pos} of {len}");
     let mut before = Row::rest(0.0, &Geometry::default());
     for row in rows {
-        let Some(status) = ask(connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
-        let (seconds, speed_deg_s) = segment(&before, row, &status);
+        let now = status(connection)?;
+        let (seconds, speed_deg_s) = segment(&before, row, &now);
         let request =
             Request::Bend { bend_deg: row.bend_deg, dir_deg: row.dir_deg, length_mm: Some(row.len_mm), speed_deg_s, frame: Frame::Base };
-        if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, clock_s(&status), seconds, row)? {
+        if ask(connection, &request)?.is_none() || !arrive_and_hold(connection, clock_s(&now), seconds, row)? {
             return Ok(NotGoodEnough);
         }
         before = *row;
@@ -185,7 +185,7 @@ fn arrive_and_hold(connection: &mut Connection, started_s: f64, seconds: f64, ro
     let mut arrived_s: Option<f64> = None;
     loop {
         std::thread::sleep(Duration::from_millis(5));
-        let Some(s) = ask(connection, &Request::Status {})? else { return Ok(false) };
+        let s = status(connection)?;
         if let Some(why) = halted(&s) {
             eprintln!("the schedule ended at bend {}° toward {}°: {why}", row.bend_deg, row.dir_deg);
             return Ok(false);

@@ -1,7 +1,7 @@
 //! `status` and `subscribe`.
 
 use super::args::{StatusArgs, SubscribeArgs};
-use super::connection::{ask, connect, report};
+use super::connection::{self, ask, connect, report};
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::output;
 use crate::service::protocol::Request;
@@ -25,7 +25,7 @@ pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
     let mut connection = connect(&args.at)?;
     let redraw = args.watch && args.json.is_none() && std::io::stdout().is_terminal();
     loop {
-        let Some(s) = ask(&mut connection, &Request::Status {})? else { return Ok(NotGoodEnough) };
+        let s = connection::status(&mut connection)?;
         let text = match args.json.as_deref() {
             Some(path) if path != Path::new("-") => {
                 output::write(path, format!("{s}\n"))?;

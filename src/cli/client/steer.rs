@@ -3,7 +3,7 @@
 mod input;
 mod law;
 
-use super::connection::{At, ask, connect, report};
+use super::connection::{At, ask, connect, report, status};
 use super::play::halted;
 use crate::cli::CommandOutcome::{self, Good, NotGoodEnough};
 use crate::cli::Unreachable;
@@ -15,7 +15,6 @@ use input::{Event, Input};
 use law::{Law, Mode};
 use miette::{IntoDiagnostic, Result};
 use nalgebra::Vector2;
-use serde_json::Value;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -149,14 +148,10 @@ impl Steering {
 
     /// Starts from the present target; says why the tip cannot be steered.
     fn ready(&mut self) -> Result<Option<String>> {
-        let Some(s) = self.status()? else { return Ok(Some("the service refuses its status".to_owned())) };
+        let s = status(&mut self.connection)?;
         let degrees = |key: &str| s["target"][key].as_f64().unwrap_or(0.0);
         self.at = Bend::from_deg(degrees("bend_deg"), degrees("dir_deg")).0;
         Ok(halted(&s))
-    }
-
-    fn status(&mut self) -> Result<Option<Value>> {
-        ask(&mut self.connection, &Request::Status {})
     }
 
     /// One set-point; false if the service no longer moves.
@@ -168,8 +163,7 @@ impl Steering {
         match self.connection.request(&request) {
             Ok(_) => (self.at, self.moving) = (next, true),
             Err(f) if f.code == 1 => {
-                let Some(s) = self.status()? else { return Ok(false) };
-                if let Some(why) = halted(&s) {
+                if let Some(why) = halted(&status(&mut self.connection)?) {
                     eprintln!("steering ended: {why}");
                     return Ok(false);
                 }
@@ -179,10 +173,8 @@ impl Steering {
             }
             Err(f) => return Err(report(f)),
         }
-        if self.cycles.is_multiple_of(STATUS_EVERY)
-            && let Some(s) = self.status()?
-            && self.moving
-        {
+        if self.cycles.is_multiple_of(STATUS_EVERY) && self.moving {
+            let s = status(&mut self.connection)?;
             self.warn(s["shortfall"].as_str().map(str::to_owned));
         }
         Ok(true)

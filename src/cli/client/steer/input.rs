@@ -1,5 +1,6 @@
 //! Sources of stick movements: a joystick device, the keys of a terminal, or a table. Each is a thread that sends events.
 
+use super::super::keys::{Key, keys};
 use crate::log::table::{Schema, Table};
 use miette::{IntoDiagnostic, Result, miette};
 use std::fs::File;
@@ -92,7 +93,7 @@ impl Input {
             let (mut bytes, mut acts_until, mut known) = ([0; 64], None::<Instant>, Vec::new());
             loop {
                 let Ok(n) = std::io::stdin().lock().read(&mut bytes) else { return };
-                known.extend(keys(&bytes[..n]));
+                known.extend(keys(&bytes[..n]).into_iter().flat_map(events));
                 if known.contains(&Event::Held(true)) {
                     acts_until = Some(Instant::now() + Duration::from_secs_f64(KEY_S));
                 } else if acts_until.is_some_and(|until| Instant::now() > until) {
@@ -150,25 +151,18 @@ pub fn first_joystick() -> Option<PathBuf> {
     (0..32).map(|n| PathBuf::from(format!("/dev/input/js{n}"))).find(|path| path.exists())
 }
 
-/// The events of bytes from a terminal.
-fn keys(bytes: &[u8]) -> Vec<Event> {
+/// The events of a key.
+fn events(key: Key) -> Vec<Event> {
     let at = |x: f64, y: f64| vec![Event::X(x), Event::Y(y), Event::Held(true)];
-    let mut out = vec![];
-    let mut rest = bytes;
-    while let [first, after @ ..] = rest {
-        let (events, left) = match (first, after) {
-            (0x1b, [b'[' | b'O', b'A', left @ ..]) => (at(0.0, 1.0), left),
-            (0x1b, [b'[' | b'O', b'B', left @ ..]) => (at(0.0, -1.0), left),
-            (0x1b, [b'[' | b'O', b'C', left @ ..]) => (at(1.0, 0.0), left),
-            (0x1b, [b'[' | b'O', b'D', left @ ..]) => (at(-1.0, 0.0), left),
-            (b' ', left) => (vec![Event::Held(false)], left),
-            (b'q', left) => (vec![Event::End], left),
-            (_, left) => (vec![], left),
-        };
-        out.extend(events);
-        rest = left;
+    match key {
+        Key::Up => at(0.0, 1.0),
+        Key::Down => at(0.0, -1.0),
+        Key::Right => at(1.0, 0.0),
+        Key::Left => at(-1.0, 0.0),
+        Key::Char(' ') => vec![Event::Held(false)],
+        Key::Char('q') => vec![Event::End],
+        _ => vec![],
     }
-    out
 }
 
 /// Runs `stty` on the terminal of standard input; returns what it prints.
@@ -186,8 +180,7 @@ mod tests {
 
     #[test]
     fn keys_deflect_release_and_end() {
-        assert_eq!(keys(b"\x1b[A"), [Event::X(0.0), Event::Y(1.0), Event::Held(true)]);
-        assert_eq!(keys(b"x\x1bOD q"), [Event::X(-1.0), Event::Y(0.0), Event::Held(true), Event::Held(false), Event::End]);
-        assert!(keys(b"\x1b[").is_empty());
+        assert_eq!(events(Key::Up), [Event::X(0.0), Event::Y(1.0), Event::Held(true)]);
+        assert_eq!([events(Key::Char(' ')), events(Key::Char('q'))], [[Event::Held(false)], [Event::End]]);
     }
 }
