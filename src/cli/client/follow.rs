@@ -94,10 +94,12 @@ pub fn settle(connection: &mut Connection, request: &Request, sent_to: Bend) -> 
 /// A report with the service's message.
 pub fn arm(at: &At) -> Result<CommandOutcome> {
     let started = Instant::now();
-    while connect(at).is_err() && started.elapsed() < STARTED_MAX {
-        sleep(Duration::from_millis(50));
-    }
-    let mut connection = connect(at)?;
+    let mut connection = loop {
+        match connect(at) {
+            Err(_) if started.elapsed() < STARTED_MAX => sleep(Duration::from_millis(50)),
+            reached => break reached?,
+        }
+    };
     match aligned(&mut connection)? {
         Good => ask_and_print(&mut connection, &Request::Arm {}),
         refused => Ok(refused),

@@ -27,11 +27,8 @@ pub fn status(args: &StatusArgs) -> Result<CommandOutcome> {
     loop {
         let s = connection::status(&mut connection)?;
         let text = match args.json.as_deref() {
-            Some(path) if path != Path::new("-") => {
-                output::write(path, format!("{s}\n"))?;
-                String::new()
-            }
-            Some(_) => format!("{s}\n"),
+            Some(path) if path == Path::new("-") => format!("{s}\n"),
+            Some(path) => output::write(path, format!("{s}\n")).map(|()| String::new())?,
             None if redraw => format!("{CLEAR}{}", readable(&s)),
             None => readable(&s),
         };
