@@ -19,10 +19,8 @@ fn rows<'a>(said: &'a str, result: &str) -> Vec<&'a str> {
 fn a_simulated_tip_passes_every_step() {
     let [here, scratch] = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let (code, said) = accept(here.path(), scratch.path(), "demo");
-    // a loaded computer may be too slow for the timing of real steps, which a simulated tip does not need
-    let late = rows(&said, "FAILED").iter().all(|row| row.contains("the timing of the steps"));
-    assert!(late && rows(&said, "passed").len() + rows(&said, "FAILED").len() == 10, "{said}");
-    assert_eq!(code, Some(i32::from(rows(&said, "passed").len() < 10)), "{said}");
+    // the timing of real steps does not concern it
+    assert_eq!((code, rows(&said, "passed").len()), (Some(0), 9), "{said}");
     let left: Vec<_> = std::fs::read_dir(here.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(left, ["retroflex-accept.html"]);
     assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 0);

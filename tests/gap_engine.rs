@@ -36,7 +36,7 @@ fn a_single_effect_and_none_are_recognised_and_scored() {
         question(Content::Single, &["hard_iron"], false, 12),
         question(Content::None, &[], false, 13),
     ];
-    let answers = run(&asked, &catalogue(), || {}).unwrap();
+    let answers = run(&asked, Question::draw, &catalogue(), || {}).unwrap();
     for (q, a) in asked.iter().zip(&answers) {
         let v = &a.diagnosis.verdict;
         assert_eq!(v.names, q.names, "{:?} {:?}", q.names, v);
@@ -99,4 +99,13 @@ fn equal_logs_give_equal_documents() {
     let log = Observed::new(&logs.log, &Rig::default()).unwrap();
     let text = || serde_json::to_string(&diagnose(&log, &catalogue(), &logs.lines, 1).document).unwrap();
     assert_eq!(text(), text());
+}
+
+/// Training machines are made of deformed laws of the catalogue; the exam asks about the built-in plant, whose laws are others.
+#[test]
+fn training_and_exam_share_no_law() {
+    for file in ["deform.rs", "unit.rs", "case.rs", "fit.rs", "mod.rs"] {
+        let text = std::fs::read_to_string(format!("{}/src/diagnosis/train/{file}", env!("CARGO_MANIFEST_DIR"))).unwrap();
+        assert!(!text.contains("simulation::plant"), "{file} uses the built-in plant");
+    }
 }

@@ -58,29 +58,35 @@ pub struct Verdict {
 
 /// Decides, and returns the chosen candidate with the verdict.
 pub fn decide<'a>(log: &Observed, found: &'a Candidates, posterior: &Posterior<'a>) -> (Verdict, &'a Candidate) {
-    let claimed = |c: &Candidate| claimed(found, c);
+    let mut sets: Vec<(&Candidate, f64)> = Vec::new();
+    for (c, p) in posterior.ranked.iter().filter_map(|(s, p)| s.map(|c| (claimable(found, c), p))) {
+        match sets.iter_mut().find(|(known, _)| known.names == c.names) {
+            Some((_, sum)) => *sum += p,
+            None => sets.push((c, *p)),
+        }
+    }
     let doubt = posterior.unknown();
-    let effects = posterior.sum(|s| s.is_some_and(claimed));
-    let none = 1.0 - doubt - effects;
-    let best = posterior.ranked.iter().find_map(|(s, p)| s.filter(|c| claimed(c)).map(|c| (c, *p)));
+    let none = sets.iter().filter(|(c, _)| c.names.is_empty()).map(|s| s.1).sum::<f64>();
+    let effects = 1.0 - doubt - none;
+    let best = sets.iter().filter(|(c, _)| !c.names.is_empty()).max_by(|a, b| a.1.total_cmp(&b.1));
     // of an unknown cause, a part may be explained
-    let chosen = match best {
-        Some((c, p)) if effects > none && (effects > doubt || p > none) => c,
-        _ => &found.nominal,
-    };
+    let chosen = best.filter(|_| effects > none).map_or(&found.nominal, |best| best.0);
     let kind = VerdictKind::new(chosen.names.is_empty(), doubt > effects.max(none));
     let equivalent = if kind == VerdictKind::Effects { groups(posterior, chosen) } else { vec![] };
     let predictable_deg_s = predictable_rate_deg_s(log, &chosen.held_out);
     (Verdict { kind, names: chosen.names.clone(), doubt, predictable_deg_s, equivalent }, chosen)
 }
 
-/// Whether a set may be claimed: each of its effects reduces the error of a quantity enough.
-fn claimed(found: &Candidates, c: &Candidate) -> bool {
+/// The part of a set that may be claimed: each of its effects reduces the error of a quantity enough.
+fn claimable<'a>(found: &'a Candidates, c: &'a Candidate) -> &'a Candidate {
     let enough = |before: &Candidate| before.held_out.gain(&c.held_out) >= CLAIM_DEG;
+    let alone = || c.names.iter().filter_map(|n| found.single(n)).min_by(|a, b| a.energy().total_cmp(&b.energy()));
     match c.names.as_slice() {
-        [] => false,
-        [_] => enough(&found.nominal),
-        several => several.iter().filter_map(|n| found.single(n)).all(enough),
+        [] => c,
+        [_] if enough(&found.nominal) => c,
+        [_] => &found.nominal,
+        several if several.iter().filter_map(|n| found.single(n)).all(enough) => c,
+        _ => alone().map_or(&found.nominal, |single| claimable(found, single)),
     }
 }
 

@@ -63,8 +63,8 @@ pub struct Weights {
 }
 
 /// The weights that diagnoses use.
-static WEIGHTS: LazyLock<Weights> =
-    LazyLock::new(|| toml::from_str(include_str!("posterior.toml")).expect("posterior.toml is a part of the program and tested"));
+#[expect(clippy::expect_used, reason = "the text is a part of the program, and a test reads it")]
+static WEIGHTS: LazyLock<Weights> = LazyLock::new(|| toml::from_str(include_str!("posterior.toml")).expect("posterior.toml is tested"));
 
 impl Weights {
     /// The weights that diagnoses use.

@@ -149,8 +149,8 @@ fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, grown: 
         .filter_map(|e| best_start(&base, &pair(e.as_ref()), e.as_ref()).map(|s| (e, s)))
         .collect();
     let independent = log.duration_s() / CORRELATED_S * 3.0 * log.quantities().count() as f64;
-    let criterion = |(e, s): &(&Box<dyn Effect>, Start)| independent * s.predicted.ln() + e.params().len() as f64 * independent.ln();
-    promising.sort_by(|a, b| criterion(a).total_cmp(&criterion(b)));
+    let criterion = |e: &dyn Effect, s: &Start| independent * s.predicted.ln() + e.params().len() as f64 * independent.ln();
+    promising.sort_by(|a, b| criterion(a.0.as_ref(), &a.1).total_cmp(&criterion(b.0.as_ref(), &b.1)));
     promising.truncate(grown);
     promising.par_iter().map(|(e, s)| settle(pair(e.as_ref()), &s.theta).0).collect()
 }

@@ -70,7 +70,7 @@ fn token(path: &Path) -> Result<String> {
     if let Ok(mut file) = std::fs::File::options().write(true).create_new(true).mode(0o600).open(path) {
         writeln!(file, "{:032x}", rand::random::<u128>()).map_err(|e| fail(e.kind().to_string()))?;
     }
-    let text = std::fs::read_to_string(path).map_err(|e| fail(why_unreadable(path, &e)))?;
+    let text = crate::log::table::text(path).map_err(|e| fail(why_unreadable(path, &e)))?;
     if path.metadata().is_ok_and(|file| file.permissions().mode() & 0o007 != 0) {
         return Err(fail("everybody may read it; withdraw that with `chmod o=`".to_owned()));
     }

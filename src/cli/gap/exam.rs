@@ -59,7 +59,7 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let asked: Vec<Question> = questions(args.seed, args.rounds.max(1)).into_iter().step_by(args.every.max(1)).collect();
     eprintln!("seed {}, {} logs", args.seed, asked.len());
     let bar = output::bar(asked.len() as u64, "{pos} of {len} logs, {eta} left,");
-    let answers = answer_all(&asked, &catalogue(), || bar.inc(1)).into_diagnostic()?;
+    let answers = answer_all(&asked, Question::draw, &catalogue(), || bar.inc(1)).into_diagnostic()?;
     bar.finish_and_clear();
     let score = score(args.seed, &asked, &answers);
     eprintln!("{}", summary(&score));
@@ -86,7 +86,8 @@ fn share(c: &Count) -> String {
     if c.of == 0 { "–".to_owned() } else { format!("{:.0} % of {}", c.share() * 100.0, c.of) }
 }
 
-fn summary(s: &ExamScore) -> String {
+/// The score for people.
+pub fn summary(s: &ExamScore) -> String {
     format!(
         "{}\n{}\ncalibration error: effects {:.3}, unknown {:.3}; a 95 % set has {:.1} statements\n{}\nanswers that differ from the truth:\n{}",
         own(s),

@@ -41,17 +41,23 @@ pub struct Answer {
     pub others: Answers,
 }
 
-/// Answers all questions in parallel; `done` is called after each.
+/// Answers all questions in parallel from the logs that `draw` makes, [`Question::draw`] for the built-in plant; `done` is called after
+/// each.
 ///
 /// # Errors
 /// [`ExamError`].
-pub fn run(questions: &[Question], catalogue: &[Box<dyn Effect>], done: impl Fn() + Sync) -> Result<Vec<Answer>, ExamError> {
+pub fn run(
+    questions: &[Question],
+    draw: impl Fn(&Question) -> Result<Logs, MachineError> + Sync,
+    catalogue: &[Box<dyn Effect>],
+    done: impl Fn() + Sync,
+) -> Result<Vec<Answer>, ExamError> {
     questions
         .par_iter()
         .enumerate()
         .map(|(n, q)| {
             let left_out = (q.content == Content::Single && n % LEFT_OUT_EVERY == 0).then(|| q.names[0]);
-            let answer = answer(n, &q.draw()?, catalogue, left_out);
+            let answer = answer(n, &draw(q)?, catalogue, left_out);
             done();
             answer
         })

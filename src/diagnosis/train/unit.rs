@@ -215,10 +215,11 @@ mod tests {
     #[test]
     fn laws_are_deformed() {
         let mut rng = StdRng::seed_from_u64(5);
-        let (sizes, lines) = ([0.8], [Line { k_epsilon: 2.2, k_lambda_mm: 0.8 }; 3]);
+        let lines = [Line { k_epsilon: 2.2, k_lambda_mm: 0.8 }; 3];
         for e in catalogue().into_iter().filter(|e| !["mount_misalignment", "transport_delay", "sensor_latency"].contains(&e.name())) {
             let name = e.name();
-            let (_, p) = drawn(by_name(name).unwrap(), &mut rng, sizes[0]);
+            let p: Vec<f64> =
+                e.params().iter().enumerate().map(|(i, x)| (x.start + [0.5, 0.2][i % 2] * x.scale).clamp(x.low, x.high)).collect();
             let deformed: Box<dyn Effect> = Box::new(Deformed::new(by_name(name).unwrap(), &mut rng, DEPTH));
             let log = |e: Box<dyn Effect>| {
                 let machine =

@@ -80,8 +80,8 @@ async fn route(site: Arc<Site>, entered: &AtomicBool, request: Request<Incoming>
         ("GET", "/page.js") => text(SCRIPT, include_str!("page.js")),
         ("GET", "/page.css") => text(STYLE, include_str!("page.css")),
         ("GET", "/diagnosis") => {
-            let found = std::fs::read(&site.diagnosis);
-            text(JSON, found.unwrap_or_else(|_| b"null".to_vec()))
+            let found = crate::log::table::text(&site.diagnosis);
+            text(JSON, found.map_or_else(|_| b"null".to_vec(), String::into_bytes))
         }
         ("GET", "/frames") => {
             let Some(page) = site.open().await else { return plain(503, "") };
