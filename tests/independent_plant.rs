@@ -304,7 +304,7 @@ fn drawn(plant: &str, q: &Question) -> Result<Logs, MachineError> {
 
 /// The exam of `retroflex gap exam` on a plant that nothing was tuned or trained on. RETROFLEX_SEED and RETROFLEX_ROUNDS choose others.
 #[test]
-#[ignore = "long: 134 diagnoses a round"]
+#[ignore = "long, and not reached: 8 of 52 logs without an effect are called unknown, since the tip accelerates its sensor; 85 % of the single effects are named"]
 fn the_diagnosis_passes_its_exam() {
     let Some(folder) = compiled() else { return };
     let plant = folder.path().join("plant").display().to_string();
