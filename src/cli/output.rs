@@ -2,6 +2,7 @@
 //!
 //! A result option takes a file name, or `-` for standard output.
 
+use crate::config::calib::Calibration;
 use comfy_table::{CellAlignment, ContentArrangement, Row, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};
@@ -175,13 +176,26 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
 fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
     let is_toml = || std::fs::read_to_string(path).ok().and_then(|text| text.parse::<toml::Table>().ok());
     let has = |key: &str| is_toml().is_some_and(|table| table.contains_key(key));
+    // a file with nothing but `[imu]` is one, too
+    let is_calibration = || {
+        is_toml().is_some_and(|mut table| {
+            let gains = || {
+                toml::toml! { k_epsilon = [2.2, 2.2, 2.2]
+                k_lambda_mm = [0.8, 0.8, 0.8] }
+            };
+            table.entry("transmission").or_insert_with(|| gains().into());
+            table.try_into::<Calibration>().is_ok()
+        })
+    };
     match (option, path.extension().and_then(|e| e.to_str())) {
         ("--json", _) => matches!(old[0], b'{' | b'['),
         ("--html" | "--svg", _) => old[0] == b'<',
         ("--parquet" | "--rows" | "--merged", _) => old.starts_with(b"PAR1"),
         ("--save", _) => has("with_effects"),
-        ("--calib" | "--prior", _) | ("--out", Some("toml")) => crate::cli::inputs::calibration(Some(path)).is_ok() || has("conformal"),
-        ("--csv", _) | ("--out", Some("csv")) => old.contains(&b',') && is_toml().is_none() && old[0] != b'<',
+        ("--calib" | "--prior", _) | ("--out", Some("toml")) => is_calibration() || has("conformal"),
+        ("--csv", _) | ("--out", Some("csv")) => {
+            old.starts_with(b"\x1f\x8b") || (old.contains(&b',') && is_toml().is_none() && old[0] != b'<')
+        }
         ("--out", Some("mcap")) => old.starts_with(b"\x89MCAP"),
         ("--out", _) => is_toml().is_none() && old[0] != b'<',
         _ => true,
@@ -298,5 +312,20 @@ mod tests {
         assert!(refusal(&[("--json", Some(&input))], &[]).contains("another kind"));
         std::fs::write(&old, "[]\n").unwrap();
         assert!(check(&[("--json", Some(&old))], &[&input]).is_ok());
+    }
+
+    #[test]
+    fn a_result_replaces_files_of_its_own_kind_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let may = |option: &str, name: &str, old: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, old).unwrap();
+            may_replace(option, &path, old.as_bytes())
+        };
+        assert!(may("--out", "a.toml", "[imu]\n"));
+        assert!(may("--calib", "a.toml", "[transmission]\nk_epsilon = [2.2, 2.2, 2.2]\nk_lambda_mm = [0.8, 0.8, 0.8]\n"));
+        assert!(!may("--calib", "a.toml", "base = \"demo\"\n[pins]\n"));
+        assert!(may("--csv", "a.csv", "t_s,p1_mm\n") && !may("--csv", "a.csv", "a = \"1,2\"\n"));
+        assert!(!may("--save", "a.toml", "[transmission]\n") && !may("--json", "a.csv", "t_s,p1_mm\n"));
     }
 }
