@@ -174,11 +174,11 @@ fn check_kind(option: &str, path: &Path, inputs: &[&Path]) -> Result<()> {
 
 /// Whether a file that begins with `old` is of the kind that the option writes.
 fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
-    let is_toml = || std::fs::read_to_string(path).ok().and_then(|text| text.parse::<toml::Table>().ok());
-    let has = |key: &str| is_toml().is_some_and(|table| table.contains_key(key));
+    let table = || std::fs::read_to_string(path).ok().and_then(|text| text.parse::<toml::Table>().ok());
+    let has = |key: &str| table().is_some_and(|table| table.contains_key(key));
     // a file with nothing but `[imu]` is one, too
     let is_calibration = || {
-        is_toml().is_some_and(|mut table| {
+        table().is_some_and(|mut table| {
             let gains = || {
                 toml::toml! { k_epsilon = [2.2, 2.2, 2.2]
                 k_lambda_mm = [0.8, 0.8, 0.8] }
@@ -194,10 +194,10 @@ fn may_replace(option: &str, path: &Path, old: &[u8]) -> bool {
         ("--save", _) => has("with_effects"),
         ("--calib" | "--prior", _) | ("--out", Some("toml")) => is_calibration() || has("conformal"),
         ("--csv", _) | ("--out", Some("csv")) => {
-            old.starts_with(b"\x1f\x8b") || (old.contains(&b',') && is_toml().is_none() && old[0] != b'<')
+            old.starts_with(b"\x1f\x8b") || (old.contains(&b',') && table().is_none() && old[0] != b'<')
         }
         ("--out", Some("mcap")) => old.starts_with(b"\x89MCAP"),
-        ("--out", _) => is_toml().is_none() && old[0] != b'<',
+        ("--out", _) => table().is_none() && old[0] != b'<',
         _ => true,
     }
 }

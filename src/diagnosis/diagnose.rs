@@ -9,7 +9,7 @@ use crate::diagnosis::document::{
 use crate::diagnosis::holdout::{HeldOut, score};
 use crate::diagnosis::interval::{Compared, closed_ci95};
 use crate::diagnosis::location::BeforeAfter;
-use crate::diagnosis::observe::{Observed, Segment};
+use crate::diagnosis::observe::{CORRELATED_S, Observed, Segment};
 use crate::diagnosis::posterior::Posterior;
 use crate::diagnosis::search::{Candidate, Candidates, search};
 use crate::diagnosis::sense::{every_bin, sense};
@@ -17,8 +17,6 @@ use crate::model::effects::Effect;
 use crate::model::{Line, lines, nominal_theta};
 use nalgebra::Vector3;
 
-/// Residuals are correlated over about this long, s: one independent observation per stretch.
-const CORRELATED_S: f64 = 2.0;
 /// Compared sets of each size in the document.
 const RIVALS: usize = 12;
 

@@ -28,6 +28,9 @@ const ANGLE_MOTION: f64 = 0.006;
 /// Turning rate per piston speed, rad/mm, where no gyroscope measures it.
 const TURN_PER_MM: f64 = 0.1;
 
+/// Residuals are correlated over about this long, s: one independent observation per stretch.
+pub const CORRELATED_S: f64 = 2.0;
+
 /// Gap between two logs that are diagnosed together, a divisor of it and of every time between two of their starts, s: the longest
 /// block of the scores, so that no block holds parts of two logs.
 const APART_S: f64 = 12.0;

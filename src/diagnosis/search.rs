@@ -7,7 +7,7 @@
 use crate::diagnosis::chain::Model;
 use crate::diagnosis::fit::{Fitted, fit};
 use crate::diagnosis::holdout::{CLAIM_DEG, HeldOut, leave_out};
-use crate::diagnosis::observe::Observed;
+use crate::diagnosis::observe::{CORRELATED_S, Observed};
 use crate::diagnosis::problem::{Point, Problem};
 use crate::diagnosis::start::{Start, best_start, dated_again};
 use crate::diagnosis::tangent::{BaseFit, Tangent};
@@ -19,8 +19,6 @@ use rayon::prelude::*;
 const ROUNDS: usize = 8;
 /// Pairs that are fitted from each of the best singles.
 const GROWN: [usize; 3] = [9, 4, 3];
-/// Residuals are correlated over about this long, s.
-const CORRELATED_S: f64 = 2.0;
 /// Most rounds in which events are dated again after a fit, for a single effect and for a pair: the first of a pair has been dated.
 const DATED: [usize; 2] = [4, 1];
 /// A fit with events dated again is kept if it leaves less than this part of the cost.

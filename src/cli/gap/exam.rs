@@ -20,7 +20,7 @@ pub struct Args {
     /// Seed of units, schedules, effects and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Questions per effect; one round is about 130 logs and takes some ten minutes on two cores.
+    /// Questions per effect; one round is about 130 logs and takes some four minutes on two cores.
     #[arg(long, default_value_t = 1)]
     rounds: usize,
     /// Ask only every n-th question: 4 takes a fourth of the time and doubles the uncertainty.

@@ -7,8 +7,8 @@ use crate::diagnosis::train::unit;
 use miette::{IntoDiagnostic, Result, miette};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
-use std::fs::OpenOptions;
-use std::io::Write;
+use std::fs::File;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -35,14 +35,14 @@ pub struct Args {
 /// A report that names the file, or the unit that cannot run.
 pub fn run(args: &Args) -> Result<CommandOutcome> {
     output::check(&[("--out", Some(&args.out))], &[])?;
-    let mut cases = read(&args.cases)?;
+    let (file, mut cases) = open(&args.cases)?;
     let seeds = args.seed..args.seed.saturating_add(args.logs);
     cases.retain(|c| seeds.contains(&c.seed));
     let known: BTreeSet<u64> = cases.iter().map(|c| c.seed).collect();
     let missing: Vec<u64> = seeds.filter(|s| !known.contains(s)).collect();
     eprintln!("seed {}, {} logs, {} of them in {}", args.seed, args.logs, known.len(), args.cases.display());
     let named = |e: std::io::Error| miette!("{}: {e}", args.cases.display());
-    let file = Mutex::new(OpenOptions::new().create(true).append(true).open(&args.cases).map_err(named)?);
+    let file = Mutex::new(file);
     let bar = output::bar(missing.len() as u64, "{pos} of {len} logs, {eta} left,");
     let one = |seed: &u64| {
         let unit = unit::draw(*seed).into_diagnostic()?;
@@ -71,16 +71,33 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     Ok(CommandOutcome::Good)
 }
 
-/// The finished logs of a file that need not exist; a last line that was cut off is left out.
-fn read(path: &Path) -> Result<Vec<Case>> {
-    let text = match std::fs::read_to_string(path) {
-        Ok(text) => text,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
-        Err(e) => return Err(miette!("{}: {e}", path.display())),
-    };
-    let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+/// Opens the file of the finished logs, which need not exist, and reads it; a last line that was cut off is removed.
+fn open(path: &Path) -> Result<(File, Vec<Case>)> {
+    let named = |e: std::io::Error| miette!("{}: {e}", path.display());
+    let mut file = File::options().create(true).read(true).append(true).open(path).map_err(named)?;
+    let mut text = String::new();
+    file.read_to_string(&mut text).map_err(named)?;
+    let whole = &text[..text.rfind('\n').map_or(0, |end| end + 1)];
+    file.set_len(whole.len() as u64).map_err(named)?;
     let parse = |(n, line): (usize, &str)| {
         serde_json::from_str(line).map_err(|e| miette!("{}, line {}: {e}; remove the file to start anew", path.display(), n + 1))
     };
-    whole.lines().enumerate().map(parse).collect()
+    Ok((file, whole.lines().enumerate().map(parse).collect::<Result<_>>()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_was_cut_off_is_removed_and_the_file_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cases.jsonl");
+        let case = |seed| format!("{}\n", serde_json::to_string(&Case { seed, truth: None, said: vec![] }).unwrap());
+        std::fs::write(&path, case(1) + &case(2)[..9]).unwrap();
+        let (mut file, cases) = open(&path).unwrap();
+        file.write_all(case(3).as_bytes()).unwrap();
+        let again = open(&path).unwrap().1;
+        assert_eq!((cases.len(), again.iter().map(|c| c.seed).collect::<Vec<_>>()), (1, vec![1, 3]));
+    }
 }

@@ -92,7 +92,7 @@ impl Reliability {
 fn wilson(c: &Count) -> [f64; 2] {
     let (n, p, z2) = (c.of as f64, c.share(), 1.96 * 1.96);
     let half = 1.96 * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
-    [-half, half].map(|side| (p + z2 / (2.0 * n) + side) / (1.0 + z2 / n))
+    [-half, half].map(|side| ((p + z2 / (2.0 * n) + side) / (1.0 + z2 / n)).clamp(0.0, 1.0))
 }
 
 /// Score of an exam.

@@ -10,14 +10,12 @@ use crate::diagnosis::chain::{Model, run};
 use crate::diagnosis::excite::points::{Rival, counted};
 use crate::diagnosis::excite::rows::{Machine, Row};
 use crate::diagnosis::excite::synthetic;
-use crate::diagnosis::observe::Observed;
+use crate::diagnosis::observe::{CORRELATED_S, Observed};
 use crate::diagnosis::sense::{every_bin, sense};
 use crate::model::{NOMINAL, nominal_theta};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Model errors are correlated over about this long, s: one independent observation per stretch.
-const CORRELATED_S: f64 = 2.0;
 /// Largest span over which the bins of a hold are pooled, s.
 const POOLED_S: f64 = 0.5;
 /// Finite-difference step as a fraction of a parameter's scale.

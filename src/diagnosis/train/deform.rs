@@ -20,7 +20,7 @@ struct Form {
 }
 
 impl Form {
-    /// A form whose waves have amplitudes up to `depth`.
+    /// A form whose waves have amplitudes of the standard deviation `depth`.
     fn draw(rng: &mut StdRng, depth: f64) -> Self {
         let waves = [(); 3].map(|()| {
             let travel = normal(rng) / TRAVEL_MM;
@@ -125,7 +125,7 @@ static OUTSIDE: EffectInfo = EffectInfo {
 
 /// A random law that the catalogue lacks.
 pub enum Outside {
-    /// Several waves over the travel of a channel, in its bellow: direction among the channels, amplitude (mm), wave number (1/mm), phase.
+    /// Waves over the travel: amplitude in each bellow (mm), wave vector over the pistons (1/mm), phase.
     Ripple(Vector3<f64>, Vector3<f64>, f64),
     /// A bend that swings with the time: amplitude (rad), angular frequency (rad/s).
     Swing(Vector2<f64>, f64),
@@ -135,7 +135,7 @@ pub enum Outside {
     Product(Vector3<f64>),
     /// A gain that changes with the travel so far: share per m.
     Wear(Vector3<f64>),
-    /// The bend jumps while a low-passed channel exceeds a bound: channel, bound (mm), time constant (s), jump (rad).
+    /// The bend is off while a low-passed channel is between zero and twice a length: channel, length (mm), time constant (s), bend (rad).
     Jump(usize, f64, f64, Vector2<f64>),
     /// The twist follows a memory of the bend: gain, time constant (s).
     Curl(Vector2<f64>, f64),
