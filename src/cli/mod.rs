@@ -115,7 +115,7 @@ pub fn parse() -> Cli {
 
 /// Runs a command and returns its exit code.
 pub fn run(cli: Cli) -> ExitCode {
-    output::end_when_mute();
+    output::exit_on_print_failure();
     let end = match cli.command {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Demo(args) => demo::run(&args),

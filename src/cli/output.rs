@@ -95,7 +95,7 @@ fn unprintable(message: &str) -> ! {
 
 /// Makes a message that cannot be printed, because nobody reads it or the disk is full, end the program with code 2. The macros of the
 /// standard library panic.
-pub fn end_when_mute() {
+pub fn exit_on_print_failure() {
     let otherwise = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| match info.payload_as_str() {
         Some(text) if text.starts_with("failed printing to") => unprintable(text),
