@@ -35,11 +35,17 @@ type Parameters = SVector<f64, N>;
 /// it, s.
 const SIGMA: [f64; N] = [0.25, 0.25, 0.25, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.03, 0.03, 0.1, 0.1, 0.1];
 const MEMORY_S: [f64; N] = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 60.0, 20.0, 20.0, 60.0, 60.0, 60.0];
+/// Standard deviation of rotation and offset of a base that sways, rad.
+const BASE_SIGMA: f64 = 0.15;
 /// Difference that no smooth function explains, rad (0.4°), and the time for which it stays the same, s.
 const REST_RAD: f64 = 0.007;
 const SAME_S: f64 = 0.3;
 /// Factor on the standard deviation of an error of timing, because it has the same sign over a whole move.
 const TIMING: f64 = 3.0;
+/// Factor on the mean square of a sway, because it stays the same for seconds.
+const SWAY: f64 = 2000.0;
+/// Largest mean square of a sway relative to the estimate.
+const SWAY_MAX: f64 = 4.0;
 /// Difference in standard deviations from which an observation teaches nothing.
 const OUTLIER: f64 = 4.0;
 /// Interval between two updates, s.
@@ -64,6 +70,8 @@ pub struct Observed {
     pub sides: Vector3<f64>,
     /// The tip follows a path.
     pub follows: bool,
+    /// Mean square of the bend that a swaying base feigns, rad².
+    pub sway2: f64,
     /// How far the response time of the model may be off, s.
     pub timing_s: f64,
     /// Longest plausible response time, s.
@@ -78,6 +86,8 @@ pub struct StaticError {
     due_s: f64,
     last_bend: Vector2<f64>,
     last_sides: Vector3<f64>,
+    /// Rotation and offset from before the base began to sway, which then explains what changes in both.
+    doubted: Option<Vector3<f64>>,
     /// Largest recent rate of the tip or of its model, rad/s.
     rate: f64,
     /// Nothing moves, so that a pose can be learned from.
@@ -92,6 +102,7 @@ impl Default for StaticError {
             due_s: 0.0,
             last_bend: Vector2::zeros(),
             last_sides: Vector3::zeros(),
+            doubted: None,
             rate: 0.0,
             quiet: false,
         }
@@ -101,8 +112,31 @@ impl Default for StaticError {
 impl StaticError {
     /// The error at a bend, rad.
     pub fn at(&self, bend: &Vector2<f64>) -> Vector2<f64> {
-        let [x, y] = rows(bend);
-        Vector2::new(x.dot(&self.parameters), y.dot(&self.parameters)).cap_magnitude(LARGEST_RAD)
+        let mut own = self.parameters;
+        if let Some(before) = &self.doubted {
+            own.fixed_rows_mut::<3>(ROTATION).copy_from(before);
+        }
+        of(&own, bend)
+    }
+
+    /// The error at a bend together with what a turned base feigns, rad.
+    pub fn expected(&self, bend: &Vector2<f64>) -> Vector2<f64> {
+        of(&self.parameters, bend)
+    }
+
+    /// While the base sways, rotation and offset are those of the base: the error keeps what they were.
+    pub fn doubt(&mut self, sways: bool) {
+        if sways == self.doubted.is_some() {
+            return;
+        }
+        let sigma = if sways { [BASE_SIGMA; 3] } else { [SIGMA[ROTATION], SIGMA[OFFSET], SIGMA[OFFSET + 1]] };
+        self.covariance.fixed_rows_mut::<3>(ROTATION).fill(0.0);
+        self.covariance.fixed_columns_mut::<3>(ROTATION).fill(0.0);
+        (0..3).for_each(|i| self.covariance[(ROTATION + i, ROTATION + i)] = sigma[i] * sigma[i]);
+        match self.doubted.take() {
+            Some(before) => self.parameters.fixed_rows_mut::<3>(ROTATION).copy_from(&before),
+            None => self.doubted = Some(self.parameters.fixed_rows::<3>(ROTATION).into_owned()),
+        }
     }
 
     /// One tick. Returns by how much the error at the present bend has changed, rad.
@@ -120,7 +154,8 @@ impl StaticError {
         self.rate = moved.max(self.rate * (-dt_s / seen.response_s.max(dt_s)).exp());
         self.quiet = self.rate * seen.timing_s < QUIET_RAD;
         for i in 0..N {
-            let most = SIGMA[i] * SIGMA[i];
+            let sigma = if self.doubted.is_some() && (ROTATION..BACKLASH).contains(&i) { BASE_SIGMA } else { SIGMA[i] };
+            let most = sigma * sigma;
             self.covariance[(i, i)] = (self.covariance[(i, i)] + most * dt_s / MEMORY_S[i]).min(most);
         }
         let before = self.at(&seen.bend);
@@ -129,9 +164,12 @@ impl StaticError {
             let along = if seen.follows { -2.0 / 3.0 * seen.sides[i] } else { 0.0 } * Geometry::spoke(i);
             rows.iter_mut().zip(along.iter()).for_each(|(row, &along)| row[BACKLASH + i] = along);
         }
-        let noise = REST_RAD.powi(2) + (TIMING * seen.timing_s * self.rate).powi(2);
+        let misfit2 = (seen.unexplained - self.expected(&seen.bend)).norm_squared();
+        // a sway may be larger than the estimate, which takes seconds
+        let sway2 = misfit2.clamp(seen.sway2, SWAY_MAX * seen.sway2);
+        let noise = REST_RAD.powi(2) + (TIMING * seen.timing_s * self.rate).powi(2) + SWAY * sway2;
         let spread = rows.iter().map(|h| h.dot(&(self.covariance * h))).sum::<f64>() / 2.0;
-        let weight = 1.0 - (seen.unexplained - before).norm_squared() / (OUTLIER * OUTLIER * (spread + noise));
+        let weight = 1.0 - misfit2 / (OUTLIER * OUTLIER * (spread + noise));
         if weight > 0.0 {
             let noise = noise * SAME_S / (dt_s * weight * weight);
             rows.iter().zip(seen.unexplained.iter()).for_each(|(h, &y)| self.update(h, y, noise));
@@ -162,6 +200,12 @@ impl StaticError {
     }
 }
 
+/// The error at a bend with these parameters, rad.
+fn of(parameters: &Parameters, bend: &Vector2<f64>) -> Vector2<f64> {
+    let [x, y] = rows(bend);
+    Vector2::new(x.dot(parameters), y.dot(parameters)).cap_magnitude(LARGEST_RAD)
+}
+
 /// Derivatives of the two components of the error with respect to the parameters.
 fn rows(bend: &Vector2<f64>) -> [Parameters; 2] {
     let mut rows = [Parameters::zeros(); 2];
@@ -182,7 +226,7 @@ mod tests {
     use super::*;
 
     fn seen(bend: Vector2<f64>, unexplained: Vector2<f64>) -> Observed {
-        Observed { bend, unexplained, rate: 0.0, sides: Vector3::zeros(), follows: false, timing_s: 0.01, response_s: 0.05 }
+        Observed { bend, unexplained, rate: 0.0, sides: Vector3::zeros(), follows: false, sway2: 0.0, timing_s: 0.01, response_s: 0.05 }
     }
 
     /// A tip whose bellows have other gains, a curve and an offset.

@@ -2,8 +2,8 @@
 
 use super::observation::Observation;
 use super::path;
-use super::state::{Feedback, Hold, LoopState, shape_of};
-use super::types::{Input, LoopConfig};
+use super::state::{Feedback, Hold, LoopState, Taught};
+use super::types::{FeedbackConfig, Input, LoopConfig};
 use crate::control::follow::Follower;
 use crate::control::learning::online::HeldPose;
 use crate::control::learning::sides::Sides;
@@ -21,6 +21,8 @@ const LEAD_SHARE: f64 = 0.35;
 /// Error of the timing of the prediction that no evidence removes, s, and its share of the response time.
 const TIMING_S: f64 = 0.01;
 const TIMING_SHARE: f64 = 0.05;
+/// Time for which the tip must have twisted without bending until the base sways, s.
+const SWAYS_S: f64 = 2.0;
 /// Time after the standstill latch has closed at which a pose is used for learning, s.
 const LEARN_AFTER_S: f64 = 0.15;
 
@@ -71,8 +73,9 @@ pub(super) fn advance_setpoint(config: &LoopConfig, state: &mut LoopState, input
 /// integral part keeps its value in that pose, and later poses have the feedforward and what was learned before.
 pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &Observation, moving: bool, dt_s: f64) {
     let Some(f) = &config.feedback else { return };
+    depart(state, moving);
+    watch_sway(config, state, dt_s);
     let outer = &mut state.feedback;
-    outer.depart(moving, state.base.moved);
     if state.base.moved {
         outer.standstill = StandstillLatch::default();
         outer.pi.feedback = outer.pi.integral;
@@ -80,51 +83,63 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
         return;
     }
     let to_go = state.setpoint.target.bend.0 - observed.settled;
-    let estimate = observed.predicted - observed.unexplained;
+    settle(f, state, observed, &to_go, moving, dt_s);
+    let timing_s = TIMING_S + TIMING_SHARE * state.dynamics.best.response_s();
+    if f.learn_error && !state.feedback.obstruction.blocked {
+        learn_error(config, state, observed, timing_s, dt_s);
+    }
+    if state.feedback.standstill.closed || state.hold.is_holding() {
+        return;
+    }
+    let (outer, dynamics) = (&mut state.feedback, &state.dynamics);
+    let (gains, timing_s) = match state.setpoint.acceleration {
+        // an error of timing is part of the error of a path, so the feedback takes it too
+        Some(_) => (PiGains::following(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), 0.0),
+        None => (PiGains::new(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), timing_s),
+    };
+    outer.integral_s = gains.integral_s;
+    let before = outer.pi;
+    let (setpoint, estimate) = (state.setpoint.bend.at, observed.predicted - observed.unexplained);
+    let learned = outer.error.expected(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
+    let unexplained = (observed.unexplained - learned) * if outer.sways { state.base.watch.share_of_tip() } else { 1.0 };
+    let (timing, integral_max) = (timing_s * observed.predicted_rate, f.integral_max_deg.to_radians());
+    outer.integral_full = outer.pi.step(unexplained, timing, &gains, integral_max, dt_s);
+    if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
+        outer.pi = before;
+    }
+    outer.feedback = outer.pi.feedback + outer.error.at(&setpoint);
+}
+
+/// Whether the tip hunts, is disturbed, stands or is obstructed.
+fn settle(f: &FeedbackConfig, state: &mut LoopState, observed: &Observation, to_go: &Vector2<f64>, moving: bool, dt_s: f64) {
+    let outer = &mut state.feedback;
     if !moving {
+        let estimate = observed.predicted - observed.unexplained;
         outer.hunting.step(state.setpoint.target.bend.0 - estimate, observed.predicted);
     }
-    outer.standstill.step(&f.standstill, outer.hunting.band_rad, to_go, moving, dt_s);
+    outer.standstill.step(&f.standstill, outer.hunting.band_rad, *to_go, moving, dt_s);
     outer.standstill_s = if outer.standstill.closed { outer.standstill_s + dt_s } else { 0.0 };
-    outer.obstruction.step(&f.obstruction, moving, &outer.feedback, &observed.settled, &to_go);
-    let dynamics = &state.dynamics;
-    let timing_s = TIMING_S + TIMING_SHARE * dynamics.best.response_s();
-    if f.learn_error && !outer.obstruction.blocked {
-        let seen = Observed {
-            bend: estimate,
-            unexplained: observed.unexplained,
-            rate: observed.predicted_rate,
-            sides: Vector3::from_fn(|i, _| state.transmission.sides[i].side),
-            follows: state.setpoint.acceleration.is_some(),
-            timing_s: timing_s + dynamics.error_max_s(),
-            response_s: dynamics.response_max_s,
-        };
-        let changed = outer.error.learn(&seen, dt_s);
-        outer.pi.hand_over(-changed);
-        if seen.follows && config.refine.enabled && config.feedforward.is_none() {
-            let shift = state.transmission.widen(config, &outer.error.take_backlash());
-            outer.pi.hand_over(shift);
-            outer.model.shift(shift);
-            state.base.watch.shift(&shift);
-        }
-    }
-    if !outer.standstill.closed && !state.hold.is_holding() {
-        let (gains, timing_s) = match state.setpoint.acceleration {
-            // an error of timing is part of the error of a path, so the feedback takes it too
-            Some(_) => (PiGains::following(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), 0.0),
-            None => (PiGains::new(dynamics, f.tau_c_s, f.kp_max, outer.hunting.caution), timing_s),
-        };
-        outer.integral_s = gains.integral_s;
-        let before = outer.pi;
-        let setpoint = state.setpoint.bend.at;
-        let learned = outer.error.at(&setpoint) + outer.error_change(setpoint, estimate, SLOPE_MAX);
-        let unexplained = (observed.unexplained - learned) * state.base.watch.share_of_tip();
-        let (timing, integral_max) = (timing_s * observed.predicted_rate, f.integral_max_deg.to_radians());
-        outer.integral_full = outer.pi.step(unexplained, timing, &gains, integral_max, dt_s);
-        if outer.obstruction.blocked && outer.pi.integral.norm() > before.integral.norm() {
-            outer.pi = before;
-        }
-        outer.feedback = outer.pi.feedback + outer.error.at(&state.setpoint.bend.at);
+    outer.obstruction.step(&f.obstruction, moving, &outer.feedback, &observed.settled, to_go);
+}
+
+/// Learns the static error of the model, and on a path the half-width of the backlash.
+fn learn_error(config: &LoopConfig, state: &mut LoopState, observed: &Observation, timing_s: f64, dt_s: f64) {
+    let seen = Observed {
+        bend: observed.predicted - observed.unexplained,
+        unexplained: observed.unexplained,
+        rate: observed.predicted_rate,
+        sides: Vector3::from_fn(|i, _| state.transmission.sides[i].side),
+        follows: state.setpoint.acceleration.is_some(),
+        sway2: if state.feedback.sways { state.base.watch.sway_mean_square() } else { 0.0 },
+        timing_s: timing_s + state.dynamics.error_max_s(),
+        response_s: state.dynamics.response_max_s,
+    };
+    let changed = state.feedback.error.learn(&seen, dt_s);
+    state.feedback.pi.hand_over(-changed);
+    if seen.follows && config.refine.enabled && config.feedforward.is_none() {
+        let shift = state.transmission.widen(config, &state.feedback.error.take_backlash());
+        state.feedback.pi.hand_over(shift);
+        state.shift_model(shift);
     }
 }
 
@@ -136,24 +151,49 @@ impl Feedback {
     pub(super) fn error_change(&self, from: Vector2<f64>, to: Vector2<f64>, slope_max: f64) -> Vector2<f64> {
         (self.error.at(&to) - self.error.at(&from)).cap_magnitude(slope_max * (to - from).norm())
     }
+}
 
-    /// When the set-point begins to move: keeps the integral part and what was learned. What both have gained against an
-    /// obstruction says nothing about the next target, so there they start from the last values that were free of it.
-    fn depart(&mut self, moving: bool, base_moved: bool) {
-        if moving && !self.moving {
-            if base_moved {
-                // it belongs to the pose in which the base turned
-                self.pi = PiState::default();
-            } else if self.obstruction.blocked {
-                (self.pi, self.error) = self.free;
-            } else {
-                let integral = self.pi.integral;
-                self.free = (PiState { integral, feedback: integral }, self.error);
+/// When the set-point begins to move: keeps the integral part and what was learned. What both have gained against an obstruction says
+/// nothing about the next target, so there they start from the last values that were free of it.
+fn depart(state: &mut LoopState, moving: bool) {
+    let outer = &mut state.feedback;
+    if moving && !outer.moving {
+        if state.base.moved {
+            // it belongs to the pose in which the base turned
+            outer.pi = PiState::default();
+        } else if outer.obstruction.blocked {
+            if let Some(free) = &outer.taught[0] {
+                (outer.pi, outer.error) = (free.pi, free.error);
             }
-            self.hunting.new_target();
+        } else {
+            let integral = outer.pi.integral;
+            let pi = PiState { integral, feedback: integral };
+            let now = Taught { pi, error: outer.error, refine: state.learning.refine, lines: state.transmission.lines };
+            outer.taught.rotate_right(1);
+            outer.taught[0] = Some(now);
         }
-        self.moving = moving;
+        outer.hunting.new_target();
     }
+    outer.moving = moving;
+}
+
+/// Whether the base sways: for longer than one turn takes to be flagged.
+fn watch_sway(config: &LoopConfig, state: &mut LoopState, dt_s: f64) {
+    let (outer, twists) = (&mut state.feedback, state.base.watch.sway_mean_square() > 0.0);
+    if !state.base.moved {
+        outer.sways_s = if twists { outer.sways_s + dt_s } else { 0.0 };
+    }
+    let sways = outer.sways_s > SWAYS_S;
+    let begins = sways && !std::mem::replace(&mut outer.sways, sways);
+    outer.sways = sways;
+    if begins {
+        // as it was before the sway could have been noticed
+        if let Some(taught) = state.feedback.taught.iter().rev().flatten().next().copied() {
+            state.return_to(config, &taught);
+            (state.feedback.pi, state.feedback.taught) = (taught.pi, Default::default());
+        }
+    }
+    state.feedback.error.doubt(sways);
 }
 
 /// Learns the dynamics during motion, and k_ε and k_λ from every new pose in which the tip rests: once it has settled, or at the
@@ -169,7 +209,7 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
     let just_settled = rested_s >= LEARN_AFTER_S && rested_s - dt_s < LEARN_AFTER_S;
     let leaves_quiet = departs && rested_s < LEARN_AFTER_S && state.feedback.error.quiet;
     // the gains of a described machine were identified together with its effects
-    if !(just_settled || leaves_quiet) || config.feedforward.is_some() {
+    if !(just_settled || leaves_quiet) || config.feedforward.is_some() || state.feedback.sways {
         return;
     }
     let bend = observed.settled;
@@ -187,16 +227,13 @@ pub(super) fn learn(config: &LoopConfig, state: &mut LoopState, observed: &Obser
     let learned = state.learning.refine.learn(&config.refine, &lines.lines, &pose);
     if let Some(next) = learned {
         // bumpless: the pistons stay, so the same play outputs now mean another bend
-        let before = lines.intended_shape(&config.geometry).bend;
-        let after = shape_of(&config.geometry, &next, &lines.intended_mm).bend;
-        let shift = after.0 - before.0;
+        let before = lines.lines;
+        let shift = lines.exchange(&config.geometry, &next);
         let outer = &mut state.feedback;
         let learned = outer.error.at(&bend);
-        outer.error.change_lines(&lines.lines, &next);
+        outer.error.change_lines(&before, &next);
         outer.pi.hand_over(shift + learned - outer.error.at(&bend));
-        outer.model.shift(shift);
-        state.base.watch.shift(&shift);
-        lines.lines = next;
+        state.shift_model(shift);
     }
 }
 

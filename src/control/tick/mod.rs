@@ -16,6 +16,7 @@ mod path;
 mod pistons;
 mod restart;
 mod sense;
+mod setpoint;
 mod state;
 mod types;
 

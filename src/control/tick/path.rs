@@ -1,6 +1,7 @@
 //! Following a reference that moves: the set-point, and the pistons ahead of their lag.
 
-use super::state::{LoopState, SetPoint};
+use super::setpoint::SetPoint;
+use super::state::LoopState;
 use super::types::{LoopConfig, Reference};
 use crate::control::follow::{Follower, Pace};
 use crate::control::limits::{ActuatorLimits, Cut};

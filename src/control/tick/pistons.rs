@@ -1,7 +1,8 @@
 //! The command path of the tick: bend command → bellow lengths → transmission inverse → limits → piston targets.
 
 use super::path::{self, Passing};
-use super::state::{Hold, LoopState, SetPoint};
+use super::setpoint::SetPoint;
+use super::state::{Hold, LoopState};
 use super::types::LoopConfig;
 use crate::control::backlash_adaptation::Patience;
 use crate::control::limits::Cut;

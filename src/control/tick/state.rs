@@ -1,9 +1,9 @@
 //! State of the loop from tick to tick.
 
+use super::setpoint::SetPoint;
 use super::types::LoopConfig;
 use crate::control::backlash_adaptation::BacklashAdaptation;
 use crate::control::feedforward::FeedforwardState;
-use crate::control::follow::{Follower, Pace};
 use crate::control::hunting::HuntingDetector;
 use crate::control::learning::dynamics::DynamicsBank;
 use crate::control::learning::online::RefineState;
@@ -17,7 +17,7 @@ use crate::estimation::fusion::base_watch::Watch;
 use crate::estimation::fusion::tip::Fusion;
 use crate::model::{Bend, Geometry, Line, Shape, SideState};
 use crate::primitives::{Mm, Steps};
-use nalgebra::{Vector1, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 /// Time for which the pistons of a restart count as having stood, s.
 const SETTLED_S: f64 = 10.0;
@@ -50,43 +50,6 @@ pub(super) struct MotorActivity {
     pub(super) still_s: f64,
 }
 
-/// Target and set-point: bend in rad, length in mm.
-#[derive(Debug, Clone)]
-pub(super) struct SetPoint {
-    pub(super) target: Shape,
-    /// Time since the last target, s.
-    pub(super) target_rests_s: f64,
-    pub(super) bend: Follower<2>,
-    /// Acceleration of the reference that the set-point follows, rad/s²; `None` for a target.
-    pub(super) acceleration: Option<Vector2<f64>>,
-    /// Acceleration limit of the present motion, rad/s².
-    brake: f64,
-    pub(super) length: Follower<1>,
-}
-
-impl SetPoint {
-    fn resting(at: Shape) -> Self {
-        let length = Follower::resting(Vector1::new(at.length.0));
-        Self { target: at, target_rests_s: f64::INFINITY, bend: Follower::resting(at.bend.0), acceleration: None, brake: 0.0, length }
-    }
-
-    /// `pace` with the acceleration of the present motion for as long as the bend is faster than `pace` permits or could not stop
-    /// at the target with it: a target with a slower pace is not overshot.
-    pub(super) fn brake(&mut self, pace: &Pace) -> Pace {
-        let speed = self.bend.velocity.norm();
-        let to_go = (self.target.bend.0 - self.bend.at).norm();
-        if speed <= pace.speed && speed.powi(2) <= 2.0 * pace.acceleration * to_go {
-            self.brake = pace.acceleration;
-        }
-        Pace { acceleration: self.brake.max(pace.acceleration), ..*pace }
-    }
-
-    pub(super) fn has_arrived(&self) -> bool {
-        let stands = self.bend.velocity == Vector2::zeros();
-        stands && self.bend.arrived(&self.target.bend.0) && self.length.arrived(&Vector1::new(self.target.length.0))
-    }
-}
-
 /// The transmission lines.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Transmission {
@@ -112,6 +75,13 @@ impl Transmission {
     /// Shape at the play outputs that the inverse intended.
     pub(super) fn intended_shape(&self, geometry: &Geometry) -> Shape {
         shape_of(geometry, &self.lines, &self.intended_mm)
+    }
+
+    /// Exchanges the gains while the pistons stay. Returns the change of the intended bend, rad.
+    pub(super) fn exchange(&mut self, geometry: &Geometry, next: &[Line; 3]) -> Vector2<f64> {
+        let before = self.intended_shape(geometry).bend.0;
+        self.lines = *next;
+        self.intended_shape(geometry).bend.0 - before
     }
 
     /// Takes over that each k_λ is larger by ν r (1 + k_ε), within the bounds of the refinement. The pistons stay. Returns the change
@@ -154,12 +124,24 @@ pub(super) struct Feedback {
     pub(super) standstill_s: f64,
     pub(super) obstruction: ObstructionDetector,
     pub(super) hunting: HuntingDetector,
-    /// Controller and learned error when the set-point last left a pose that nothing obstructed.
-    pub(super) free: (PiState, StaticError),
+    /// What was known when the set-point left the last poses that nothing obstructed, the latest first.
+    pub(super) taught: [Option<Taught>; 8],
+    /// The base sways, and the time for which it has, s.
+    pub(super) sways: bool,
+    pub(super) sways_s: f64,
     /// The set-point moves.
     pub(super) moving: bool,
     pub(super) saturation: SaturationMonitor,
     pub(super) backlash: BacklashAdaptation,
+}
+
+/// What the poses before a departure have taught.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Taught {
+    pub(super) pi: PiState,
+    pub(super) error: StaticError,
+    pub(super) refine: RefineState,
+    pub(super) lines: [Line; 3],
 }
 
 /// The online learners.
@@ -253,6 +235,7 @@ impl LoopState {
         if self.transmission.described.is_none() {
             self.transmission.lines = lines;
             self.feedback.error = StaticError::default();
+            self.feedback.taught = Default::default();
         }
     }
 
@@ -281,13 +264,14 @@ impl LoopState {
         let feedback = given.bend.0 - at.0;
         let (error, integral) = (self.feedback.error, feedback - self.feedback.error.at(&at.0));
         let pi = PiState { integral, feedback: integral };
+        let taught = Taught { pi, error, refine: self.learning.refine, lines: self.transmission.lines };
         let mut backlash = self.feedback.backlash;
         backlash.forget();
         self.feedback = Feedback {
             model: ReferenceModel::resting(given.bend.0),
             pi,
             error,
-            free: (pi, error),
+            taught: std::array::from_fn(|i| (i == 0).then_some(taught)),
             feedback,
             backlash,
             hunting: HuntingDetector::new(self.feedback.hunting.caution),
@@ -298,39 +282,27 @@ impl LoopState {
         self.motors.last_steps = *steps;
     }
 
+    /// Returns to what earlier poses have taught, while the pistons stay. Returns the change of the intended bend, rad.
+    pub(super) fn return_to(&mut self, config: &LoopConfig, taught: &Taught) -> Vector2<f64> {
+        (self.feedback.error, self.learning.refine) = (taught.error, taught.refine);
+        let shift = self.transmission.exchange(&config.geometry, &taught.lines);
+        self.shift_model(shift);
+        shift
+    }
+
+    /// The gains have changed, so that the model now predicts a bend that differs by `shift`, rad.
+    pub(super) fn shift_model(&mut self, shift: Vector2<f64>) {
+        self.feedback.model.shift(shift);
+        self.base.watch.shift(&shift);
+    }
+
     /// Removes the feedback and what was learned from the command, for an open loop.
     pub fn forget_feedback(&mut self) {
         self.feedback.pi = PiState::default();
         self.feedback.error = StaticError::default();
+        self.feedback.taught = Default::default();
         self.feedback.feedback = Vector2::zeros();
         self.feedback.integral_full = false;
         self.feedback.saturation = SaturationMonitor::default();
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The target stays and its pace falls to `share` after `change_s`: neither sooner nor later may the set-point pass it.
-    #[test]
-    fn a_slower_pace_in_mid_motion_does_not_overshoot() {
-        let dt_s = 1.0 / 200.0;
-        for share in [0.5, 0.1, 0.01, 0.001] {
-            for change_s in [0.05, 0.2, 0.4, 0.6, 0.7] {
-                let fast = Pace { speed: 1.5, acceleration: 10.0 };
-                let slow = Pace { speed: fast.speed * share, acceleration: fast.acceleration * share };
-                let mut setpoint = SetPoint::resting(Shape { bend: Bend::STRAIGHT, length: Mm(10.0) });
-                setpoint.target.bend = Bend(Vector2::new(1.0, 0.0));
-                let mut furthest: f64 = 0.0;
-                for k in 0..1600 {
-                    let pace = setpoint.brake(if f64::from(k) * dt_s < change_s { &fast } else { &slow });
-                    setpoint.bend.step(&setpoint.target.bend.0, &pace, dt_s);
-                    furthest = furthest.max(setpoint.bend.at.x);
-                }
-                assert!(furthest <= 1.0 + 1e-3, "{share} after {change_s} s: {furthest}");
-                assert!(setpoint.bend.velocity.norm() <= slow.speed + 1e-9);
-            }
-        }
     }
 }

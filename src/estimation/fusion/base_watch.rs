@@ -150,12 +150,9 @@ impl Watch {
         // b = (φ_y, φ_x)
         let turned = Vector2::new(phi_rate.y, phi_rate.x) * input.dt_s;
         self.follow_bend(config, input, turned, input.model - model, fade);
-        if self.path_fast > CONSTANT_RAD {
-            self.sway.depart();
-        } else {
-            let turned = (turned - (input.model - model)).push(phi_rate.z * input.dt_s);
-            self.sway.step(&turned, config.twist_share(input), &(input.model - input.estimate), input.dt_s);
-        }
+        self.sway.step(&input.estimate, phi_rate.z * input.dt_s, input.dt_s);
+        let held = (self.path_fast <= CONSTANT_RAD).then(|| (turned - (input.model - model), input.model - input.estimate));
+        self.sway.hold(held, input.dt_s);
         self.exceeds(config, input)
     }
 
@@ -167,6 +164,11 @@ impl Watch {
     /// Share of the unexplained bend that is due to the tip, see [`Sway::share_of_tip`].
     pub fn share_of_tip(&self) -> f64 {
         self.sway.share_of_tip()
+    }
+
+    /// Mean square of the bend that is due to a swaying base, rad²; see [`Sway::mean_square`].
+    pub fn sway_mean_square(&self) -> f64 {
+        self.sway.mean_square()
     }
 
     fn follow_bend(&mut self, config: &WatchConfig, input: &WatchInput, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {

@@ -1,37 +1,55 @@
-//! How much the base sways, without an IMU on it: twist while the pistons stand.
+//! How much the base sways, without an IMU on it: twist that the bend does not explain.
 //!
-//! A section of constant curvature cannot twist, so a tip that twists during a hold is carried by its base, which then turns the
-//! tip about the other two axes as well. Bend of the tip itself, such as breath causes, comes without twist. What the pistons do
-//! not explain is the sum of both. The best linear estimate of the tip's part is that sum times its share in the mean square
-//! (Wiener 1949), so feedback that takes only this share follows a disturbance of the tip and ignores a sway.
+//! A section of constant curvature cannot twist. What a tip twists in proportion to its bend is torsion of the section and tilt of the
+//! mount; a regression over the last minute finds both. The rest is a base that turns, which then turns the tip about the other two
+//! axes as well. Bend of the tip itself, such as breath causes, comes without twist. What the pistons do not explain is the sum of
+//! both. The best linear estimate of the tip's part is that sum times its share in the mean square (Wiener 1949), so feedback that
+//! takes only this share follows a disturbance of the tip and ignores a sway.
 
 use crate::estimation::fusion::intake::share;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// Memory of the mean squares, s of hold.
-const HOLDS_S: f64 = 5.0;
-/// Mean square of a sway from that of its twist since the beginning of a hold: two of three axes bend, a hold shows a third of a sway
-/// of 0.2 Hz, and half of the square is attributed to the tip, which makes 12. Twice that trusts the feedforward more: what a sway
-/// too slow for a hold hides would all be taken for bending.
-const SWAY_PER_TWIST: f64 = 24.0;
-/// Largest twist per bend that is attributed to the tip beside a sway, which also raises what the estimator finds.
-const TORSION_MAX: f64 = 0.2;
-/// Sway that is no more than the error of the gyroscopes, rad (0.3°).
-const SWAY_MIN_RAD: f64 = 0.005;
+/// Memory of the mean squares, and time after which a turn is forgotten, s.
+const MEMORY_S: f64 = 5.0;
+/// Time after which a sway counts as past, s: longer than the pause of a slow one.
+const FADE_S: f64 = 20.0;
+/// Memory of the regression, s.
+const REGRESSION_S: f64 = 60.0;
+/// Mean square of the bend at which the regression believes half of what it finds, rad².
+const RIDGE: f64 = 0.003;
+/// Twist per bend that is allowed for a section that is not known yet.
+const TORSION_SHARE: f64 = 0.1;
+/// Part of the explained twist by which a torsion of another form may differ: it levels off, and depends on the direction.
+const TORSION_FORM: f64 = 0.4;
+/// Mean square of a sway in bend from that of its twist: two of three axes bend, and a memory of 5 s shows a third to a half of it.
+const SWAY_PER_TWIST: f64 = 6.0;
+/// Root mean square of the twist that the gyroscopes and the regression leave on a base that stands, rad (0.8°), and the largest that
+/// counts, rad (6°).
+const TWIST_MIN_RAD: f64 = 0.014;
+const TWIST_MAX_RAD: f64 = 0.105;
+/// Feedback on a sway does as much harm as is missed of a disturbance of the tip of twice its mean square.
+const HARM: f64 = 2.0;
 /// Bend since the beginning of a hold above which it counts no further, rad (3°): one turn of the base is no disturbance that repeats.
 const DISTURBANCE_RAD: f64 = 0.052;
-/// Root mean square of that bend above which something disturbs the tip again and again, rad (1.5°).
-const DISTURBED_RAD: f64 = 0.026;
+/// Root mean square of that bend above which something disturbs the tip again and again, rad (2°).
+const DISTURBED_RAD: f64 = 0.035;
 /// Largest mean square of a sway relative to that of the bend, for a tip that is disturbed.
 const DISTURBED_SHARE: f64 = 0.1;
 
-/// Mean squares over the last holds.
+/// Mean squares over the last seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sway {
-    /// Rotation since the set-point came to stand that the model does not explain, rad: bend vector and twist.
-    held: Vector3<f64>,
-    /// Sway of the base, rad².
-    sway2: f64,
+    last: Option<Vector3<f64>>,
+    /// Twist, bend vector and its size, each without what is older than the memory, rad.
+    twist: f64,
+    bend: Vector3<f64>,
+    /// Mean products of the bend with itself and with the twist, rad².
+    moment: Matrix3<f64>,
+    cross: Vector3<f64>,
+    /// Twist that the bend does not explain, rad².
+    twist2: f64,
+    /// Bend since the set-point came to stand that the model does not explain, rad.
+    held: Vector2<f64>,
     /// Bend that the model does not explain, rad².
     unexplained2: f64,
     /// Bend since the beginning of a hold, each at most [`DISTURBANCE_RAD`], rad².
@@ -39,31 +57,51 @@ pub struct Sway {
 }
 
 impl Sway {
-    /// The set-point moves.
-    pub fn depart(&mut self) {
-        self.held = Vector3::zeros();
+    /// One tick: the bend, rad, and by how much the tip has twisted, rad.
+    pub fn step(&mut self, bend: &Vector2<f64>, twisted: f64, dt_s: f64) {
+        // the rate about z of a tip twisted by c β falls short of c β̇, because the twist turns the rate of the bend as well
+        let bend = bend.push(bend.norm() * (1.0 - bend.norm_squared() / 4.0));
+        let before = self.last.replace(bend).unwrap_or(bend);
+        let (fade, k) = (1.0 - share(dt_s, MEMORY_S), share(dt_s, REGRESSION_S));
+        self.twist = self.twist * fade + twisted;
+        self.bend = self.bend * fade + bend - before;
+        self.moment += (self.bend * self.bend.transpose() - self.moment) * k;
+        self.cross += (self.bend * self.twist - self.cross) * k;
+        let torsion = (self.moment + Matrix3::identity() * RIDGE).cholesky().map_or_else(Vector3::zeros, |m| m.solve(&self.cross));
+        let explained = torsion.dot(&self.bend);
+        let unknown = self.bend.xy().norm() * RIDGE / (RIDGE + self.moment.trace());
+        let own = TORSION_SHARE * unknown + TORSION_FORM * explained.abs();
+        let rest = ((self.twist - explained).abs() - own).clamp(0.0, TWIST_MAX_RAD);
+        let memory_s = if rest * rest > self.twist2 { MEMORY_S } else { FADE_S };
+        self.twist2 += (rest * rest - self.twist2) * share(dt_s, memory_s);
     }
 
-    /// One tick of a hold: what the tip has turned beyond the model (bend vector and twist, rad), the twist per bend of the tip
-    /// itself, and all that the model does not explain, rad.
-    pub fn step(&mut self, turned: &Vector3<f64>, twist_per_bend: f64, unexplained: &Vector2<f64>, dt_s: f64) {
-        self.held += turned;
-        let bend = self.held.xy().norm();
-        let twist = (self.held.z.abs() - twist_per_bend.min(TORSION_MAX) * bend).max(0.0);
-        let k = share(dt_s, HOLDS_S);
-        self.sway2 += (SWAY_PER_TWIST * twist * twist - self.sway2) * k;
-        self.disturbed2 += (bend.min(DISTURBANCE_RAD).powi(2) - self.disturbed2) * k;
+    /// One tick of a hold: by how much the tip has bent beyond the model, and all that the model does not explain, rad. `None` while the
+    /// set-point moves.
+    pub fn hold(&mut self, held: Option<(Vector2<f64>, Vector2<f64>)>, dt_s: f64) {
+        let Some((bent, unexplained)) = held else {
+            self.held = Vector2::zeros();
+            return;
+        };
+        self.held += bent;
+        let k = share(dt_s, MEMORY_S);
+        self.disturbed2 += (self.held.norm().min(DISTURBANCE_RAD).powi(2) - self.disturbed2) * k;
         self.unexplained2 += (unexplained.norm_squared() - self.unexplained2) * k;
+    }
+
+    /// Mean square of the bend that is due to the base, rad².
+    pub fn mean_square(&self) -> f64 {
+        SWAY_PER_TWIST * (self.twist2 - TWIST_MIN_RAD * TWIST_MIN_RAD).max(0.0)
     }
 
     /// Something bends the tip in hold after hold, such as breath.
     pub fn is_disturbance(&self) -> bool {
-        self.disturbed2 > DISTURBED_RAD * DISTURBED_RAD && self.sway2 < DISTURBED_SHARE * self.disturbed2
+        self.disturbed2 > DISTURBED_RAD * DISTURBED_RAD && self.mean_square() < DISTURBED_SHARE * self.disturbed2
     }
 
     /// Share of the unexplained bend that is due to the tip and not to a swaying base, 0 to 1; 1 for a base that stands.
     pub fn share_of_tip(&self) -> f64 {
-        let sway2 = (self.sway2 - SWAY_MIN_RAD * SWAY_MIN_RAD).max(0.0);
+        let sway2 = HARM * self.mean_square();
         if sway2 > 0.0 { (1.0 - sway2 / self.unexplained2).clamp(0.0, 1.0) } else { 1.0 }
     }
 }
@@ -72,27 +110,27 @@ impl Sway {
 mod tests {
     use super::*;
 
-    /// Twenty holds of 1 s, during which the tip turns by 3° at 0.3 Hz about an axis.
-    fn swaying(axis: Vector3<f64>) -> Sway {
+    /// Twenty holds of 1 s, during which the tip turns by `deg` at 0.3 Hz about an axis.
+    fn swaying(axis: Vector3<f64>, deg: f64) -> Sway {
         let mut sway = Sway::default();
-        let angle = |t: f64| 3f64.to_radians() * (std::f64::consts::TAU * 0.3 * t).sin();
+        let angle = |t: f64| deg.to_radians() * (std::f64::consts::TAU * 0.3 * t).sin();
         for k in 0..20 * 200 {
             let t = f64::from(k) * 0.005;
-            if k % 200 == 0 {
-                sway.depart();
-            }
-            sway.step(&(axis * (angle(t + 0.005) - angle(t))), 0.3, &(axis.xy() * angle(t)), 0.005);
+            let turned = axis * (angle(t + 0.005) - angle(t));
+            let bend = axis.xy() * angle(t);
+            sway.step(&bend, turned.z, 0.005);
+            sway.hold((k % 200 > 0).then_some((turned.xy(), bend)), 0.005);
         }
         sway
     }
 
     #[test]
     fn a_turn_with_twist_is_the_base_and_one_without_is_the_tip() {
-        let still = swaying(Vector3::zeros());
+        let still = swaying(Vector3::zeros(), 0.0);
         assert!(still.share_of_tip() == 1.0 && !still.is_disturbance());
-        let breath = swaying(Vector3::new(1.0, 0.0, 0.1));
+        let breath = swaying(Vector3::new(1.0, 0.0, 0.1), 3.0);
         assert!(breath.share_of_tip() == 1.0 && breath.is_disturbance());
-        let base = swaying(Vector3::new(0.6, 0.5, 0.62));
+        let base = swaying(Vector3::new(0.6, 0.5, 0.62), 5.0);
         assert!(base.share_of_tip() < 0.3 && !base.is_disturbance(), "{}", base.share_of_tip());
     }
 }
