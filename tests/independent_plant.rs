@@ -302,14 +302,18 @@ fn drawn(plant: &str, q: &Question) -> Result<Logs, MachineError> {
     Ok(Logs { log: asked, fresh, lines })
 }
 
+/// A number from the environment.
+fn variable(name: &str, default: u64) -> u64 {
+    std::env::var(name).ok().and_then(|n| n.parse().ok()).unwrap_or(default)
+}
+
 /// The exam of `retroflex gap exam` on a plant that nothing was tuned or trained on. RETROFLEX_SEED and RETROFLEX_ROUNDS choose others.
 #[test]
 #[ignore = "long, and not reached: 8 of 52 logs without an effect are called unknown, since the tip accelerates its sensor; 85 % of the single effects are named"]
 fn the_diagnosis_passes_its_exam() {
     let Some(folder) = compiled() else { return };
     let plant = folder.path().join("plant").display().to_string();
-    let given = |name: &str, default: u64| std::env::var(name).ok().and_then(|n| n.parse().ok()).unwrap_or(default);
-    let (seed, rounds) = (given("RETROFLEX_SEED", 1), given("RETROFLEX_ROUNDS", 1));
+    let (seed, rounds) = (variable("RETROFLEX_SEED", 1), variable("RETROFLEX_ROUNDS", 1));
     let asked = questions(seed, usize::try_from(rounds).unwrap());
     let answers = answer_all(&asked, |q| drawn(&plant, q), &catalogue(), || ()).unwrap();
     let s = score(seed, &asked, &answers);
@@ -330,15 +334,28 @@ fn a_base_imu_keeps_the_bend_while_the_base_sways() {
     assert!(with < WITH_BASE_IMU_MAX_DEG && with < without, "{with} {without}");
 }
 
+/// Sways of 3 and 10 degrees, and of 3 degrees with turns, on five units from `first` on, with their own gains.
+fn swaying(folder: &tempfile::TempDir, first: u64) -> Vec<(Case, Figures)> {
+    let sizes = |seed| [("sway", 0.05), ("sway", 0.17), ("sway,base_motion", 0.05)].map(|(effect, value)| (effect, Some(value), seed));
+    let case = |(effect, value, seed)| Case { effect, value, seed, cold: Cold::Own };
+    measure_all(folder, &(first..first + 5).flat_map(sizes).map(case).collect::<Vec<_>>())
+}
+
+/// The constants of the estimator were chosen on units 1 to 10.
 #[test]
-#[ignore = "one of fifteen runs reaches the goal: one IMU sees too little of a sway within a hold"]
+fn a_sway_without_a_base_imu_costs_little() {
+    let Some(folder) = compiled() else { return };
+    let measured = swaying(&folder, 26);
+    let harmed = rows(&measured, |f| f.closed > f.open + 0.5);
+    assert!(harmed.len() <= 3 && measured.iter().all(|(_, f)| f.closed <= f.open + 2.0), "{harmed:#?}");
+}
+
+/// `RETROFLEX_SEED` names the first unit.
+#[test]
+#[ignore = "the goal is missed by one run in ten, by up to 1.9 degrees: a large sway is recognised after 10 s only"]
 fn a_sway_without_a_base_imu_costs_at_most_half_a_degree() {
     let Some(folder) = compiled() else { return };
-    let sizes = |seed| [("sway", 0.05), ("sway", 0.17), ("sway,base_motion", 0.05)].map(|(effect, value)| (effect, Some(value), seed));
-    let first: u64 = std::env::var("RETROFLEX_SEED").ok().and_then(|n| n.parse().ok()).unwrap_or(1);
-    let cases: Vec<Case> =
-        (first..first + 5).flat_map(sizes).map(|(effect, value, seed)| Case { effect, value, seed, cold: Cold::Own }).collect();
-    let measured = measure_all(&folder, &cases);
+    let measured = swaying(&folder, variable("RETROFLEX_SEED", 1));
     let harmed = rows(&measured, |f| f.closed > f.open + 0.5);
     assert!(harmed.is_empty(), "{} of {}: {harmed:#?}", harmed.len(), measured.len());
 }

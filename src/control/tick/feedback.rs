@@ -23,6 +23,8 @@ const TIMING_S: f64 = 0.01;
 const TIMING_SHARE: f64 = 0.05;
 /// Time for which the tip must have twisted without bending until the base sways, s.
 const SWAYS_S: f64 = 2.0;
+/// The same after the base has moved, s: twice the time for which one turn lets the mean square of the twist grow.
+const TURN_S: f64 = 7.0;
 /// Time after the standstill latch has closed at which a pose is used for learning, s.
 const LEARN_AFTER_S: f64 = 0.15;
 
@@ -179,11 +181,16 @@ fn depart(state: &mut LoopState, moving: bool) {
 
 /// Whether the base sways: for longer than one turn takes to be flagged.
 fn watch_sway(config: &LoopConfig, state: &mut LoopState, dt_s: f64) {
-    let (outer, twists) = (&mut state.feedback, state.base.watch.sway_mean_square() > 0.0);
-    if !state.base.moved {
+    let (outer, watch) = (&mut state.feedback, &state.base.watch);
+    let twists = watch.sway_mean_square() > 0.0;
+    let least_s = if state.base.moved {
+        outer.sways_s += if watch.sway_grows() { dt_s } else { 0.0 };
+        TURN_S
+    } else {
         outer.sways_s = if twists { outer.sways_s + dt_s } else { 0.0 };
-    }
-    let sways = outer.sways_s > SWAYS_S;
+        SWAYS_S
+    };
+    let sways = twists && (outer.sways || outer.sways_s > least_s);
     let begins = sways && !std::mem::replace(&mut outer.sways, sways);
     outer.sways = sways;
     if begins {

@@ -171,6 +171,11 @@ impl Watch {
         self.sway.mean_square()
     }
 
+    /// That mean square grows; see [`Sway::grows`].
+    pub fn sway_grows(&self) -> bool {
+        self.sway.grows()
+    }
+
     fn follow_bend(&mut self, config: &WatchConfig, input: &WatchInput, turned: Vector2<f64>, modelled: Vector2<f64>, fade: f64) {
         if self.path_fast > CONSTANT_RAD {
             (self.settled, self.bend, self.onset) = (false, Vector2::zeros(), Onset::None);

@@ -31,8 +31,8 @@ const TWIST_MAX_RAD: f64 = 0.105;
 const HARM: f64 = 2.0;
 /// Bend since the beginning of a hold above which it counts no further, rad (3°): one turn of the base is no disturbance that repeats.
 const DISTURBANCE_RAD: f64 = 0.052;
-/// Root mean square of that bend above which something disturbs the tip again and again, rad (2°).
-const DISTURBED_RAD: f64 = 0.035;
+/// Root mean square of that bend above which something disturbs the tip again and again, rad (1.5°).
+const DISTURBED_RAD: f64 = 0.026;
 /// Largest mean square of a sway relative to that of the bend, for a tip that is disturbed.
 const DISTURBED_SHARE: f64 = 0.1;
 
@@ -48,6 +48,8 @@ pub struct Sway {
     cross: Vector3<f64>,
     /// Twist that the bend does not explain, rad².
     twist2: f64,
+    /// It grows.
+    grows: bool,
     /// Bend since the set-point came to stand that the model does not explain, rad.
     held: Vector2<f64>,
     /// Bend that the model does not explain, rad².
@@ -72,7 +74,8 @@ impl Sway {
         let unknown = self.bend.xy().norm() * RIDGE / (RIDGE + self.moment.trace());
         let own = TORSION_SHARE * unknown + TORSION_FORM * explained.abs();
         let rest = ((self.twist - explained).abs() - own).clamp(0.0, TWIST_MAX_RAD);
-        let memory_s = if rest * rest > self.twist2 { MEMORY_S } else { FADE_S };
+        self.grows = rest * rest > self.twist2;
+        let memory_s = if self.grows { MEMORY_S } else { FADE_S };
         self.twist2 += (rest * rest - self.twist2) * share(dt_s, memory_s);
     }
 
@@ -92,6 +95,11 @@ impl Sway {
     /// Mean square of the bend that is due to the base, rad².
     pub fn mean_square(&self) -> f64 {
         SWAY_PER_TWIST * (self.twist2 - TWIST_MIN_RAD * TWIST_MIN_RAD).max(0.0)
+    }
+
+    /// The mean square grows. After one turn of the base it does for `MEMORY_S` ln 2, which is 3.5 s.
+    pub fn grows(&self) -> bool {
+        self.grows
     }
 
     /// Something bends the tip in hold after hold, such as breath.
