@@ -341,18 +341,18 @@ fn swaying(folder: &tempfile::TempDir, first: u64) -> Vec<(Case, Figures)> {
     measure_all(folder, &(first..first + 5).flat_map(sizes).map(case).collect::<Vec<_>>())
 }
 
-/// The constants of the estimator were chosen on units 1 to 10.
+/// The constants of the estimator were chosen on units 1 to 30.
 #[test]
 fn a_sway_without_a_base_imu_costs_little() {
     let Some(folder) = compiled() else { return };
-    let measured = swaying(&folder, 26);
+    let measured = swaying(&folder, 31);
     let harmed = rows(&measured, |f| f.closed > f.open + 0.5);
-    assert!(harmed.len() <= 3 && measured.iter().all(|(_, f)| f.closed <= f.open + 2.0), "{harmed:#?}");
+    assert!(harmed.len() <= 2 && measured.iter().all(|(_, f)| f.closed <= f.open + 2.0), "{harmed:#?}");
 }
 
 /// `RETROFLEX_SEED` names the first unit.
 #[test]
-#[ignore = "the goal is missed by one run in ten, by up to 1.9 degrees: a large sway is recognised after 10 s only"]
+#[ignore = "one run in ten misses the goal, by up to 1.4 degrees more: a large sway is recognised after 10 s only"]
 fn a_sway_without_a_base_imu_costs_at_most_half_a_degree() {
     let Some(folder) = compiled() else { return };
     let measured = swaying(&folder, variable("RETROFLEX_SEED", 1));

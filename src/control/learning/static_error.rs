@@ -15,9 +15,10 @@
 //! k_λ is off by ν r (1 + k_ε), the bend jumps at every reversal. The caller gives ν to k_λ. At held poses the hysteresis of the
 //! rubber looks the same, so nothing is learned there.
 //!
-//! Three safeguards: what the timing of the model may have wrong counts as noise, so a line that is not known yet teaches
+//! Four safeguards: what the timing of the model may have wrong counts as noise, so a line that is not known yet teaches
 //! little while it moves; an observation far from what the parameters can explain (an obstacle, a pinched line) is not learned
-//! from; and after an obstruction the caller returns to the state before it.
+//! from; after an obstruction the caller returns to the state before it; and while the base sways, its mean square counts as noise,
+//! and the rotation and offset that are found are those of the base.
 
 use crate::model::{Geometry, Line};
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};

@@ -125,7 +125,7 @@ pub(super) struct Feedback {
     pub(super) obstruction: ObstructionDetector,
     pub(super) hunting: HuntingDetector,
     /// What was known when the set-point left the last poses that nothing obstructed, the latest first.
-    pub(super) taught: [Option<Taught>; 8],
+    pub(super) taught: [Option<Taught>; 16],
     /// The base sways, and the time for which it has, s.
     pub(super) sways: bool,
     pub(super) sways_s: f64,
