@@ -352,7 +352,7 @@ fn a_sway_without_a_base_imu_costs_little() {
 
 /// `RETROFLEX_SEED` names the first unit.
 #[test]
-#[ignore = "one run in ten misses the goal, by up to 1.4 degrees more: a large sway is recognised after 10 s only"]
+#[ignore = "one run in ten misses the goal, by up to 1.4 degrees more: a sway is recognised after some poses only"]
 fn a_sway_without_a_base_imu_costs_at_most_half_a_degree() {
     let Some(folder) = compiled() else { return };
     let measured = swaying(&folder, variable("RETROFLEX_SEED", 1));

@@ -43,7 +43,8 @@ const REST_RAD: f64 = 0.007;
 const SAME_S: f64 = 0.3;
 /// Factor on the standard deviation of an error of timing, because it has the same sign over a whole move.
 const TIMING: f64 = 3.0;
-/// Factor on the mean square of a sway, because it stays the same for seconds.
+/// Factor on the mean square of a sway, because it stays the same for seconds. Of 300 and 2000, tried on ten units of the independent
+/// plant, the larger left fewer of them worse than the open loop.
 const SWAY: f64 = 2000.0;
 /// Largest mean square of a sway relative to the estimate.
 const SWAY_MAX: f64 = 4.0;
