@@ -133,6 +133,23 @@ mod tests {
     }
 
     #[test]
+    fn after_one_turn_the_twist_stops_growing_and_in_a_sway_it_grows_on() {
+        let grew_s = |angle: fn(f64) -> f64| {
+            let mut sway = Sway::default();
+            let ticks = 0..40 * 200;
+            let grew = ticks.filter(|&k| {
+                let t = f64::from(k) * 0.005;
+                sway.step(&Vector2::new(0.5, 0.0), angle(t + 0.005) - angle(t), 0.005);
+                sway.grows()
+            });
+            grew.count() as f64 * 0.005
+        };
+        let once = grew_s(|t| 0.15 * t.min(1.0));
+        let again = grew_s(|t| 0.15 * (0.6 * t).sin());
+        assert!((2.0..5.0).contains(&once) && again > 7.0, "{once} {again}");
+    }
+
+    #[test]
     fn a_turn_with_twist_is_the_base_and_one_without_is_the_tip() {
         let still = swaying(Vector3::zeros(), 0.0);
         assert!(still.share_of_tip() == 1.0 && !still.is_disturbance());
