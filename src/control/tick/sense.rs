@@ -80,7 +80,9 @@ pub(super) fn watch_base(config: &LoopConfig, state: &mut LoopState, input: &Inp
     if flagged {
         // what has been taught since it began to twist is of the base, and the integral that from before it turned
         let earlier = usize::from(state.feedback.sways_s > state.setpoint.target_rests_s);
-        let shift = state.feedback.taught[earlier].map_or_else(Vector2::zeros, |taught| state.return_to(config, &taught));
+        let shift = state.feedback.taught[earlier]
+            .or(state.feedback.taught[0])
+            .map_or_else(Vector2::zeros, |taught| state.return_to(config, &taught));
         let learned = state.feedback.error.at(&state.setpoint.bend.at);
         let integral = state.base.quiet.feedback * state.base.watch.share_of_tip() - learned + shift;
         state.feedback.pi = PiState { integral, feedback: integral };
