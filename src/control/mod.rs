@@ -1,6 +1,7 @@
 //! From a target bend to piston targets: set-point profile, feedback, limits, learning.
 
 pub mod backlash_adaptation;
+pub mod calm;
 pub mod feedforward;
 pub mod follow;
 pub mod hunting;

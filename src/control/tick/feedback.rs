@@ -78,6 +78,7 @@ pub(super) fn feed_back(config: &LoopConfig, state: &mut LoopState, observed: &O
     depart(state, moving);
     watch_sway(config, state, dt_s);
     let outer = &mut state.feedback;
+    outer.calm.step(moving, dt_s);
     if state.base.moved {
         outer.standstill = StandstillLatch::default();
         outer.pi.feedback = outer.pi.integral;

@@ -76,8 +76,19 @@ pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend
     };
     let estimated_mm = config.geometry.lengths(&Shape { bend: estimate, length });
     let (allowed_mm, cut) = config.limits.pistons(&piston_mm, &estimated_mm);
-    state.targets_mm = if follows { ease(&mut state.hold, allowed_mm, dt_s) } else { allowed_mm };
+    let slowly_mm = calmly(config, state, &allowed_mm, estimate, dt_s);
+    state.targets_mm = if follows { ease(&mut state.hold, slowly_mm, dt_s) } else { allowed_mm };
     PistonOutput { command: bend, bellow_mm, piston_target_mm: state.targets_mm, cut }
+}
+
+/// The targets `wanted_mm`, approached no faster than calm corrections permit.
+fn calmly(config: &LoopConfig, state: &LoopState, wanted_mm: &Vector3<f64>, estimate: Bend, dt_s: f64) -> Vector3<f64> {
+    let error_rad = (state.setpoint.target.bend.0 - estimate.0).norm();
+    let Some(speed) = config.feedback.and_then(|_| state.feedback.calm.speed(error_rad)) else { return *wanted_mm };
+    Vector3::from_fn(|i, _| {
+        let most_mm = state.transmission.lines[i].play_output_mm(speed * config.geometry.r_mm) * dt_s;
+        state.targets_mm[i] + (wanted_mm[i] - state.targets_mm[i]).clamp(-most_mm, most_mm)
+    })
 }
 
 /// The command against an obstruction: no further from the estimate than the configured pressure, beyond that which the
@@ -144,7 +155,8 @@ fn invert_transmission(
         piston_mm
     });
     let piston_mm = described.map_or(piston_mm, |(machine, state)| state.counted(machine, &piston_mm));
-    if !by_feedback {
+    // a piston that crosses slowly is answered late
+    if !by_feedback || state.feedback.calm.is_calm() {
         backlash.forget();
         return piston_mm;
     }

@@ -3,6 +3,7 @@
 use super::setpoint::SetPoint;
 use super::types::LoopConfig;
 use crate::control::backlash_adaptation::BacklashAdaptation;
+use crate::control::calm::CalmCorrection;
 use crate::control::feedforward::FeedforwardState;
 use crate::control::hunting::HuntingDetector;
 use crate::control::learning::dynamics::DynamicsBank;
@@ -119,6 +120,7 @@ pub(super) struct Feedback {
     pub(super) integral_s: f64,
     /// The integrator is at its bound.
     pub(super) integral_full: bool,
+    pub(super) calm: CalmCorrection,
     pub(super) standstill: StandstillLatch,
     /// Time since the latch closed, s.
     pub(super) standstill_s: f64,
