@@ -13,12 +13,18 @@ use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// An effect beyond the nominal machine, as its parameters describe it.
 pub(crate) trait PlantEffect: Table + Default + Sized {
+    /// Size of the imperfection that every real unit may have; 0 for an effect that only faulty units have.
+    const BACKGROUND: f64 = 0.0;
     /// A random effect of plausible size: the small end of the typical range at severity 0, the large end at 1.
     fn draw(severity: f64, rng: &mut PlantRng) -> Self;
-    /// The imperfection that every real unit may have; `None` for an effect that only faulty units have.
-    /// `up_to` draws 0.3 to 1 times its argument.
-    fn background(_up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        None
+    /// That imperfection, with every size of the effect drawn. `up_to` draws 0.3 to 1 times its argument.
+    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
+        (Self::BACKGROUND > 0.0).then(|| {
+            let mut effect = Self::default();
+            let sizes = effect.sizes().into_iter().flat_map(|(_, numbers)| numbers);
+            sizes.for_each(|size| *size = up_to(Self::BACKGROUND));
+            effect
+        })
     }
     /// Refuses combinations of parameters that are in their ranges one by one.
     ///

@@ -13,12 +13,10 @@ parameters! {
 }
 
 impl PlantEffect for AccelBias {
+    const BACKGROUND: f64 = 1.0;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(25.0, 120.0, severity);
         Self { bias_mg: (rng.direction() * size).into() }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { bias_mg: [0; 3].map(|_| up_to(1.0)) })
     }
 }
 

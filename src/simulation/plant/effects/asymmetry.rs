@@ -18,11 +18,9 @@ parameters! {
 }
 
 impl PlantEffect for Asymmetry {
+    const BACKGROUND: f64 = 0.003;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sign() * rng.sized(0.08, 0.3, severity), knee_mm: rng.between(0.3, 1.2) }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: up_to(0.003), ..Self::default() })
     }
 }
 

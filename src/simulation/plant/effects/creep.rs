@@ -21,11 +21,9 @@ parameters! {
 }
 
 impl PlantEffect for Creep {
+    const BACKGROUND: f64 = 0.002;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.08, 0.4, severity), exponent: rng.between(0.0, 0.3), nonlinear: rng.between(0.0, 0.6) }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: up_to(0.002), ..Self::default() })
     }
 }
 

@@ -18,11 +18,9 @@ parameters! {
 }
 
 impl PlantEffect for Crosstalk {
+    const BACKGROUND: f64 = 0.0015;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.05, 0.3, severity), lopsided: rng.between(-0.6, 0.6) }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: up_to(0.0015), ..Self::default() })
     }
 }
 

@@ -15,11 +15,9 @@ parameters! {
 }
 
 impl PlantEffect for Curvature {
+    const BACKGROUND: f64 = 0.1;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { excess_deg: rng.sign() * rng.sized(3.0, 10.0, severity) }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { excess_deg: up_to(0.1) })
     }
 }
 

@@ -23,11 +23,9 @@ parameters! {
 }
 
 impl PlantEffect for GasCompression {
+    const BACKGROUND: f64 = 0.012;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { strength: rng.sized(0.5, 2.2, severity), polytropic: rng.between(1.05, 1.35), ..Self::default() }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { strength: up_to(0.012), ..Self::default() })
     }
 }
 

@@ -24,6 +24,7 @@ parameters! {
 }
 
 impl PlantEffect for GearPeriodic {
+    const BACKGROUND: f64 = 0.01;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
             amplitude_mm: rng.sized(0.04, 0.4, severity),
@@ -32,9 +33,6 @@ impl PlantEffect for GearPeriodic {
             variation: rng.between(0.05, 0.3),
             ..Self::default()
         }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { amplitude_mm: up_to(0.01), ..Self::default() })
     }
 }
 

@@ -21,11 +21,9 @@ parameters! {
 }
 
 impl PlantEffect for Gravity {
+    const BACKGROUND: f64 = 0.1;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { sag_deg: rng.sized(2.5, 10.0, severity), com_mm: rng.between(3.0, 9.0) }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { sag_deg: up_to(0.1), ..Self::default() })
     }
 }
 

@@ -17,12 +17,10 @@ parameters! {
 }
 
 impl PlantEffect for HardIron {
+    const BACKGROUND: f64 = 0.06;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(4.0, 40.0, severity);
         Self { offset_ut: (rng.direction() * size).into(), viscous: rng.between(0.02, 0.15) }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { offset_ut: [0; 3].map(|_| up_to(0.06)), ..Self::default() })
     }
 }
 

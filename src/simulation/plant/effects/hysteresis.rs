@@ -29,6 +29,7 @@ parameters! {
 }
 
 impl PlantEffect for Hysteresis {
+    const BACKGROUND: f64 = 0.006;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self {
             share: rng.sized(0.15, 0.55, severity),
@@ -37,9 +38,6 @@ impl PlantEffect for Hysteresis {
             back: rng.between(0.7, 1.1),
             long_side: rng.between(0.0, 0.3),
         }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: up_to(0.006), ..Self::default() })
     }
 }
 

@@ -21,12 +21,10 @@ parameters! {
 }
 
 impl PlantEffect for Leak {
+    const BACKGROUND: f64 = 5e-5;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let rate = rng.sized(2e-3, 6e-2, severity);
         Self { rate_per_s: rng.on_channels(rate), vacuum: rng.between(0.4, 1.0), ..Self::default() }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { rate_per_s: [0; 3].map(|_| up_to(5e-5)), ..Self::default() })
     }
 }
 

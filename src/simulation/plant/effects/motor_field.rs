@@ -26,6 +26,7 @@ parameters! {
 }
 
 impl PlantEffect for MotorField {
+    const BACKGROUND: f64 = 0.02;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(1.5, 20.0, severity);
         Self {
@@ -34,9 +35,6 @@ impl PlantEffect for MotorField {
             saturation: rng.between(0.05, 0.2),
             idle: rng.between(0.3, 0.7),
         }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { amplitude_ut: [0; 3].map(|_| up_to(0.02)), ..Self::default() })
     }
 }
 

@@ -17,12 +17,10 @@ parameters! {
 }
 
 impl PlantEffect for MountMisalignment {
+    const BACKGROUND: f64 = 0.06;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         let size = rng.sized(3.0, 15.0, severity);
         Self { tilt_deg: (rng.direction() * size).into(), give: rng.between(0.0, 0.05) }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { tilt_deg: [0; 3].map(|_| up_to(0.06)), ..Self::default() })
     }
 }
 

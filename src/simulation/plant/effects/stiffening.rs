@@ -18,11 +18,9 @@ parameters! {
 }
 
 impl PlantEffect for Stiffening {
+    const BACKGROUND: f64 = 0.003;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { share: rng.sized(0.12, 0.7, severity), onset_mm: rng.between(1.8, 4.0) }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { share: up_to(0.003), ..Self::default() })
     }
 }
 

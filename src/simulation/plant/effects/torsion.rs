@@ -17,11 +17,9 @@ parameters! {
 }
 
 impl PlantEffect for Torsion {
+    const BACKGROUND: f64 = 0.1;
     fn draw(severity: f64, rng: &mut PlantRng) -> Self {
         Self { twist_deg: rng.sign() * rng.sized(3.0, 20.0, severity), direction_deg: rng.angle_deg() }
-    }
-    fn background(up_to: &mut dyn FnMut(f64) -> f64) -> Option<Self> {
-        Some(Self { twist_deg: up_to(0.1), direction_deg: 0.0 })
     }
 }
 
