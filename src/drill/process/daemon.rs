@@ -2,7 +2,7 @@
 
 use crate::service::client::Client;
 use crate::service::paths;
-use crate::service::protocol::{Frame, Request};
+use crate::service::protocol::Request;
 use serde_json::Value;
 use std::io;
 use std::os::unix::net::UnixDatagram;
@@ -137,7 +137,7 @@ impl Daemon {
         let mut client = self.client()?;
         ask(&mut client, &Request::Arm {})?;
         self.until(5.0, "energised drivers", |s| s["energised"] == true)?;
-        ask(&mut client, &Request::Bend { bend_deg: 40.0, dir_deg: 30.0, length_mm: None, speed_deg_s: None, frame: Frame::Base })?;
+        ask(&mut client, &Request::bend(40.0, 30.0, None))?;
         Ok(())
     }
 

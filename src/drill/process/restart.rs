@@ -3,7 +3,7 @@
 use super::daemon::{Daemon, WATCHDOG_S, mode_of};
 use crate::drill::bench::{Bench, BenchConfig, bend};
 use crate::drill::row::Row;
-use crate::service::protocol::{Frame, Request};
+use crate::service::protocol::Request;
 use crate::simulation::plant::InjectedFault;
 use crate::supervisor::{MachineError, Mode, Order};
 use serde_json::{Value, json};
@@ -49,7 +49,7 @@ pub fn stopped(program: &Path, folder: &Path) -> io::Result<Row> {
     row.require(row.state == "disarmed", |row| format!("mode {} although the plant started at rest", row.state));
     let counted = &status["counted"];
     row.require(*counted == json!([0, 0, 0]), |_| format!("the pistons are counted at {counted}"));
-    let bend = Request::Bend { bend_deg: 20.0, dir_deg: 0.0, length_mm: None, speed_deg_s: None, frame: Frame::Base };
+    let bend = Request::bend(20.0, 0.0, None);
     row.message = again.client()?.request(&bend).err().map(|refusal| refusal.message).unwrap_or_default();
     let named = row.message.contains("arm");
     row.require(named, |row| format!("`bend` was answered with `{}`", row.message));
