@@ -2,7 +2,7 @@
 //!
 //! A result option takes a file name, or `-` for standard output.
 
-use crate::config::calib::Calibration;
+use crate::config::Calibration;
 use comfy_table::{CellAlignment, ContentArrangement, Row, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, Result, bail, miette};

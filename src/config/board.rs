@@ -1,8 +1,9 @@
 //! Board files: what the machine is.
 
+use crate::config::ServiceSection;
 use crate::config::power::PowerSection;
 use crate::config::sections::{BusBackend, DriveSection, GeometrySection, HomingSection, ImuSection, LimitsSection, MachineSection};
-use crate::config::service::{SafetySection, ServiceSection};
+use crate::config::service::SafetySection;
 use crate::control::ActuatorLimits;
 use crate::hardware::machine::{GaugeConfig, MachineConfig, SensorConfig};
 use crate::hardware::pins::PinsConfig;

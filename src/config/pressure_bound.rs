@@ -3,7 +3,7 @@
 //! Without sensors the program knows the pressure only through the position that it believes: after a lost count or with a
 //! wrong stiffness the motor is the last bound. Something else has to bound the pressure.
 
-use crate::config::board::Board;
+use crate::config::Board;
 
 /// What bounds the gauge pressure of a line independently of the counted position.
 #[derive(Debug, Clone, Copy, PartialEq)]

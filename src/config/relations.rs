@@ -1,8 +1,8 @@
 //! Relations between the tables of a board: a board that contradicts itself is refused as it is read, with the place in
 //! the file.
 
-use crate::config::board::{Board, PlantSection};
-use crate::config::sections::{Header, HomingMethod, ImuSection};
+use crate::config::sections::ImuSection;
+use crate::config::{Board, Header, HomingMethod, PlantSection};
 use crate::hardware::pins::map::LineMap;
 use crate::hardware::pins::{Backend, PinsConfig};
 use crate::motion::MotionLimits;

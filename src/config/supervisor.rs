@@ -1,8 +1,6 @@
 //! The files together, as the supervisor needs them.
 
-use crate::config::board::Board;
-use crate::config::calib::Calibration;
-use crate::config::gains::Gains;
+use crate::config::{Board, Calibration, Gains};
 use crate::model::Drive;
 use crate::supervisor::{MachineInfo, SupervisorConfig};
 

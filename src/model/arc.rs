@@ -8,7 +8,7 @@
 //!
 //! Eq. 6 integrates `[cos θ, 0, sin θ]` with `θ₀ = π/2`, which is written here in β = θ₀ − θ_l.
 
-use crate::model::bend::Bend;
+use crate::model::Bend;
 use crate::primitives::Mm;
 use nalgebra::{Matrix3, Vector2, Vector3};
 

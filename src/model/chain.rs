@@ -4,9 +4,8 @@
 //! the feedforward and the simulator `model:` run these same laws. The first-order lag τ₀ between bellows and shape is left to
 //! the caller, because each of the three integrates time in its own way.
 
-use crate::model::arc::Geometry;
 use crate::model::effects::{Effect, Memory, Moment, Pose};
-use crate::model::transmission::Line;
+use crate::model::{Geometry, Line};
 use nalgebra::Vector3;
 use std::ops::Deref;
 

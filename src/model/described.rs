@@ -1,8 +1,7 @@
 //! The machine that a diagnosis describes: gains, lag, effects with their parameters, and what its sensor reads at rest.
 
-use crate::model::arc::Geometry;
-use crate::model::chain::{Chain, NOMINAL, places};
 use crate::model::effects::{Effect, Memory, Pose};
+use crate::model::{Chain, Geometry, NOMINAL, places};
 use nalgebra::{UnitQuaternion, Vector3};
 use std::fmt;
 use std::sync::Arc;

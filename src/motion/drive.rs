@@ -4,13 +4,9 @@
 //! stopped leaves the step generator to brake. Hardware and simulation run the same drive: there the step generator is a
 //! thread with pins, here the step core alone in simulated time.
 
-use crate::motion::follow::Motion;
-use crate::motion::limits::MotionLimits;
 use crate::motion::queue::{FeedError, SyncStatus};
-use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
-use crate::motion::segment::Segment;
-use crate::motion::state::MotionState;
 use crate::motion::stop::longest_stop_mm;
+use crate::motion::{Motion, MotionLimits, MotionState, Segment, StepperFault, StepperMode, StepperOrder, StepperReport};
 use crate::primitives::Steps;
 
 /// Most segments queued in one update.

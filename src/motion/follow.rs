@@ -7,12 +7,10 @@
 //! Only change costs time. At rest at an unchanged target nothing is computed, on the way to an
 //! unchanged target the present plan is followed, and only a new target is planned for.
 
-use crate::motion::limits::MotionLimits;
 use crate::motion::plan::{Plan, PlanError, PlanFault};
-use crate::motion::segment::Segment;
 use crate::motion::solver::{Ruckig, Solver};
-use crate::motion::state::MotionState;
 use crate::motion::stop::{longest_stop_mm, stops_within_travel};
+use crate::motion::{MotionLimits, MotionState, Segment};
 
 /// Ticks for which the present plan is followed after a new one was needed but failed; then the
 /// pistons brake. At 1 kHz this is 5 ms towards an outdated target.

@@ -4,8 +4,7 @@
 //! tolerance of [`TOLERANCE`] for rounding in a chain of cubics, a thousandth of the 1e-6 that
 //! [`crate::motion`] guarantees.
 
-use crate::motion::config::MotionConfig;
-use crate::motion::state::MotionState;
+use crate::motion::{MotionConfig, MotionState};
 use crate::primitives::{Checker, Invalid, Parameters};
 
 /// Relative tolerance of every comparison with a limit.

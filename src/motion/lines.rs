@@ -6,7 +6,7 @@
 //! Every interval is therefore counted from the reading *after* the earlier write to the reading
 //! *before* the later one. The true interval is never shorter, however long the writes take.
 
-use crate::motion::config::StepperConfig;
+use crate::motion::StepperConfig;
 use crate::primitives::Invalid;
 
 /// Logical levels of all output lines. The pin backend applies polarity.

@@ -6,8 +6,7 @@
 //! motion planned before the break is never resumed halfway. The loop reads the new epoch in a report,
 //! restarts its motion from the reported rest position, and continues to feed.
 
-use crate::motion::report::{StepperFault, StepperMode, StepperReport};
-use crate::motion::segment::Segment;
+use crate::motion::{Segment, StepperFault, StepperMode, StepperReport};
 
 /// A segment with its place in time.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,6 @@
 //! What the step thread and the loop exchange besides segments: modes, faults, orders and reports.
 
-use crate::motion::histogram::Histogram;
-use crate::motion::lines::Inputs;
+use crate::motion::{Histogram, Inputs};
 use crate::primitives::Steps;
 
 /// Why the step core has stopped.

@@ -1,7 +1,7 @@
 //! One tick of motion: for each channel the states at both ends and the constant-jerk pieces between
 //! them. A segment is exact, self-contained and of fixed size, so it can cross threads in a ring.
 
-use crate::motion::state::MotionState;
+use crate::motion::MotionState;
 
 /// Most pieces of one channel in a segment: two of braking into the limits, seven of the profile and
 /// one of rest.

@@ -18,9 +18,8 @@
 //! the largest acceleration is 1 mm/τ². In seconds, with accelerations of 10⁴ mm/s², `rsruckig` refuses
 //! one plan in a thousand.
 
-use crate::motion::limits::MotionLimits;
 use crate::motion::plan::{ChannelPlan, Plan, PlanError, PlanFault};
-use crate::motion::state::MotionState;
+use crate::motion::{MotionLimits, MotionState};
 use rsruckig::block::Block;
 use rsruckig::position_third_step1::PositionThirdOrderStep1;
 use rsruckig::profile::Profile;

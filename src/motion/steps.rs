@@ -9,8 +9,7 @@
 //! count is the only memory. Rounding can shift an instant by less than a nanosecond but cannot change
 //! the number of steps.
 
-use crate::motion::segment::{ChannelSegment, Segment};
-use crate::motion::state::MotionState;
+use crate::motion::{ChannelSegment, MotionState, Segment};
 
 /// One step of one channel.
 #[derive(Debug, Clone, Copy, PartialEq)]

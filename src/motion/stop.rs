@@ -10,8 +10,7 @@
 //! (Velocity-target case of Kröger and Wahl, "Online Trajectory Generation", IEEE T-RO 2010.)
 //! If v and v_z differ in sign, the piston reverses first, and the extreme position is at the reversal.
 
-use crate::motion::limits::MotionLimits;
-use crate::motion::state::MotionState;
+use crate::motion::{MotionLimits, MotionState};
 
 /// Three constant-jerk phases that end at rest.
 #[derive(Debug, Clone, Copy, PartialEq)]

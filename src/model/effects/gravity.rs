@@ -19,9 +19,8 @@
 //! (accelerometer only), a tilted base, `curvature` (upright base: both grow with β) and `base_motion`.
 //! Another attitude of the base separates it.
 
-use crate::model::arc::{Geometry, Shape};
-use crate::model::bend::Bend;
 use crate::model::effects::prelude::*;
+use crate::model::{Bend, Geometry, Shape};
 use crate::primitives::Mm;
 
 /// Sag under the tip's weight.

@@ -18,7 +18,7 @@
 //! Signature: in the magnetometer only, following the motors. Similar to `hard_iron` (fixed
 //! to the body, independent of the motors) and `gear_periodic` (moves the tip). Motors on and off while still separate it.
 
-use crate::model::drive::Drive;
+use crate::model::Drive;
 use crate::model::effects::prelude::*;
 use std::f64::consts::TAU;
 

@@ -18,13 +18,13 @@
 
 mod modes;
 
-use crate::motion::histogram::Histogram;
-use crate::motion::limits::MotionLimits;
-use crate::motion::lines::{EmergencyStop, Inputs, Levels, OutputLine, PulseTiming};
+use crate::motion::lines::OutputLine;
 use crate::motion::queue::TimedSegment;
-use crate::motion::report::{StepperFault, StepperMode, StepperOrder, StepperReport};
-use crate::motion::state::MotionState;
 use crate::motion::steps::StepStream;
+use crate::motion::{
+    EmergencyStop, Histogram, Inputs, Levels, MotionLimits, MotionState, PulseTiming, StepperFault, StepperMode, StepperOrder,
+    StepperReport,
+};
 use crate::primitives::Steps;
 
 /// What the step thread must do next.

@@ -4,10 +4,8 @@
 use super::{AfterStop, StepCore};
 use crate::motion::plan::Plan;
 use crate::motion::queue::TimedSegment;
-use crate::motion::report::{StepperFault, StepperMode};
-use crate::motion::segment::Segment;
-use crate::motion::state::MotionState;
 use crate::motion::steps::count;
+use crate::motion::{MotionState, Segment, StepperFault, StepperMode};
 
 /// Tolerance of the joint between two segments, mm: rounding of a chain of cubics.
 const JOINT_TOLERANCE_MM: f64 = 1e-6;

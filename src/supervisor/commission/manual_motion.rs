@@ -4,7 +4,7 @@
 //! fault ends the move, and the pistons stay where they stopped.
 
 use crate::primitives::{Seconds, Steps};
-use crate::supervisor::machine::{Alarm, Machine, MachineError, Sensed};
+use crate::supervisor::{Alarm, Machine, MachineError, Sensed};
 
 /// Longest time for the counts to reach the target at the end of a move, s.
 const ARRIVE_MAX_S: f64 = 2.0;

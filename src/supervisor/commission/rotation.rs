@@ -7,7 +7,7 @@
 use crate::estimation::fusion::health::ImuReading;
 use crate::model::Bend;
 use crate::primitives::ImuSample;
-use crate::supervisor::machine::Sensed;
+use crate::supervisor::Sensed;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 /// Longest gap between two samples that is integrated in full, s.

@@ -4,10 +4,7 @@ use crate::control::{Command, Path, Reference};
 use crate::model::{Bend, Shape};
 use crate::primitives::{Base, Rotation, Tip};
 use crate::supervisor::cycle::guide::Guide;
-use crate::supervisor::cycle::order::Refusal;
-use crate::supervisor::cycle::state::Supervisor;
-use crate::supervisor::cycle::types::Guidance;
-use crate::supervisor::mode::Mode;
+use crate::supervisor::{Guidance, Mode, Refusal, Supervisor};
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Longest time by which a set-point may come ahead of its time, s.

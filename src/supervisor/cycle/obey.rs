@@ -4,10 +4,9 @@ use crate::control::{Command, Pace};
 use crate::model::{Line, Shape};
 use crate::primitives::Steps;
 use crate::supervisor::cycle::guide::Guide;
-use crate::supervisor::cycle::order::{BEND_MAX_RAD, Order, Refusal};
-use crate::supervisor::cycle::state::{ModeState, Position, Supervisor};
-use crate::supervisor::machine::Sensed;
-use crate::supervisor::mode::{Event, Mode};
+use crate::supervisor::cycle::state::{ModeState, Position};
+use crate::supervisor::mode::Event;
+use crate::supervisor::{BEND_MAX_RAD, Mode, Order, Refusal, Sensed, Supervisor};
 use std::f64::consts::PI;
 
 /// Time that a machine has to clear its alarm, s.

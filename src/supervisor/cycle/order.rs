@@ -2,7 +2,7 @@
 
 use crate::control::Command;
 use crate::model::Line;
-use crate::supervisor::mode::Mode;
+use crate::supervisor::Mode;
 
 /// Largest bend that may be ordered, rad (135°).
 pub const BEND_MAX_RAD: f64 = std::f64::consts::PI * 0.75;

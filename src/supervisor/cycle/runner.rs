@@ -1,10 +1,7 @@
 //! Couples a supervisor to its machine.
 
 use crate::primitives::{Seconds, Steps};
-use crate::supervisor::cycle::order::Order;
-use crate::supervisor::cycle::state::Supervisor;
-use crate::supervisor::cycle::types::CycleOutput;
-use crate::supervisor::machine::{Machine, MachineError};
+use crate::supervisor::{CycleOutput, Machine, MachineError, Order, Supervisor};
 
 /// A machine with its supervisor.
 #[derive(Debug)]

@@ -4,13 +4,11 @@ use crate::control::{Command, FeedbackConfig, LoopState, Pace, Path, RestartRest
 use crate::model::{Bend, Shape};
 use crate::primitives::{Mm, Steps};
 use crate::supervisor::cycle::guide::{Guide, Recent};
-use crate::supervisor::cycle::order::Refusal;
 use crate::supervisor::cycle::sensor_watch::SensorWatch;
-use crate::supervisor::cycle::types::SupervisorConfig;
-use crate::supervisor::gate::{Gate, TripCause};
-use crate::supervisor::machine::Sensed;
-use crate::supervisor::mode::{Event, Mode};
+use crate::supervisor::gate::Gate;
+use crate::supervisor::mode::Event;
 use crate::supervisor::residual_monitor::ResidualMonitor;
+use crate::supervisor::{Mode, Refusal, Sensed, SupervisorConfig, TripCause};
 use nalgebra::Vector3;
 
 /// The mode with its data.

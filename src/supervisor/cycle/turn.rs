@@ -4,14 +4,12 @@ use crate::control::tick::{Frame, Input, TickPhase, tick};
 use crate::estimation::fusion::health::CauseSet;
 use crate::model::{Bend, Shape};
 use crate::primitives::{Seconds, Steps};
-use crate::supervisor::cycle::order::Order;
 use crate::supervisor::cycle::restart_check;
-use crate::supervisor::cycle::state::{ModeState, Position, Supervisor};
-use crate::supervisor::cycle::types::CycleOutput;
-use crate::supervisor::gate::{Following, GateInput, SafeState, TripCause};
-use crate::supervisor::machine::{Alarm, Sensed};
-use crate::supervisor::mode::{Event, Mode};
+use crate::supervisor::cycle::state::{ModeState, Position};
+use crate::supervisor::gate::{Following, GateInput};
+use crate::supervisor::mode::Event;
 use crate::supervisor::residual_monitor::ResidualInput;
+use crate::supervisor::{Alarm, CycleOutput, Mode, Order, SafeState, Sensed, Supervisor, TripCause};
 use nalgebra::{Vector2, Vector3};
 
 impl Supervisor {

@@ -3,12 +3,9 @@
 use crate::control::{Frame, Input, LoopConfig};
 use crate::estimation::fusion::health::CauseSet;
 use crate::primitives::Steps;
-use crate::supervisor::cycle::order::{Order, Refusal};
 use crate::supervisor::cycle::restart_check::RestartCheckConfig;
-use crate::supervisor::gate::{GateLimits, TripCause};
-use crate::supervisor::machine::Sensed;
-use crate::supervisor::mode::Mode;
-use crate::supervisor::residual_monitor::{ResidualConfig, Suspicion};
+use crate::supervisor::residual_monitor::Suspicion;
+use crate::supervisor::{GateLimits, Mode, Order, Refusal, ResidualConfig, Sensed, TripCause};
 
 /// Everything that stays constant while the supervisor runs, except for a reload.
 #[derive(Debug, Clone, PartialEq)]

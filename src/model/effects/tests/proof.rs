@@ -3,7 +3,7 @@
 //! The chain is the nominal one without play and lag: pistons → 1/(1 + k_ε) → bellows →
 //! constant curvature → sensor, at 100 Hz.
 
-use crate::model::arc::Geometry;
+use crate::model::Geometry;
 use crate::model::effects::{Effect, EffectInfo, ImuPrediction, Memory, Moment, Param, Pose, Stage, by_name};
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector2, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
