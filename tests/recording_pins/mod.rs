@@ -104,7 +104,7 @@ impl Pins for RecordingPins {
     fn write(&mut self, levels: &Levels) -> Result<(), PinError> {
         self.writes += 1;
         if self.fail_after.is_some_and(|n| self.writes > n) {
-            return Err(PinError::Pin { what: "write", why: "the mock was set to fail".into() });
+            return Err(PinError::Pin("write", "the mock was set to fail".into()));
         }
         for edge in edges(monotonic_ns(), &self.levels, levels) {
             if self.record.len() < self.record.capacity() {

@@ -18,38 +18,22 @@ pub enum HardwareError {
     /// The step thread.
     #[error(transparent)]
     Stepper(#[from] StartError),
-    /// There is no such bus.
+    /// There is no such bus: its path.
     #[error(
-        "no I²C bus at {path}: enable it (dtparam=i2c_arm=on in config.txt, then `modprobe i2c-dev`), or set imu.bus to one of `ls /dev/i2c-*`"
+        "no I²C bus at {0}: enable it (dtparam=i2c_arm=on in config.txt, then `modprobe i2c-dev`), or set imu.bus to one of `ls /dev/i2c-*`"
     )]
-    NoBus {
-        /// Path of the bus.
-        path: String,
-    },
-    /// The bus may not be opened.
+    NoBus(String),
+    /// The bus may not be opened: its path.
     #[error(
-        "no permission for {path}: add this user to the group i2c (`sudo usermod -aG i2c $USER`, then log in again) or run as the service"
+        "no permission for {0}: add this user to the group i2c (`sudo usermod -aG i2c $USER`, then log in again) or run as the service"
     )]
-    BusPermission {
-        /// Path of the bus.
-        path: String,
-    },
-    /// The bus cannot be used for another reason.
-    #[error("{path} cannot be used as an I²C bus: {why}")]
-    Bus {
-        /// Path of the bus.
-        path: String,
-        /// The message of the library.
-        why: String,
-    },
-    /// The set-up of the sensor takes longer than any working bus needs.
-    #[error("{path} hangs: no answer within {limit_s} s; cycle the power of the IMU, then look for a short on SDA or SCL")]
-    BusHangs {
-        /// Path of the bus.
-        path: String,
-        /// The time limit, s.
-        limit_s: f64,
-    },
+    BusPermission(String),
+    /// The bus cannot be used for another reason: its path, and the message of the library.
+    #[error("{0} cannot be used as an I²C bus: {1}")]
+    Bus(String, String),
+    /// The set-up of the sensor takes longer than any working bus needs: path of the bus, and the time limit, s.
+    #[error("{0} hangs: no answer within {1} s; cycle the power of the IMU, then look for a short on SDA or SCL")]
+    BusHangs(String, f64),
     /// The sensor.
     #[error("IMU on {path}: {source}")]
     Imu {

@@ -123,7 +123,7 @@ fn start_pressures(config: &PressureSection) -> Result<(rtrb::Consumer<Pressures
     let _ = crate::hardware::imu::linux::bound_transfers(&open_bus(&config.bus)?);
     let path = || config.bus.clone();
     let open = |channel| -> Result<_, HardwareError> {
-        let bus = linux_embedded_hal::I2cdev::new(&config.bus).map_err(|e| HardwareError::Bus { path: path(), why: e.to_string() })?;
+        let bus = linux_embedded_hal::I2cdev::new(&config.bus).map_err(|e| HardwareError::Bus(path(), e.to_string()))?;
         Ok(PressureSensor::new(bus, config, channel))
     };
     watch([open(0)?, open(1)?, open(2)?], &config.bus)
@@ -143,9 +143,9 @@ fn watch<I: I2c + Send + 'static>(
     let (sender, first) = channel();
     std::thread::Builder::new().name("pressure".into()).spawn(move || run(sensors, output, &sender))?;
     let path = || bus.to_owned();
-    let hangs = |_| HardwareError::BusHangs { path: path(), limit_s: SETUP_MAX.as_secs_f64() };
+    let hangs = |_| HardwareError::BusHangs(path(), SETUP_MAX.as_secs_f64());
     let last = first.recv_timeout(SETUP_MAX).map_err(hangs)?;
-    Ok((ring, last.map_err(|e| HardwareError::Bus { path: path(), why: e.to_string() })?))
+    Ok((ring, last.map_err(|e| HardwareError::Bus(path(), e.to_string()))?))
 }
 
 #[cfg(test)]

@@ -91,9 +91,9 @@ impl Sensor {
             }
             Err(RecvTimeoutError::Timeout) => {
                 stop.store(true, Ordering::Relaxed);
-                Err(HardwareError::BusHangs { path, limit_s: SETUP_MAX_S })
+                Err(HardwareError::BusHangs(path, SETUP_MAX_S))
             }
-            Err(RecvTimeoutError::Disconnected) => Err(HardwareError::Bus { path, why: "the IMU thread ended as it started".to_owned() }),
+            Err(RecvTimeoutError::Disconnected) => Err(HardwareError::Bus(path, "the IMU thread ended as it started".to_owned())),
         }
     }
 
@@ -185,9 +185,9 @@ fn recovery(config: &SensorConfig, driver: Box<dyn Imu + Send>) -> ImuRecovery<d
 pub(super) fn open_bus(path: &str) -> Result<std::fs::File, HardwareError> {
     let path = path.to_owned();
     std::fs::File::options().read(true).write(true).open(&path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => HardwareError::NoBus { path },
-        std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission { path },
-        _ => HardwareError::Bus { path, why: e.to_string() },
+        std::io::ErrorKind::NotFound => HardwareError::NoBus(path),
+        std::io::ErrorKind::PermissionDenied => HardwareError::BusPermission(path),
+        _ => HardwareError::Bus(path, e.to_string()),
     })
 }
 
@@ -199,12 +199,12 @@ fn open(config: &SensorConfig) -> Result<(Box<dyn Imu + Send>, bool), HardwareEr
     let bounded = bound_transfers(&open_bus(&path)?).is_ok();
     if config.rppal {
         let Some(number) = path.strip_prefix("/dev/i2c-").and_then(|n| n.parse().ok()) else {
-            return Err(HardwareError::Bus { path, why: "rppal requires a path of the form /dev/i2c-N".to_owned() });
+            return Err(HardwareError::Bus(path, "rppal requires a path of the form /dev/i2c-N".to_owned()));
         };
-        let bus = rppal::i2c::I2c::with_bus(number).map_err(|e| HardwareError::Bus { path, why: e.to_string() })?;
+        let bus = rppal::i2c::I2c::with_bus(number).map_err(|e| HardwareError::Bus(path, e.to_string()))?;
         return Ok((imu::open(&config.chip, Classified(bus))?, bounded));
     }
-    let bus = linux_embedded_hal::I2cdev::new(&path).map_err(|e| HardwareError::Bus { path, why: e.to_string() })?;
+    let bus = linux_embedded_hal::I2cdev::new(&path).map_err(|e| HardwareError::Bus(path, e.to_string()))?;
     Ok((imu::open(&config.chip, Classified(bus))?, bounded))
 }
 

@@ -49,7 +49,7 @@ impl<K: Kernel> CdevPins<K> {
             return Err(PinError::NoLine { chip: path.into(), pin, lines });
         }
         if map.outputs().len().max(map.inputs().len()) > LINES_MAX {
-            return Err(PinError::Pin { what: "request", why: format!("more than {LINES_MAX} lines") });
+            return Err(PinError::Pin("request", format!("more than {LINES_MAX} lines")));
         }
         // a line that cannot be read is refused by the request for outputs, with a reason
         let found_energised = found_energised(&kernel, &chip, &map).unwrap_or(false);
@@ -117,9 +117,9 @@ fn found_energised<K: Kernel>(kernel: &K, chip: &K::Chip, map: &LineMap) -> io::
 /// Converts the error of opening a chip.
 fn open_error(error: io::Error, path: &str) -> PinError {
     match (error.kind(), error.raw_os_error()) {
-        (io::ErrorKind::NotFound, _) => PinError::NoChip { path: path.into() },
-        (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied { path: path.into() },
-        (_, Some(libc::ENOTTY | libc::EINVAL | libc::ENODEV)) => PinError::NotAChip { path: path.into() },
+        (io::ErrorKind::NotFound, _) => PinError::NoChip(path.into()),
+        (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied(path.into()),
+        (_, Some(libc::ENOTTY | libc::EINVAL | libc::ENODEV)) => PinError::NotAChip(path.into()),
         _ => PinError::io("open")(error),
     }
 }
@@ -135,8 +135,8 @@ fn request<K: Kernel>(kernel: &K, chip: &K::Chip, path: &str, request: &Request)
             let (pin, by) = held.unwrap_or((request.offsets[0], None));
             PinError::Busy { pin, by }
         }
-        (_, Some(libc::ENOTTY | libc::EINVAL)) => PinError::NotAChip { path: path.into() },
-        (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied { path: path.into() },
+        (_, Some(libc::ENOTTY | libc::EINVAL)) => PinError::NotAChip(path.into()),
+        (io::ErrorKind::PermissionDenied, _) => PinError::PermissionDenied(path.into()),
         _ => PinError::io("request")(error),
     })
 }
@@ -215,7 +215,7 @@ mod tests {
         let message = CdevPins::open_with(busy, "chip", map()).unwrap_err().to_string();
         assert!(message.contains("GPIO 27 is in use by \"spi0 CS1\""), "{message}");
         let old = Fake { refuse: Some(libc::EINVAL), ..Fake::default() };
-        assert!(matches!(CdevPins::open_with(old, "chip", map()), Err(PinError::NotAChip { .. })));
+        assert!(matches!(CdevPins::open_with(old, "chip", map()), Err(PinError::NotAChip(..))));
     }
 
     #[test]
@@ -231,8 +231,8 @@ mod tests {
     #[test]
     fn missing_files_and_files_that_are_not_chips_have_errors_of_their_own() {
         let none = CdevPins::open("/dev/gpiochip-none", map()).unwrap_err();
-        assert!(matches!(none, PinError::NoChip { .. }), "{none}");
+        assert!(matches!(none, PinError::NoChip(..)), "{none}");
         let null = CdevPins::open("/dev/null", map()).unwrap_err();
-        assert!(matches!(null, PinError::NotAChip { .. }), "{null}");
+        assert!(matches!(null, PinError::NotAChip(..)), "{null}");
     }
 }

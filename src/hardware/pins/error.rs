@@ -3,20 +3,14 @@
 /// Why the pins cannot be opened or used. Every variant leads to exit code 3.
 #[derive(Debug, thiserror::Error)]
 pub enum PinError {
-    /// There is no such device file.
+    /// There is no such device file: its path.
     #[error(
-        "no GPIO chip at {path}: list the chips with `ls /dev/gpiochip*` and set pins.chip (or pins.backend = \"rppal\" on a Raspberry Pi)"
+        "no GPIO chip at {0}: list the chips with `ls /dev/gpiochip*` and set pins.chip (or pins.backend = \"rppal\" on a Raspberry Pi)"
     )]
-    NoChip {
-        /// Path of the device file.
-        path: String,
-    },
-    /// The file is not a GPIO chip, or the kernel does not provide version 2 of the interface.
-    #[error("{path} is not a GPIO chip with line interface version 2 (Linux 5.10 or newer): set pins.chip to a /dev/gpiochip*")]
-    NotAChip {
-        /// Path of the device file.
-        path: String,
-    },
+    NoChip(String),
+    /// The file is not a GPIO chip, or the kernel does not provide version 2 of the interface: its path.
+    #[error("{0} is not a GPIO chip with line interface version 2 (Linux 5.10 or newer): set pins.chip to a /dev/gpiochip*")]
+    NotAChip(String),
     /// The chip has fewer lines.
     #[error("{chip} has no line {pin}, only 0 to {}: correct the pin numbers in the board file", .lines.saturating_sub(1))]
     NoLine {
@@ -35,14 +29,11 @@ pub enum PinError {
         /// Name of the consumer, if known.
         by: Option<String>,
     },
-    /// The device may not be opened.
+    /// The device may not be opened: path of its file.
     #[error(
-        "no permission for {path}: add this user to the group gpio (`sudo usermod -aG gpio $USER`, then log in again) or run as the service"
+        "no permission for {0}: add this user to the group gpio (`sudo usermod -aG gpio $USER`, then log in again) or run as the service"
     )]
-    PermissionDenied {
-        /// Path of the device file.
-        path: String,
-    },
+    PermissionDenied(String),
     /// `rppal` does not support this board.
     #[error("this is not a Raspberry Pi that rppal supports: set pins.backend = \"cdev\"")]
     UnknownModel,
@@ -69,14 +60,9 @@ pub enum PinError {
         /// The error of the system call.
         source: std::io::Error,
     },
-    /// A pin of an `embedded-hal` implementation failed.
-    #[error("GPIO {what} failed: {why}; check the wiring")]
-    Pin {
-        /// The operation.
-        what: &'static str,
-        /// The message of the implementation.
-        why: String,
-    },
+    /// A pin of an `embedded-hal` implementation failed: the operation, and the message of the implementation.
+    #[error("GPIO {0} failed: {1}; check the wiring")]
+    Pin(&'static str, String),
 }
 
 impl PinError {

@@ -39,7 +39,7 @@ impl<O: OutputPin, I: InputPin> HalPins<O, I> {
     fn apply(&mut self, bits: u64, changed: u64) -> Result<(), PinError> {
         for (i, pin) in self.outputs.iter_mut().enumerate().filter(|(i, _)| changed >> i & 1 == 1) {
             let state = PinState::from(bits >> i & 1 == 1);
-            pin.set_state(state).map_err(|e| PinError::Pin { what: "write", why: format!("{e:?}") })?;
+            pin.set_state(state).map_err(|e| PinError::Pin("write", format!("{e:?}")))?;
         }
         self.bits = bits;
         Ok(())
@@ -65,7 +65,7 @@ impl<O: OutputPin + Send, I: InputPin + Send> Pins for HalPins<O, I> {
     fn read(&mut self) -> Result<Inputs, PinError> {
         let mut bits = 0;
         for (i, pin) in self.inputs.iter_mut().enumerate() {
-            let high = pin.is_high().map_err(|e| PinError::Pin { what: "read", why: format!("{e:?}") })?;
+            let high = pin.is_high().map_err(|e| PinError::Pin("read", format!("{e:?}")))?;
             bits |= u64::from(high) << i;
         }
         Ok(self.map.inputs_from(bits))

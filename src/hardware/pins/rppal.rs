@@ -55,10 +55,10 @@ fn pin_error(error: Error, pin: u32) -> PinError {
         Error::UnknownModel => PinError::UnknownModel,
         Error::PinUsed(_) => PinError::Busy { pin, by: Some("this program".into()) },
         Error::PinNotAvailable(_) => PinError::NoLine { chip: "this board".into(), pin, lines: 54 },
-        Error::PermissionDenied(path) => PinError::PermissionDenied { path },
-        Error::Io(source) if source.kind() == std::io::ErrorKind::PermissionDenied => PinError::PermissionDenied { path: DEVICE.into() },
+        Error::PermissionDenied(path) => PinError::PermissionDenied(path),
+        Error::Io(source) if source.kind() == std::io::ErrorKind::PermissionDenied => PinError::PermissionDenied(DEVICE.into()),
         Error::Io(source) => PinError::io("open")(source),
-        Error::ThreadPanic => PinError::Pin { what: "open", why: "a thread of the GPIO library has panicked".into() },
+        Error::ThreadPanic => PinError::Pin("open", "a thread of the GPIO library has panicked".into()),
     }
 }
 
