@@ -7,6 +7,17 @@ use crate::supervisor::commission::wiring::{self, Wiring};
 use nalgebra::{Vector2, Vector3};
 use std::fmt::Write;
 
+/// Piston stroke of the leak test, mm.
+const HOLD_MM: f64 = 6.0;
+/// Speed of every move, mm/s.
+const SPEED_MM_S: f64 = 5.0;
+/// Time between the end of a move and the measurement, s.
+const SETTLE_S: f64 = 0.8;
+/// Bend below which a channel counts as dead, rad.
+const DEAD_RAD: f64 = 0.012;
+/// Relative loss of bend per second above which a line leaks, 1/s.
+const LEAK_MAX_PER_S: f64 = 0.005;
+
 /// Parameters of the procedure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrialConfig {
@@ -14,33 +25,14 @@ pub struct TrialConfig {
     pub geometry: Geometry,
     /// Piston stroke of the wiring test, mm.
     pub stroke_mm: f64,
-    /// Piston stroke of the leak test, mm.
-    pub hold_mm: f64,
     /// Duration of the leak test, s; 0 skips it.
     pub hold_s: f64,
-    /// Speed, mm/s.
-    pub speed_mm_s: f64,
-    /// Time between the end of a move and the measurement, s.
-    pub settle_s: f64,
-    /// Bend below which a channel counts as dead, rad.
-    pub dead_rad: f64,
-    /// Relative loss of bend per second above which a line leaks, 1/s.
-    pub leak_max_per_s: f64,
 }
 
 impl TrialConfig {
     /// The standard strokes: a few degrees of bend at less than a fifth of the permitted pressure.
     pub fn new(geometry: Geometry) -> Self {
-        Self {
-            geometry,
-            stroke_mm: 3.0,
-            hold_mm: 6.0,
-            hold_s: 10.0,
-            speed_mm_s: 5.0,
-            settle_s: 0.8,
-            dead_rad: 0.012,
-            leak_max_per_s: 0.005,
-        }
+        Self { geometry, stroke_mm: 3.0, hold_s: 10.0 }
     }
 }
 
@@ -71,14 +63,12 @@ pub struct Findings {
     pub others: Vec<Wiring>,
     /// Relative loss of bend per second, 1/s; `None` if not measured.
     pub leak_per_s: [Option<f64>; 3],
-    /// Loss above which a line leaks, 1/s.
-    pub leak_max_per_s: f64,
 }
 
 impl Findings {
     /// Channels that leak.
     pub fn leaks(&self) -> [bool; 3] {
-        self.leak_per_s.map(|l| l.is_some_and(|l| l > self.leak_max_per_s))
+        self.leak_per_s.map(|l| l.is_some_and(|l| l > LEAK_MAX_PER_S))
     }
 
     /// True if the wiring agrees with the board file and no line leaks.
@@ -136,13 +126,13 @@ pub fn run(drive: &mut ManualMotion<'_>, config: &TrialConfig, progress: &mut dy
     let mut answers = [Vector2::zeros(); 3];
     for (channel, answer) in answers.iter_mut().enumerate() {
         progress(&format!("channel {}: stroke of {} mm", channel + 1, config.stroke_mm));
-        *answer = stroke(drive, config, channel, config.stroke_mm, 0.0)?.0;
+        *answer = stroke(drive, channel, config.stroke_mm, 0.0)?.0;
     }
-    let dead = answers.map(|a| a.norm() < config.dead_rad);
+    let dead = answers.map(|a| a.norm() < DEAD_RAD);
     let mut leak_per_s = [None; 3];
     for channel in (0..3).filter(|i| config.hold_s > 0.0 && !dead[*i]) {
         progress(&format!("channel {}: holding for {} s", channel + 1, config.hold_s));
-        leak_per_s[channel] = Some(stroke(drive, config, channel, config.hold_mm, config.hold_s)?.1);
+        leak_per_s[channel] = Some(stroke(drive, channel, HOLD_MM, config.hold_s)?.1);
     }
     drive.energise(false)?;
     let expected = [0, 1, 2].map(|i| {
@@ -152,7 +142,7 @@ pub fn run(drive: &mut ManualMotion<'_>, config: &TrialConfig, progress: &mut dy
     });
     let found = if dead == [false; 3] { wiring::identify(&answers, &expected) } else { None };
     let (wiring, others) = found.map_or((None, Vec::new()), |(w, o)| (Some(w), o));
-    Ok(Findings { answers, dead, wiring, others, leak_per_s, leak_max_per_s: config.leak_max_per_s })
+    Ok(Findings { answers, dead, wiring, others, leak_per_s })
 }
 
 /// Measures the gyroscope bias over one second, rad/s.
@@ -170,26 +160,20 @@ fn gyro_bias(drive: &mut ManualMotion<'_>) -> Result<Vector3<f64>, TrialError> {
 const STILL_MAX_RAD_S: f64 = 0.06;
 
 /// Moves one channel out, waits and returns; gives the bend, rad, and its relative loss during the wait, 1/s.
-fn stroke(
-    drive: &mut ManualMotion<'_>,
-    config: &TrialConfig,
-    channel: usize,
-    mm: f64,
-    hold_s: f64,
-) -> Result<(Vector2<f64>, f64), TrialError> {
+fn stroke(drive: &mut ManualMotion<'_>, channel: usize, mm: f64, hold_s: f64) -> Result<(Vector2<f64>, f64), TrialError> {
     let mut rotation = TipRotation::new(gyro_bias(drive)?);
     let mut target = [0.0; 3];
     target[channel] = mm;
-    drive.go(target, config.speed_mm_s, &mut |s| {
+    drive.go(target, SPEED_MM_S, &mut |s| {
         rotation.add(s);
         false
     })?;
-    drive.stand(config.settle_s, &mut |s| rotation.add(s))?;
+    drive.stand(SETTLE_S, &mut |s| rotation.add(s))?;
     let bend = rotation.bend().0;
     drive.stand(hold_s, &mut |s| rotation.add(s))?;
     let left = rotation.bend().0.norm() / bend.norm().max(f64::MIN_POSITIVE);
     let lost_per_s = if hold_s > 0.0 { -left.max(1e-6).ln() / hold_s } else { 0.0 };
-    drive.go([0.0; 3], config.speed_mm_s, &mut |_| false)?;
-    drive.stand(config.settle_s, &mut |_| ())?;
+    drive.go([0.0; 3], SPEED_MM_S, &mut |_| false)?;
+    drive.stand(SETTLE_S, &mut |_| ())?;
     Ok((bend, lost_per_s))
 }
