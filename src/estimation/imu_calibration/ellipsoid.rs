@@ -205,10 +205,7 @@ pub(super) fn check_residual(rms: f64, radius: f64, unit: &'static str) -> Resul
 /// # Errors
 /// [`Refusal`] for too few or non-finite points, points that lie on no ellipsoid, or a flat ellipsoid.
 pub(super) fn fit(points: &[Vector3<f64>]) -> Result<Ellipsoid, Refusal> {
-    let want = SAMPLES_MIN;
-    if points.len() < want {
-        return Err(Refusal::TooFewSamples { have: points.len(), want });
-    }
+    Refusal::unless_enough(points.len(), SAMPLES_MIN)?;
     if let Some(index) = points.iter().position(|x| !x.iter().all(|c| c.is_finite())) {
         return Err(Refusal::NotFinite { index });
     }
@@ -223,9 +220,7 @@ pub(super) fn fit(points: &[Vector3<f64>]) -> Result<Ellipsoid, Refusal> {
     let start = algebraic(&unit).unwrap_or_else(|| pack(&Vector3::zeros(), &Matrix3::identity()));
     let first = refine(&unit, start).ok_or(Refusal::NotAnEllipsoid)?;
     let kept = near(&unit, first);
-    if kept.len() < want {
-        return Err(Refusal::TooFewSamples { have: kept.len(), want });
-    }
+    Refusal::unless_enough(kept.len(), SAMPLES_MIN)?;
     let p = refine(&kept, first).ok_or(Refusal::NotAnEllipsoid)?;
     let (b, m) = unpack(&p);
     let axes = m.symmetric_eigenvalues();

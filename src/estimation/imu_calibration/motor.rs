@@ -151,9 +151,7 @@ fn normal(samples: &[MotorSample], p: &SVector<f64, SIZE>) -> Normal {
 /// [`Refusal`] if a motor covers too little of its cycle, the motors cannot be separated, or the data are too few or
 /// not finite.
 pub fn fit(samples: &[MotorSample], from: Pedigree<'_>) -> Result<MotorFit, Refusal> {
-    if samples.len() < 4 * SIZE {
-        return Err(Refusal::TooFewSamples { have: samples.len(), want: 4 * SIZE });
-    }
+    Refusal::unless_enough(samples.len(), 4 * SIZE)?;
     if let Some(index) = samples.iter().position(|s| !s.mag_ut.iter().all(|x| x.is_finite())) {
         return Err(Refusal::NotFinite { index });
     }

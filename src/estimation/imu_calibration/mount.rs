@@ -70,9 +70,7 @@ pub fn from_bends(bends: &[BendTurn]) -> Result<Mount, Refusal> {
         return Err(Refusal::NotFinite { index });
     }
     let used: Vec<BendTurn> = bends.iter().filter(|b| b.turn_rad.norm() >= BEND_MIN_DEG.to_radians()).copied().collect();
-    if used.len() < BENDS_MIN {
-        return Err(Refusal::TooFewSamples { have: used.len(), want: BENDS_MIN });
-    }
+    Refusal::unless_enough(used.len(), BENDS_MIN)?;
     let weight: f64 = used.iter().map(|b| b.turn_rad.norm_squared()).sum();
     // weights are |turn|², since the error of an integrated gyroscope does not depend on the angle
     let scatter: Matrix3<f64> = used.iter().map(|b| b.turn_rad * b.turn_rad.transpose()).sum::<Matrix3<f64>>() / weight;

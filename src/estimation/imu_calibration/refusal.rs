@@ -81,3 +81,10 @@ pub enum Refusal {
         unit: &'static str,
     },
 }
+
+impl Refusal {
+    /// Refuses less than `want` samples.
+    pub(super) fn unless_enough(have: usize, want: usize) -> Result<(), Self> {
+        if have < want { Err(Self::TooFewSamples { have, want }) } else { Ok(()) }
+    }
+}

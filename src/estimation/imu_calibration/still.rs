@@ -71,13 +71,8 @@ pub fn rest(samples: &[ImuSample]) -> Result<Rest, Refusal> {
     if let Some(index) = samples.iter().position(|s| !s.is_finite()) {
         return Err(Refusal::NotFinite { index });
     }
-    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
-        return Err(Refusal::TooFewSamples { have: 0, want: SAMPLES_MIN });
-    };
-    let duration_s = last.t.0 - first.t.0;
-    if samples.len() < SAMPLES_MIN {
-        return Err(Refusal::TooFewSamples { have: samples.len(), want: SAMPLES_MIN });
-    }
+    Refusal::unless_enough(samples.len(), SAMPLES_MIN)?;
+    let duration_s = samples[samples.len() - 1].t.0 - samples[0].t.0;
     if duration_s < DURATION_MIN_S {
         let want = (samples.len() as f64 * DURATION_MIN_S / duration_s.max(1e-9)).ceil() as usize;
         return Err(Refusal::TooFewSamples { have: samples.len(), want });
