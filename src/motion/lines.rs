@@ -20,6 +20,13 @@ pub struct Levels {
     pub enable: bool,
 }
 
+impl Levels {
+    /// No step, with the drivers energised or not.
+    pub fn without_step(enable: bool) -> Self {
+        Self { enable, ..Self::default() }
+    }
+}
+
 /// Logical levels of all input lines; true means pressed or closed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Inputs {

@@ -69,7 +69,7 @@ impl Link {
         let missing = || fail(std::io::Error::other("its pipes could not be opened"));
         let to = BufWriter::new(child.stdin.take().ok_or_else(missing)?);
         let from = read_lines(child.stdout.take().ok_or_else(missing)?);
-        let info = MachineInfo { name: String::new(), period_s: 0.0, step_mm: 0.0, rest_length_mm: 0.0 };
+        let info = MachineInfo::default();
         let mut link = Self { child, to, from, info, n: 0, last: "(nothing yet)".to_owned() };
         link.info = greeting(&link.line()?)?;
         Ok(link)

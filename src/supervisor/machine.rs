@@ -135,7 +135,7 @@ impl Alarm {
 }
 
 /// Properties of a machine.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct MachineInfo {
     /// Name, for reports.
     pub name: String,

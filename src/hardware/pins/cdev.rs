@@ -53,7 +53,7 @@ impl<K: Kernel> CdevPins<K> {
         }
         // a line that cannot be read is refused by the request for outputs, with a reason
         let found_energised = found_energised(&kernel, &chip, &map).unwrap_or(false);
-        let bits = map.output_bits(&Levels { enable: found_energised, ..Levels::default() });
+        let bits = map.output_bits(&Levels::without_step(found_energised));
         let outputs = Request { offsets: map.outputs().to_vec(), kind: RequestKind::Outputs(bits) };
         let outputs = request(&kernel, &chip, path, &outputs)?;
         let (offsets, pulls): (Vec<u32>, Vec<Pull>) = map.inputs().iter().copied().unzip();
@@ -152,7 +152,7 @@ mod tests {
         let mut pins = CdevPins::open_with(Fake { inputs: 0, ..Fake::default() }, "chip", map()).unwrap();
         let message = pins.check_enable().unwrap_err().to_string();
         assert!(message.contains("EN on GPIO 5 stays low when driven high"), "{message}");
-        pins.write(&Levels { enable: true, ..Levels::default() }).unwrap();
+        pins.write(&Levels::without_step(true)).unwrap();
         pins.check_enable().unwrap();
     }
 

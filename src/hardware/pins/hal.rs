@@ -23,7 +23,7 @@ impl<O: OutputPin, I: InputPin> HalPins<O, I> {
     /// # Errors
     /// [`PinError::Pin`] when that write fails.
     pub fn new(map: LineMap, outputs: Vec<O>, inputs: Vec<I>, energised: bool) -> Result<Self, PinError> {
-        let bits = map.output_bits(&Levels { enable: energised, ..Levels::default() });
+        let bits = map.output_bits(&Levels::without_step(energised));
         let mut pins = Self { map, outputs, inputs, bits, level: None, found_energised: energised };
         pins.apply(bits, u64::MAX)?;
         Ok(pins)

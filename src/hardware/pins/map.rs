@@ -91,7 +91,7 @@ impl LineMap {
     /// Whether lines found in this state energise the drivers. Bit i of `driven` tells whether line i is an
     /// output, bit i of `high` whether it is high. Without an EN line the drivers count as released.
     pub fn is_energised(&self, driven: u64, high: u64) -> bool {
-        let on = self.output_bits(&Levels { enable: true, ..Levels::default() });
+        let on = self.output_bits(&Levels::without_step(true));
         self.enable != 0 && driven & self.enable == self.enable && (high ^ on) & self.enable == 0
     }
 

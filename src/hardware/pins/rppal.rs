@@ -23,7 +23,7 @@ pub fn open(map: LineMap) -> Result<HalPins<OutputPin, InputPin>, PinError> {
     let lines = map.outputs().iter().map(|&pin| get(&gpio, pin)).collect::<Result<Vec<Pin>, PinError>>()?;
     let bits = |is: fn(&Pin) -> bool| lines.iter().enumerate().fold(0, |bits, (i, line)| bits | u64::from(is(line)) << i);
     let energised = map.is_energised(bits(|line| line.mode() == Mode::Output), bits(|line| line.read() == Level::High));
-    let idle = map.output_bits(&Levels { enable: energised, ..Levels::default() });
+    let idle = map.output_bits(&Levels::without_step(energised));
     let mut outputs = Vec::with_capacity(lines.len());
     for (i, line) in lines.into_iter().enumerate() {
         // The line becomes an output and receives its level in one step, without a wrong level between.

@@ -180,7 +180,7 @@ fn inputs_are_read_and_a_broken_line_is_an_error() {
         assert!(pins.read().unwrap().emergency_stop, "{name}");
         wires.lock().unwrap().broken = true;
         assert!(pins.read().unwrap_err().to_string().contains("read"), "{name}");
-        let on = Levels { enable: true, ..Levels::default() };
+        let on = Levels::without_step(true);
         assert!(pins.write(&on).unwrap_err().to_string().contains("write"), "{name}");
         wires.lock().unwrap().broken = false;
         pins.write(&on).unwrap();

@@ -98,7 +98,7 @@ impl StepCore {
     #[must_use]
     pub fn found_energised(mut self, now_ns: u64) -> Self {
         self.moved_ns = now_ns;
-        let on = Levels { enable: true, ..Levels::default() };
+        let on = Levels::without_step(true);
         (self.enable, self.levels, self.written) = (true, on, on);
         self
     }
