@@ -8,7 +8,7 @@ use crate::config::source;
 use crate::config::{Board, Calibration, PlantSection};
 use crate::control::LoopConfig;
 use crate::experiment::arm::ArmResult;
-use crate::experiment::evaluation::{self, Arm, Evaluation, Plan, Purpose, Track};
+use crate::experiment::evaluation::{self, Arm, Evaluation, Foretold, Plan, Purpose, Track};
 use crate::experiment::path;
 use crate::experiment::track::TrackResult;
 use crate::model::DescribedMachine;
@@ -252,6 +252,15 @@ fn summary(e: &Evaluation) -> String {
         0 => String::new(),
         _ => format!("{}\n", output::table(&header, 1..header.len(), figures)),
     };
+    let foretold = match e.foretold.len() {
+        0 => String::new(),
+        _ => {
+            let deg = |x: f64| format!("{x:.1}°");
+            let row = |f: &Foretold| [f.name.clone(), deg(f.machine_deg), deg(f.twin_deg), deg(f.nominal_deg)];
+            let header = ["bend RMSE, open loop", "machine", "its twin foretells", "nominal model foretells"];
+            format!("{}\n", output::table(&header, 1..header.len(), e.foretold.iter().map(row)))
+        }
+    };
     let path = e.track.as_ref().map_or(String::new(), |t| {
         format!(
             "path of {:.1} s: RMSE {:.2}°, 95 % {:.2}°, at most {:.2}°; delay {:.3} s, RMSE after it {:.2}°\n",
@@ -259,5 +268,5 @@ fn summary(e: &Evaluation) -> String {
         )
     });
     let (plant, seed, k_eps, k_lambda) = (&e.plant, e.seed, gains(&e.k_eps), gains(&e.k_lambda_mm));
-    format!("plant {plant}, seed {seed}\n{arms}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n")
+    format!("plant {plant}, seed {seed}\n{arms}{foretold}{path}k_ε = {k_eps}   k_λ = {k_lambda} mm   ({origin})\n")
 }

@@ -10,7 +10,8 @@ use crate::experiment::rig::{Rig, RigError};
 use crate::experiment::schedule::{DIRECTIONS, arrivals, paper};
 use crate::experiment::track::{self, TrackResult};
 use crate::log::error::ReadError;
-use crate::model::{DescribedMachine, Drive, Line};
+use crate::model::{DescribedMachine, Drive, Line, nominal_theta};
+use crate::simulation::described::Described;
 use crate::simulation::world::World;
 use crate::supervisor::MachineError;
 use serde::Serialize;
@@ -90,6 +91,19 @@ pub struct ChannelFigures {
     pub residual_mm: f64,
 }
 
+/// The bend RMSE of an open-loop arm, and what two simulations foretell of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Foretold {
+    /// Arm name.
+    pub name: String,
+    /// On the machine, degrees.
+    pub machine_deg: f64,
+    /// On the machine that a diagnosis has described, degrees.
+    pub twin_deg: f64,
+    /// On the nominal model with the calibrated gains, degrees.
+    pub nominal_deg: f64,
+}
+
 /// Result of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Evaluation {
@@ -102,6 +116,9 @@ pub struct Evaluation {
     /// The path, if one was driven.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub track: Option<TrackResult>,
+    /// What simulations foretell of the open-loop arms, where a described machine was used.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub foretold: Vec<Foretold>,
     /// Extension gains used.
     pub k_eps: [f64; 3],
     /// Backlash half-widths used, mm.
@@ -190,6 +207,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
         found = Some(result);
     }
     let mut arms = Vec::with_capacity(plan.arms.len());
+    let mut twin = plan.feedforward.clone();
     for &arm in &plan.arms {
         let described = match (&plan.feedforward, arm) {
             (None, Arm::Diagnosed) => {
@@ -203,6 +221,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
         let mut world = open(Purpose::Arm(arm)).map_err(RigError::from)?;
         plant.clone_from(&world.info().name);
         let config = arm.config(&for_world(&base, world.as_ref()));
+        twin = twin.or_else(|| described.clone());
         let config = match described.filter(|_| matches!(arm, Arm::Diagnosed | Arm::Closed)) {
             Some(machine) => config.fed_forward(machine),
             None => config,
@@ -210,6 +229,7 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
         let name = format!("arm {}", arm.name());
         arms.push(arm::run(arm.name(), &mut Rig::new(config, world.as_mut()), &arrivals(DIRECTIONS), &mut || progress(&name))?);
     }
+    let foretold = twin.map_or(Ok(vec![]), |machine| foretell(&base, &machine, plan.seed, &arms))?;
     let mut track = None;
     if let Some(Track { path, live }) = &plan.track {
         path.within(&base.limits, &base.geometry, &base.lines)?;
@@ -222,7 +242,26 @@ pub fn run(plan: &Plan, open: &mut Open<'_>, progress: &mut dyn FnMut(&str)) -> 
         };
         track = Some(track::run(&mut Rig::new(config, world.as_mut()), &path.path, *live, &mut || progress("path"))?);
     }
-    Ok(Evaluation { track, ..gather(plan, &base, found.as_ref(), plant, arms) })
+    Ok(Evaluation { track, foretold, ..gather(plan, &base, found.as_ref(), plant, arms) })
+}
+
+/// Runs the open-loop arms on the described machine and on the nominal model.
+fn foretell(base: &LoopConfig, machine: &DescribedMachine, seed: u64, arms: &[ArmResult]) -> Result<Vec<Foretold>, RigError> {
+    let theta = nominal_theta(&base.lines, base.dynamics.expected.lag_s);
+    let nominal = DescribedMachine::new(machine.geometry, machine.rest, &theta, vec![]);
+    let run = |machine: &DescribedMachine, arm: Arm| -> Result<f64, RigError> {
+        let mut world = Described::new(machine.clone(), base.drive.step_mm, seed);
+        let config = arm.config(&for_world(base, &world));
+        let result = arm::run(arm.name(), &mut Rig::new(config, &mut world), &arrivals(DIRECTIONS), &mut || ())?;
+        Ok(result.bend_rmse_deg)
+    };
+    let open = [Arm::None, Arm::Extension, Arm::Backlash].into_iter();
+    let ran = open.filter_map(|arm| Some((arm, arms.iter().find(|a| a.name == arm.name())?.bend_rmse_deg)));
+    let one = |(arm, machine_deg): (Arm, f64)| {
+        let (twin_deg, nominal_deg) = (run(machine, arm)?, run(&nominal, arm)?);
+        Ok(Foretold { name: arm.name().to_owned(), machine_deg, twin_deg, nominal_deg })
+    };
+    ran.map(one).collect()
 }
 
 /// The configuration with step and rest length of the world in place of those of the board.
@@ -240,6 +279,7 @@ fn gather(plan: &Plan, base: &LoopConfig, found: Option<&Identified>, plant: Str
         seed: plan.seed,
         arms,
         track: None,
+        foretold: vec![],
         k_eps: base.lines.map(|l| l.k_epsilon),
         k_lambda_mm: base.lines.map(|l| l.k_lambda_mm),
         lag_s: base.dynamics.expected.lag_s,
