@@ -18,7 +18,7 @@ pub const G_M_S2: f64 = 9.80665;
 const CHI2_3_MEDIAN: f64 = 2.366;
 
 /// One bin.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bin {
     /// First row and one past the last.
     pub rows: (usize, usize),
