@@ -27,8 +27,14 @@ fn the_open_loop_through_the_right_model_leaves_little_of_the_gap() {
 
 #[test]
 fn the_diagnosed_arm_of_the_twin_stays_below_one_and_a_half_degrees() {
-    let e = evaluate(0, &[Arm::Backlash, Arm::Diagnosed]);
+    let e = evaluate(0, &[Arm::Extension, Arm::Backlash, Arm::Diagnosed]);
     let of = |arm| e.arm(arm).unwrap().bend_rmse_deg;
     println!("backlash {:.2}°, diagnosed {:.2}°", of(Arm::Backlash), of(Arm::Diagnosed));
     assert!(of(Arm::Diagnosed) <= 1.5 && of(Arm::Backlash) > 5.0, "{} {}", of(Arm::Backlash), of(Arm::Diagnosed));
+    // the twin knows what the nominal model does not
+    assert_eq!(e.foretold.len(), 2);
+    for f in &e.foretold {
+        let off = |deg: f64| (deg / f.machine_deg - 1.0).abs();
+        assert!(off(f.twin_deg) < 0.1 && off(f.nominal_deg) > 0.3, "{f:?}");
+    }
 }

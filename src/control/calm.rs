@@ -6,7 +6,7 @@
 
 /// Time for which the set-point has rested, s: the pistons of a nominal line have made their corrections.
 const AFTER_S: f64 = 0.75;
-/// Speed of the tip, rad/s (1 °/s).
+/// Speed of the tip that each piston may cause, rad/s (1 °/s).
 const SPEED: f64 = 0.0175;
 /// Error above which the speed rises, rad (4°), and its additional speed, 1/s.
 const LARGE_RAD: f64 = 0.07;
@@ -29,7 +29,7 @@ impl CalmCorrection {
         self.rested_s >= AFTER_S
     }
 
-    /// Largest speed of the tip at an error, rad/s; `None` while there is no bound.
+    /// Largest speed of the tip that a piston may cause at an error, rad/s; `None` while there is no bound.
     pub fn speed(&self, error_rad: f64) -> Option<f64> {
         self.is_calm().then(|| SPEED + GAIN_1_S * (error_rad - LARGE_RAD).max(0.0))
     }

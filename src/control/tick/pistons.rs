@@ -71,20 +71,23 @@ pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend
     let follows = !state.hold.is_holding() && !state.feedback.standstill.closed;
     let piston_mm = match state.hold {
         Hold::Holding { stop_mm } => stop_mm,
-        _ if follows => invert_transmission(config, state, &bellow_mm, estimate, moving, dt_s),
+        _ if follows => {
+            let wanted_mm = invert_transmission(config, state, &bellow_mm, estimate, moving, dt_s);
+            calmly(config, state, &wanted_mm, estimate, dt_s)
+        }
         _ => state.targets_mm,
     };
     let estimated_mm = config.geometry.lengths(&Shape { bend: estimate, length });
     let (allowed_mm, cut) = config.limits.pistons(&piston_mm, &estimated_mm);
-    let slowly_mm = calmly(config, state, &allowed_mm, estimate, dt_s);
-    state.targets_mm = if follows { ease(&mut state.hold, slowly_mm, dt_s) } else { allowed_mm };
+    state.targets_mm = if follows { ease(&mut state.hold, allowed_mm, dt_s) } else { allowed_mm };
     PistonOutput { command: bend, bellow_mm, piston_target_mm: state.targets_mm, cut }
 }
 
-/// The targets `wanted_mm`, approached no faster than calm corrections permit.
+/// The targets `wanted_mm`, approached no faster than calm corrections permit. Pressure on an obstruction is relieved at once.
 fn calmly(config: &LoopConfig, state: &LoopState, wanted_mm: &Vector3<f64>, estimate: Bend, dt_s: f64) -> Vector3<f64> {
     let error_rad = (state.setpoint.target.bend.0 - estimate.0).norm();
-    let Some(speed) = config.feedback.and_then(|_| state.feedback.calm.speed(error_rad)) else { return *wanted_mm };
+    let speed = config.feedback.and_then(|_| state.feedback.calm.speed(error_rad));
+    let Some(speed) = speed.filter(|_| !state.feedback.obstruction.blocked) else { return *wanted_mm };
     Vector3::from_fn(|i, _| {
         let most_mm = state.transmission.lines[i].play_output_mm(speed * config.geometry.r_mm) * dt_s;
         state.targets_mm[i] + (wanted_mm[i] - state.targets_mm[i]).clamp(-most_mm, most_mm)
