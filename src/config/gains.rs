@@ -2,7 +2,7 @@
 
 use crate::control::learning::online::RefineConfig;
 use crate::control::obstruction::ObstructionConfig;
-use crate::control::{FeedbackConfig, Pace, StandstillConfig};
+use crate::control::{CalmConfig, FeedbackConfig, Pace, StandstillConfig};
 use crate::estimation::fusion::health::{HealthCause, Policy};
 use crate::estimation::fusion::tip::FuseConfig;
 use crate::model::Side;
@@ -18,6 +18,8 @@ parameters! {
         pace: PaceSection;
         /// Backlash compensation.
         backlash: BacklashSection;
+        /// Slow corrections of a set-point that rests.
+        calm: CalmConfig;
         /// The standstill latch.
         standstill: StandstillConfig;
         /// Obstruction detection.
@@ -79,7 +81,7 @@ impl Gains {
 
     /// The outer loop with its detectors.
     pub fn feedback(&self) -> FeedbackConfig {
-        FeedbackConfig { standstill: self.standstill, obstruction: self.obstruction, ..self.outer }
+        FeedbackConfig { calm: self.calm, standstill: self.standstill, obstruction: self.obstruction, ..self.outer }
     }
 }
 

@@ -4,12 +4,22 @@
 //! that is known to a few percent only, and the tip jumps by what is wrong. A piston that crosses it slowly is stopped by the feedback
 //! as soon as the tip answers. A large error, which an obstruction that gives way or a disturbance leaves, is corrected faster.
 
-/// Time for which the set-point has rested, s: the pistons of a nominal line have made their corrections.
-const AFTER_S: f64 = 0.75;
-/// Speed of the tip that each piston may cause, rad/s (1 °/s).
-const SPEED: f64 = 0.0175;
-/// Error above which the speed rises, rad (4°), and its additional speed, 1/s.
-const LARGE_RAD: f64 = 0.07;
+use crate::parameters;
+
+parameters! {
+    /// Slow corrections of a set-point that rests.
+    pub struct CalmConfig: Copy {
+        /// Time after which a set-point that rests is corrected slowly. A larger value corrects quickly for longer, and more poses are
+        /// left by the jump of a late reversal.
+        after_s: f64 = 0.75, "s", 0.0..=60.0, "0.75 lets a nominal line make its corrections";
+        /// Speed of the tip that each piston may then cause. A larger value corrects sooner and jumps further.
+        speed_deg_s: f64 = 1.0, "deg/s", 0.01..=1000.0, "1 moves the tip by 0.1° before a line with 0.1 s of lag answers";
+        /// Error above which that speed rises. A larger value corrects disturbances more slowly.
+        large_deg: f64 = 4.0, "deg", 0.0..=180.0, "4 is more than a learned pose leaves";
+    }
+}
+
+/// Additional speed for an error above the large one, 1/s.
 const GAIN_1_S: f64 = 10.0;
 
 /// Time for which the set-point has rested.
@@ -25,13 +35,14 @@ impl CalmCorrection {
     }
 
     /// Whether the pistons move slowly.
-    pub fn is_calm(&self) -> bool {
-        self.rested_s >= AFTER_S
+    pub fn is_calm(&self, config: &CalmConfig) -> bool {
+        self.rested_s >= config.after_s
     }
 
     /// Largest speed of the tip that a piston may cause at an error, rad/s; `None` while there is no bound.
-    pub fn speed(&self, error_rad: f64) -> Option<f64> {
-        self.is_calm().then(|| SPEED + GAIN_1_S * (error_rad - LARGE_RAD).max(0.0))
+    pub fn speed(&self, config: &CalmConfig, error_rad: f64) -> Option<f64> {
+        let beyond_rad = (error_rad - config.large_deg.to_radians()).max(0.0);
+        self.is_calm(config).then(|| config.speed_deg_s.to_radians() + GAIN_1_S * beyond_rad)
     }
 }
 
@@ -41,14 +52,14 @@ mod tests {
 
     #[test]
     fn a_set_point_that_has_rested_is_corrected_slowly_unless_the_error_is_large() {
-        let mut calm = CalmCorrection::default();
+        let (config, mut calm) = (CalmConfig::default(), CalmCorrection::default());
         let rest = |calm: &mut CalmCorrection, seconds: f64| (0..(seconds * 100.0) as usize).for_each(|_| calm.step(false, 0.01));
         rest(&mut calm, 0.7);
-        assert_eq!(calm.speed(0.01), None);
+        assert_eq!(calm.speed(&config, 0.01), None);
         rest(&mut calm, 0.1);
-        assert_eq!(calm.speed(0.01), Some(SPEED));
-        assert!(calm.speed(0.2).unwrap() > 1.0, "{calm:?}");
+        assert_eq!(calm.speed(&config, 0.01), Some(1f64.to_radians()));
+        assert!(calm.speed(&config, 0.2).unwrap() > 1.0, "{calm:?}");
         calm.step(true, 0.01);
-        assert_eq!(calm.speed(0.2), None);
+        assert_eq!(calm.speed(&config, 0.2), None);
     }
 }

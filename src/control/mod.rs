@@ -14,6 +14,7 @@ pub mod saturation;
 pub mod standstill;
 pub mod tick;
 
+pub use calm::CalmConfig;
 pub use follow::Pace;
 pub use limits::ActuatorLimits;
 pub use path::Path;

@@ -20,7 +20,7 @@ const SLOW_LAG_S: f64 = 0.25;
 type Mechanism = (&'static str, fn(&mut LoopConfig));
 
 /// The loop as configured, then each mechanism.
-pub const MECHANISMS: [Mechanism; 9] = [
+pub const MECHANISMS: [Mechanism; 10] = [
     ("nothing", |_| ()),
     ("online k_eps", |c| c.refine.enabled = false),
     ("learned static error", |c| feedback(c, |f| f.learn_error = false)),
@@ -28,6 +28,7 @@ pub const MECHANISMS: [Mechanism; 9] = [
     ("backlash share", |c| feedback(c, |f| f.learn_backlash = false)),
     // the refinement takes its poses from the latch
     ("standstill latch, online k_eps", |c| feedback(c, |f| f.standstill.close_deg = 0.0)),
+    ("slow corrections", |c| feedback(c, |f| f.calm.after_s = f64::INFINITY)),
     ("set-point lead", |c| feedback(c, |f| f.lead = 0.0)),
     ("bend filter (vqf)", |c| c.fuse.filter = EstimatorName::Generic(FilterName::Vqf)),
     ("bend filter (madgwick)", |c| c.fuse.filter = EstimatorName::Generic(FilterName::Madgwick)),

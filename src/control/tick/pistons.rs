@@ -86,7 +86,7 @@ pub(super) fn command(config: &LoopConfig, state: &mut LoopState, estimate: Bend
 /// The targets `wanted_mm`, approached no faster than calm corrections permit. Pressure on an obstruction is relieved at once.
 fn calmly(config: &LoopConfig, state: &LoopState, wanted_mm: &Vector3<f64>, estimate: Bend, dt_s: f64) -> Vector3<f64> {
     let error_rad = (state.setpoint.target.bend.0 - estimate.0).norm();
-    let speed = config.feedback.and_then(|_| state.feedback.calm.speed(error_rad));
+    let speed = config.feedback.and_then(|f| state.feedback.calm.speed(&f.calm, error_rad));
     let Some(speed) = speed.filter(|_| !state.feedback.obstruction.blocked) else { return *wanted_mm };
     Vector3::from_fn(|i, _| {
         let most_mm = state.transmission.lines[i].play_output_mm(speed * config.geometry.r_mm) * dt_s;
@@ -159,7 +159,7 @@ fn invert_transmission(
     });
     let piston_mm = described.map_or(piston_mm, |(machine, state)| state.counted(machine, &piston_mm));
     // a piston that crosses slowly is answered late
-    if !by_feedback || state.feedback.calm.is_calm() {
+    if !by_feedback || config.feedback.is_some_and(|f| state.feedback.calm.is_calm(&f.calm)) {
         backlash.forget();
         return piston_mm;
     }

@@ -1,5 +1,6 @@
 //! Configuration, input and output of a tick.
 
+use crate::control::calm::CalmConfig;
 use crate::control::follow::Pace;
 use crate::control::learning::batch::Prior;
 use crate::control::learning::online::RefineConfig;
@@ -96,6 +97,8 @@ parameters! {
         learn_backlash: bool = true;
     }
     set in code {
+        /// Slow corrections.
+        calm: CalmConfig = CalmConfig::default();
         /// The standstill latch.
         standstill: StandstillConfig = StandstillConfig::default();
         /// The obstruction detector.
