@@ -6,6 +6,7 @@ use crate::config::source;
 use crate::diagnosis::map::diagnose::diagnose;
 use crate::diagnosis::map::document::{Document, Entry};
 use crate::diagnosis::map::file::MapFile;
+use crate::diagnosis::map::operators::kind;
 use crate::diagnosis::map::table;
 use miette::{IntoDiagnostic, Result};
 use std::path::{Path, PathBuf};
@@ -47,9 +48,21 @@ fn summary(d: &Document) -> String {
             d.gap.recalibrated, d.unit, d.gap.explained, d.gap.noise_floor
         ),
     ];
-    out.extend(d.verdict.equivalent.iter().map(|g| format!("this log cannot separate: {}", g.join(", "))));
+    out.extend(d.set.first().map(|s| {
+        let [low, high] = s.closed_ci95.map(|c| c * 100.0);
+        format!("closed {:.0} % of the gap (95 %: {low:.0} to {high:.0} %)", s.closed * 100.0)
+    }));
+    out.extend(d.verdict.equivalent.iter().map(|g| group(g)));
     out.extend(d.notes.iter().map(|n| format!("note: {n}")));
     out.extend(d.fresh.iter().map(|f| format!("on {}, without a new fit: {:.4} before, {:.4} after", f.log, f.before, f.after)));
     out.push(table.to_string());
     out.join("\n")
+}
+
+/// A group of effects that a log cannot separate, in words.
+fn group(names: &[&str]) -> String {
+    let mut kinds: Vec<&str> = names.iter().map(|n| kind(n)).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    format!("{}: this log cannot separate {}", kinds.join(" or "), names.join(", "))
 }

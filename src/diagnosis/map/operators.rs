@@ -51,6 +51,17 @@ impl Operator {
     }
 }
 
+/// What operators that a log may not separate have in common.
+pub fn kind(name: &str) -> &'static str {
+    match name {
+        "play" | "hysteresis" | "bouc_wen" | "coulomb" | "load_friction" => "memory of the path",
+        "viscous" | "lag" | "delay" | "creep" | "leak" => "memory of the time",
+        "cubic" | "asymmetry" => "curved characteristic",
+        "periodic_position" | "periodic_time" => "period",
+        _ => "drift",
+    }
+}
+
 /// Operators for a rig with an input.
 pub const DRIVEN: [Operator; 15] = [
     // Play operator of one half-width. Separated by nested loops of several sizes.
