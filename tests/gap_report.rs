@@ -44,7 +44,7 @@ fn diagnosis(kind: VerdictKind, names: &[&'static str], equivalent: &[&[&'static
             equivalent: equivalent.iter().map(|g| g.to_vec()).collect(),
             conformal: vec![],
         },
-        unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37, predictable_deg_s: 0.0 },
+        unknown: UnknownEntry { probability: 0.03, rmse_deg: 0.37, goes_with: vec![] },
         logs: vec![],
         rivals: vec![],
     }

@@ -15,7 +15,7 @@ use retroflex::config::assemble;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
-use retroflex::diagnosis::exam::question::{Content, Logs, Question, VISIBLE_DEG, difference_deg, questions};
+use retroflex::diagnosis::exam::question::{Content, Logs, Question, is_hidden, questions};
 use retroflex::diagnosis::exam::record::record;
 use retroflex::diagnosis::exam::run::run as answer_all;
 use retroflex::diagnosis::exam::score::{Row, score};
@@ -287,7 +287,7 @@ fn drawn(plant: &str, q: &Question) -> Result<Logs, MachineError> {
     // an effect that is hardly visible is made larger, a wall comes nearer
     let hidden = |n: usize, size: f64| {
         let rest: Vec<&str> = names.iter().enumerate().filter(|(k, _)| *k != n).map(|(_, name)| *name).collect();
-        Ok::<_, MachineError>(difference_deg(&log(&names, size, first)?, &log(&rest, size, first)?) < VISIBLE_DEG)
+        Ok::<_, MachineError>(is_hidden(&log(&rest, size, first)?, &log(&names, size, first)?, &lines, q.lab))
     };
     let mut size = 1.0;
     for n in 0..names.len() {

@@ -3,6 +3,7 @@
 use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::log::bend_log::{BendLog, ImuColumns};
 use nalgebra::{Matrix3, Vector3};
+use std::borrow::Cow;
 
 /// Length of a bin, s.
 pub const BIN_S: f64 = 0.05;
@@ -10,6 +11,10 @@ pub const BIN_S: f64 = 0.05;
 const HOLD_BIN_S: f64 = 0.2;
 /// Idle time after which a hold counts as long, s.
 const HOLD_AFTER_S: f64 = 1.5;
+/// Time of a long log that is compared with the model, s.
+const COMPARED_S: f64 = 600.0;
+/// Length of a stretch of it, s: two blocks of the scores, one in each fold.
+const STRETCH_S: f64 = 24.0;
 /// Idle time of the first row, s: the pistons have stood long before the log begins.
 const IDLE_BEFORE_S: f64 = 10.0;
 /// Gravity, m/s².
@@ -18,7 +23,7 @@ pub const G_M_S2: f64 = 9.80665;
 const CHI2_3_MEDIAN: f64 = 2.366;
 
 /// One bin.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Bin {
     /// First row and one past the last.
     pub rows: (usize, usize),
@@ -75,6 +80,12 @@ impl Rows {
         self.idle_s.append(&mut later.idle_s);
     }
 
+    /// Whether a piston starts, stops or reverses at a row that has neighbours.
+    pub fn turns(&self, k: usize) -> bool {
+        let [before, after] = [k - 1, k].map(|k| self.piston_mm[k + 1] - self.piston_mm[k]);
+        before.iter().zip(&after).any(|(a, b)| a * b <= 0.0 && a != b)
+    }
+
     /// Counted pistons at time `t_s`, interpolated linearly between rows `k` and `k + 1`.
     pub fn piston_after(&self, k: usize, t_s: f64) -> Vector3<f64> {
         let Some(next) = self.t_s.get(k + 1) else { return self.piston_mm[k] };
@@ -94,17 +105,17 @@ fn mean_or_nan(values: impl Iterator<Item = Vector3<f64>>) -> Vector3<f64> {
 }
 
 /// The log averaged down to about 100 Hz if it is faster than 120 Hz; the pistons keep their last count.
-pub fn thinned(log: &BendLog) -> BendLog {
+pub fn thinned(log: &BendLog) -> Cow<'_, BendLog> {
     let rate = (log.t_s.len() - 1) as f64 / (log.t_s[log.t_s.len() - 1] - log.t_s[0]);
     let by = (rate / 100.0).round() as usize;
     if rate < 120.0 || by < 2 {
-        return log.clone();
+        return Cow::Borrowed(log);
     }
     let groups: Vec<(usize, usize)> = (0..log.t_s.len() / by).map(|g| (g * by, (g + 1) * by)).collect();
     let last = |v: &[Vector3<f64>]| groups.iter().map(|g| v[g.1 - 1]).collect::<Vec<_>>();
     let average = |v: &[Vector3<f64>]| groups.iter().map(|g| mean_or_nan(v[g.0..g.1].iter().copied())).collect::<Vec<_>>();
     let imu = |i: &ImuColumns| ImuColumns { acc: average(&i.acc), gyr: average(&i.gyr), mag: average(&i.mag) };
-    BendLog {
+    Cow::Owned(BendLog {
         t_s: groups.iter().map(|g| log.t_s[g.1 - 1]).collect(),
         command: last(&log.command),
         piston_mm: last(&log.piston_mm),
@@ -115,7 +126,26 @@ pub fn thinned(log: &BendLog) -> BendLog {
         temp_c: log.temp_c.as_ref().map(|t| groups.iter().map(|g| t[g.1 - 1]).collect()),
         file: log.file.clone(),
         ignored: log.ignored.clone(),
+    })
+}
+
+/// The bins of a long log that are compared with the model: a stretch of every few, so that the fits of an hour take no longer than those
+/// of [`COMPARED_S`]. The model runs through the whole log.
+pub fn compared(bins: Vec<Bin>) -> Vec<Bin> {
+    let (Some(first), Some(last)) = (bins.first().copied(), bins.last()) else { return bins };
+    let every = ((last.t_s - first.t_s) / COMPARED_S).round() as usize;
+    if every < 2 {
+        return bins;
     }
+    let kept = |b: &Bin| ((b.t_s - first.t_s) / STRETCH_S) as usize % every == 0;
+    let mut out: Vec<Bin> = bins.into_iter().filter(kept).collect();
+    for k in 1..out.len() {
+        if out[k].rows.0 > out[k - 1].rows.1 {
+            // the mean rate since the bin before is not that since the one that is kept
+            out[k].gyr = Vector3::repeat(f64::NAN);
+        }
+    }
+    out
 }
 
 /// Bins of a log, without weights.
@@ -190,4 +220,25 @@ pub fn noise(bins: &[Bin], field_ut: f64) -> PerQuantity<f64> {
 /// Rotation vector of a small rotation given as a (mean) matrix: half of its antisymmetric part.
 fn vee(a: &Matrix3<f64>) -> Vector3<f64> {
     Vector3::new(a[(2, 1)] - a[(1, 2)], a[(0, 2)] - a[(2, 0)], a[(1, 0)] - a[(0, 1)]) / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An hour is compared in stretches that lie in both folds of the scores; ten minutes are compared as a whole.
+    #[test]
+    fn a_part_of_a_long_log_is_compared() {
+        let every = |until_s: f64| {
+            let bin = |k: usize| Bin { t_s: k as f64 * 0.1, lasting_s: 0.1, rows: (10 * k, 10 * k + 10), ..Bin::default() };
+            (0..(until_s * 10.0) as usize).map(bin).collect::<Vec<Bin>>()
+        };
+        assert_eq!(compared(every(600.0)).len(), 6000);
+        let hour = compared(every(3600.0));
+        let odd = hour.iter().filter(|b| (b.t_s / 12.0) as usize % 2 == 1).count();
+        assert!((5900..6300).contains(&hour.len()) && odd.abs_diff(hour.len() / 2) < 10, "{} {odd}", hour.len());
+        let gaps: Vec<&[Bin]> = hour.windows(2).filter(|w| w[1].t_s - w[0].t_s > 1.0).collect();
+        assert!(gaps.len() > 20 && gaps.iter().all(|w| w[1].gyr.x.is_nan()), "{}", gaps.len());
+        assert_eq!(hour.iter().filter(|b| b.gyr.x.is_nan()).count(), gaps.len());
+    }
 }

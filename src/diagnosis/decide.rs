@@ -4,9 +4,7 @@
 //! 0.3° (0.3 °/s for the gyroscope), the published bar ([`CLAIM_DEG`]); what is below the bar counts as `none`.
 
 use crate::diagnosis::holdout::CLAIM_DEG;
-use crate::diagnosis::observe::Observed;
 use crate::diagnosis::posterior::Posterior;
-use crate::diagnosis::predictable::predictable_rate_deg_s;
 use crate::diagnosis::search::{Candidate, Candidates};
 use crate::named;
 use serde::Serialize;
@@ -52,12 +50,10 @@ pub struct Verdict {
     pub doubt: f64,
     /// Groups of effects, one of them in the set, between which the log does not decide.
     pub equivalent: Vec<Vec<&'static str>>,
-    /// RMS of the gyroscope's residual that its reading predicts, °/s.
-    pub predictable_deg_s: f64,
 }
 
 /// Decides, and returns the chosen candidate with the verdict.
-pub fn decide<'a>(log: &Observed, found: &'a Candidates, posterior: &Posterior<'a>) -> (Verdict, &'a Candidate) {
+pub fn decide<'a>(found: &'a Candidates, posterior: &Posterior<'a>) -> (Verdict, &'a Candidate) {
     let mut sets: Vec<(&Candidate, f64)> = Vec::new();
     for (c, p) in posterior.ranked.iter().filter_map(|(s, p)| s.map(|c| (claimable(found, c), p))) {
         match sets.iter_mut().find(|(known, _)| known.names == c.names) {
@@ -73,8 +69,7 @@ pub fn decide<'a>(log: &Observed, found: &'a Candidates, posterior: &Posterior<'
     let chosen = best.filter(|_| effects > none).map_or(&found.nominal, |best| best.0);
     let kind = VerdictKind::new(chosen.names.is_empty(), doubt > effects.max(none));
     let equivalent = if kind == VerdictKind::Effects { groups(posterior, chosen) } else { vec![] };
-    let predictable_deg_s = predictable_rate_deg_s(log, &chosen.held_out);
-    (Verdict { kind, names: chosen.names.clone(), doubt, predictable_deg_s, equivalent }, chosen)
+    (Verdict { kind, names: chosen.names.clone(), doubt, equivalent }, chosen)
 }
 
 /// The part of a set that may be claimed: each of its effects reduces the error of a quantity enough.

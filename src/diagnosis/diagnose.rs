@@ -3,8 +3,9 @@
 use crate::diagnosis::chain::{Model, run};
 use crate::diagnosis::credit::{credits, stages};
 use crate::diagnosis::decide::{Verdict, VerdictKind, decide};
+use crate::diagnosis::dependence::dependences;
 use crate::diagnosis::document::{
-    Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue, Rival, StatementEntry, UnknownEntry, VerdictEntry,
+    DependenceEntry, Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue, Rival, StatementEntry, UnknownEntry, VerdictEntry,
 };
 use crate::diagnosis::holdout::{HeldOut, score};
 use crate::diagnosis::interval::{Compared, closed_ci95};
@@ -17,6 +18,8 @@ use crate::model::effects::Effect;
 use crate::model::{Line, lines, nominal_theta};
 use nalgebra::Vector3;
 
+/// Least part of a remainder that a dependence must predict to be told.
+const TOLD: f64 = 0.1;
 /// Compared sets of each size in the document.
 const RIVALS: usize = 12;
 
@@ -35,7 +38,7 @@ pub struct Diagnosed {
 pub fn diagnose(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], seed: u64) -> Diagnosed {
     let found = search(log, catalogue, lines);
     let posterior = Posterior::new(log, &found);
-    let (verdict, chosen) = decide(log, &found, &posterior);
+    let (verdict, chosen) = decide(&found, &posterior);
     let probabilities: Vec<_> = found.singles.iter().map(|s| (s.names[0], posterior.effect(s.names[0]))).collect();
     let conformal = conformal(&posterior);
     let assembly = Assembly { log, catalogue, found: &found, chosen, probabilities: &probabilities, conformal, seed };
@@ -51,6 +54,14 @@ fn conformal(posterior: &Posterior<'_>) -> Vec<StatementEntry> {
         StatementEntry { kind, names: set.map_or(vec![], |c| c.names.clone()), probability }
     };
     posterior.ranked.iter().take(posterior.conformal).map(entry).collect()
+}
+
+/// What the remainder depends on.
+fn goes_with(log: &Observed, left: &HeldOut) -> Vec<DependenceEntry> {
+    let mut told = dependences(log, &left.residual).to_vec();
+    told.retain(|d| d.gain > 0.0 && d.share >= TOLD);
+    told.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    told.into_iter().map(|d| DependenceEntry { name: d.on.name(), share: d.share }).collect()
 }
 
 /// What a document is assembled from.
@@ -88,7 +99,7 @@ impl Assembly<'_> {
             unknown: UnknownEntry {
                 probability: verdict.doubt,
                 rmse_deg: log.rms_deg((chosen.energy() - log.noise_energy()).max(0.0)),
-                predictable_deg_s: verdict.predictable_deg_s,
+                goes_with: goes_with(log, &chosen.held_out),
             },
             verdict: VerdictEntry {
                 kind: verdict.kind,

@@ -137,8 +137,17 @@ pub struct UnknownEntry {
     pub probability: f64,
     /// RMSE left above the noise, degrees.
     pub rmse_deg: f64,
-    /// RMS of the gyroscope's residual that its own reading predicts, °/s.
-    pub predictable_deg_s: f64,
+    /// What it depends on, the strongest first.
+    pub goes_with: Vec<DependenceEntry>,
+}
+
+/// Something that the remainder depends on.
+#[derive(Debug, Clone, Serialize)]
+pub struct DependenceEntry {
+    /// What.
+    pub name: &'static str,
+    /// Part of the remainder's energy in one sensor that it predicts on left-out blocks.
+    pub share: f64,
 }
 
 /// A set of effects and what it leaves.

@@ -4,7 +4,7 @@
 //! parameters. The recalibration comprises gravity, field and gyroscope bias, solved inside every evaluation
 //! ([`crate::diagnosis::sense`]), and k_ε, k_λ and τ₀. What it closes is not credited to an effect.
 
-use crate::diagnosis::problem::{Bound, Point, Problem};
+use crate::diagnosis::problem::{Bound, PRIOR_SLOPE, Point, Problem};
 use crate::diagnosis::tangent::{Sums, Tangent};
 use nalgebra::{DMatrix, DVector};
 
@@ -26,16 +26,21 @@ pub struct Fitted {
     pub cost: f64,
     /// Inverse of the normal matrix, for standard errors of white residuals.
     pub covariance: DMatrix<f64>,
+    /// Information that the log gives about the parameters: half the logarithm of the determinant of the normal matrix over that of the
+    /// priors alone (the Occam factor of Laplace's evidence, MacKay 1992).
+    pub information: f64,
 }
 
 impl Fitted {
     /// The result of a fit that ended at `point` with this tangent.
     pub fn new(problem: &Problem<'_>, point: &Point, tangent: &Tangent) -> Self {
         let n = problem.bounds.len();
-        let inverse = tangent.sums(problem, point).normal.try_inverse().unwrap_or_else(|| DMatrix::identity(n, n));
+        let normal = tangent.sums(problem, point).normal;
+        let inverse = normal.clone().try_inverse().unwrap_or_else(|| DMatrix::identity(n, n));
+        let information = normal.cholesky().map_or(0.0, |c| c.l().diagonal().iter().map(|d| (d / PRIOR_SLOPE).ln()).sum());
         let scale = |i: usize| problem.bounds[i].scale;
         let covariance = DMatrix::from_fn(n, n, |a, b| inverse[(a, b)] * scale(a) * scale(b));
-        Self { theta: point.theta.clone(), cost: point.data(), covariance }
+        Self { theta: point.theta.clone(), cost: point.data(), covariance, information }
     }
 }
 

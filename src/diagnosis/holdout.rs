@@ -5,20 +5,24 @@
 //! bridge, and short ones, which can date an event. A fit without a block is one step from the full fit along the
 //! tangent; its prediction is a full run.
 
+use crate::diagnosis::bins::BIN_S;
 use crate::diagnosis::chain::run;
 use crate::diagnosis::fit::step;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::{Point, Problem};
-use crate::diagnosis::quantity::PerQuantity;
+use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::diagnosis::sense::{Residuals, sense};
 use crate::diagnosis::start::dates;
 use crate::diagnosis::tangent::{Sums, Tangent};
 use nalgebra::Vector3;
+use std::collections::BTreeMap;
 
 /// Least reduction of a quantity's RMSE that is attributed to an effect, degrees or °/s.
 pub const CLAIM_DEG: f64 = 0.3;
 /// Lengths of left-out blocks, s.
-const BLOCKS_S: [f64; 2] = [12.0, 1.5];
+pub const BLOCKS_S: [f64; 2] = [12.0, 1.5];
+/// Mean square that noise alone leaves in any block, in units of the bins' variances.
+const FLOOR: f64 = 0.03;
 /// Margin at either end of a block that is neither fitted nor scored, s.
 const MARGIN_S: f64 = 0.3;
 /// Damping of the step to a fit without a block.
@@ -37,6 +41,8 @@ pub struct HeldOut {
     pub blocks: Vec<f64>,
     /// Residuals of every bin as predicted when its long block was left out; 0 in the margins.
     pub residual: Residuals,
+    /// [`density`] of each quantity over the long blocks and over the short ones.
+    pub density: [PerQuantity<f64>; 2],
 }
 
 impl HeldOut {
@@ -57,6 +63,7 @@ pub fn leave_out(problem: &Problem<'_>, point: &Point, tangent: &Tangent) -> Hel
         let folds = folds(problem.log, length_s);
         score(problem.log, predicted(problem, point, tangent, &folds), |k| folds[k].is_some())
     });
+    long.density[1] = density(problem.log, &short.residual, BLOCKS_S[1]);
     for (a, b) in long.rmse_deg.0.iter_mut().zip(short.rmse_deg.0) {
         *a = ((*a * *a + b * b) / 2.0).sqrt();
     }
@@ -121,6 +128,22 @@ fn refitted(problem: &Problem<'_>, point: &Point, sums: &Sums, mask: &impl Fn(us
     unchanged
 }
 
+/// Mean over the blocks of the logarithm of the mean square of each quantity's left-out residuals, in units of their variances: the
+/// negative predictive density of residuals whose variance is unknown. No sum mixes units, and one block with an error of form counts
+/// as one block.
+pub fn density(log: &Observed, residual: &Residuals, block_s: f64) -> PerQuantity<f64> {
+    let of = |q: Quantity| {
+        let mut blocks: BTreeMap<usize, (f64, f64)> = BTreeMap::new();
+        let scored = log.bins.iter().zip(&residual[q]).filter(|(b, r)| b.weight[q] > 0.0 && **r != Vector3::zeros());
+        for (bin, r) in scored {
+            let sum = blocks.entry(((bin.t_s - log.start_s()) / block_s) as usize).or_default();
+            *sum = (sum.0 + bin.weight[q].powi(2) * r.norm_squared(), sum.1 + 3.0 * bin.lasting_s / BIN_S);
+        }
+        blocks.values().map(|(square, n)| (square / n + FLOOR).ln()).sum::<f64>() / blocks.len().max(1) as f64
+    };
+    PerQuantity::from_fn(of)
+}
+
 /// RMSE of each quantity and energy of each block of the residuals of the `used` bins.
 pub fn score(log: &Observed, residual: Residuals, used: impl Fn(usize) -> bool) -> HeldOut {
     let count = (log.duration_s() / BLOCKS_S[0]).ceil() as usize + 1;
@@ -141,5 +164,6 @@ pub fn score(log: &Observed, residual: Residuals, used: impl Fn(usize) -> bool) 
         if total[q] > 0.0 { (e / total[q] * square).sqrt() } else { 0.0 }
     });
     let blocks = sums.iter().map(|b| log.quantities().filter(|&q| total[q] > 0.0).map(|q| b[q].0 / total[q] * square).sum()).collect();
-    HeldOut { rmse_deg, blocks, residual }
+    let density = [density(log, &residual, BLOCKS_S[0]), PerQuantity::default()];
+    HeldOut { rmse_deg, blocks, residual, density }
 }

@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     fn held(blocks: &[f64]) -> HeldOut {
-        HeldOut { rmse_deg: Default::default(), blocks: blocks.to_vec(), residual: Default::default() }
+        HeldOut { rmse_deg: Default::default(), blocks: blocks.to_vec(), residual: Default::default(), density: Default::default() }
     }
 
     #[test]

@@ -11,6 +11,7 @@ pub mod chain;
 pub mod confusion;
 pub mod credit;
 pub mod decide;
+pub mod dependence;
 pub mod diagnose;
 pub mod document;
 pub mod exam;

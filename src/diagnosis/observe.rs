@@ -4,7 +4,7 @@
 //! and log are compared at the middles only. The model runs row by row while a piston moves and bin by bin while
 //! none does. A fault of one sensor shows in one [`Quantity`], a mechanical one in all.
 
-use crate::diagnosis::bins::{BIN_S, Bin, Rows, bins, mean, noise, thinned};
+use crate::diagnosis::bins::{BIN_S, Bin, Rows, bins, compared, mean, noise, thinned};
 use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::diagnosis::refuse::{ObserveError, refuse};
 use crate::diagnosis::rig::Rig;
@@ -27,6 +27,11 @@ const ACC_MOTION: f64 = 0.012;
 const ANGLE_MOTION: f64 = 0.006;
 /// Turning rate per piston speed, rad/mm, where no gyroscope measures it.
 const TURN_PER_MM: f64 = 0.1;
+
+/// Time between two instants where nothing is compared, and time before a bin in which every row is an instant again, s: the longest
+/// latency and dead time.
+const SPARSE_S: f64 = 0.2;
+const AHEAD_S: f64 = 1.0;
 
 /// Residuals are correlated over about this long, s: one independent observation per stretch.
 pub const CORRELATED_S: f64 = 2.0;
@@ -141,7 +146,7 @@ impl Observed {
     /// [`ObserveError`] if the log cannot be diagnosed.
     pub fn new(log: &BendLog, rig: &Rig) -> Result<Self, ObserveError> {
         refuse(log)?;
-        let log = &thinned(log);
+        let log = &*thinned(log);
         let rows = Rows::new(log);
         let mut bins = bins(log, &rows);
         let rest = bins.iter().position(|b| b.speed_mm_s > 0.0).unwrap_or(bins.len()).max(1);
@@ -149,7 +154,7 @@ impl Observed {
         let field_base_ut = mean(bins[..rest].iter().map(|b| b.mag)).unwrap_or_default();
         follow_base(&mut bins, log, &up_base);
         let noise_deg = noise(&bins, field_base_ut.norm().max(1.0));
-        let mut o = Self { rig: *rig, rows, bins, noise_deg, ..Self::default() };
+        let mut o = Self { rig: *rig, rows, bins: compared(bins), noise_deg, ..Self::default() };
         o.place_instants();
         let (rows, instants, bins) = (0..o.rows.t_s.len(), 0..o.t_s.len(), 0..o.bins.len());
         o.segments.push(Segment { file: log.file.clone(), start_s: o.start_s(), rows, instants, bins, up_base, field_base_ut });
@@ -161,15 +166,19 @@ impl Observed {
     }
 
     /// Places an instant at the middle of each bin and, while a piston moves, at every row between: the play output
-    /// depends on where a path reverses.
+    /// depends on where a path reverses. Where no bin is compared, rows at which a piston reverses, and a few others, suffice.
     fn place_instants(&mut self) {
         let mut before = 0;
         for k in 0..self.bins.len() {
             let bin = self.bins[k];
             let row = (bin.rows.0 + bin.rows.1 - 1) / 2;
+            let skipped = k > 0 && bin.rows.0 > self.bins[k - 1].rows.1;
             if self.rows.idle_s[row] < self.rows.t_s[row] - self.rows.t_s[before] {
                 for between in before + 1..row {
-                    self.push_instant(self.rows.t_s[between], self.rows.piston_mm[between], between, false);
+                    let (t_s, last_s) = (self.rows.t_s[between], self.t_s.last().copied().unwrap_or(f64::NEG_INFINITY));
+                    if !skipped || bin.t_s - t_s < AHEAD_S || t_s - last_s >= SPARSE_S || self.rows.turns(between) {
+                        self.push_instant(t_s, self.rows.piston_mm[between], between, false);
+                    }
                 }
             }
             self.bins[k].at = self.t_s.len();

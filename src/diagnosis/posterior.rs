@@ -2,48 +2,44 @@
 //!
 //! Each statement has a score, and the probabilities are the softmax of the scores (a multinomial logistic regression). The score of
 //! a set rises with the predictive density of the left-out blocks and falls with its freedom. The density of a block and sensor is that
-//! of residuals whose variance is unknown: the logarithm of their mean square, in units of the bins' standard deviations, so that no
-//! sum mixes units and one block with an error of form counts as one block. The weights are fitted by `retroflex gap train` to logs
-//! of machines whose laws are random deformations of the catalogue's ([`crate::diagnosis::train`]).
+//! of residuals whose variance is unknown ([`crate::diagnosis::holdout::density`]). The weights are fitted by `retroflex gap train` to
+//! logs of machines whose laws are random deformations of the catalogue's ([`crate::diagnosis::train`]).
 
-use crate::diagnosis::bins::BIN_S;
 use crate::diagnosis::holdout::{CLAIM_DEG, HeldOut};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::predictable::predictable_rate_deg_s;
-use crate::diagnosis::quantity::Quantity;
+use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::diagnosis::search::{Candidate, Candidates};
-use crate::model::NOMINAL;
-use nalgebra::{SVector, Vector3};
+use nalgebra::SVector;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-/// Length of a block, s.
-const BLOCK_S: f64 = 12.0;
-/// Mean square that noise alone leaves in any block, in units of the bins' variances.
-const FLOOR: f64 = 0.03;
-/// Parameters per effect beyond which more of them do not count.
-const PARAMETERS_MAX: usize = 6;
 /// Surcharge per effect when the best set is chosen, in the unit of a density.
 const PER_EFFECT: f64 = 0.15;
+
 /// Largest predictable rate that counts, °/s.
 const PREDICTABLE_MAX_DEG_S: f64 = 2.0;
 
 /// Number of features.
-pub const FEATURES: usize = 10;
-/// The features: for every statement `density`, the mean logarithm of the mean square of the left-out residuals over blocks and sensors
-/// (for `unknown` that of the best set); for a set the number of effects beyond the first, that of parameters, the logarithm of the
-/// largest gain of a sensor over the least that is claimed where it is less, and the part of the parameters that no usual form of the
-/// cause has; for `none` the logarithm of the largest RMS of a sensor above the noise, degrees; for `unknown` a constant, the densities of
-/// the best set and of the nominal model, and the rate of the gyroscope's residual that its reading predicts, °/s.
+pub const FEATURES: usize = 12;
+/// The features. For every statement, the density of the left-out short blocks: the mean over the sensors, and that of the gyroscope (for
+/// `unknown`, of the best set). For a set: the number of effects beyond the first; what the log tells about its parameters
+/// ([`crate::diagnosis::fit::Fitted::information`]); the logarithm of the largest gain of a sensor over the least that is claimed, where it is
+/// less; for two effects, the same of the lesser of their gains over one alone; and the part of the parameters that no usual form of the
+/// cause has. For `none`, the logarithm of the largest RMS of a sensor above the noise, degrees. For `unknown`: the same with the best
+/// set, the density of its long blocks, that of the short blocks with the nominal model, and the rate of the gyroscope's residual that its
+/// reading predicts, °/s.
 const NAMES: [&str; FEATURES] = [
     "density",
+    "density_gyro",
     "further_effects",
-    "parameters",
+    "information",
     "claim",
+    "second_claim",
     "unusual",
     "none_worst",
-    "unknown",
+    "unknown_worst",
     "unknown_best",
     "unknown_nominal",
     "unknown_predictable",
@@ -94,26 +90,35 @@ pub struct Statement<'a> {
 
 /// All statements about a log: each set, the nominal model, `unknown`.
 pub fn statements<'a>(log: &Observed, found: &'a Candidates) -> Vec<Statement<'a>> {
-    let nominal = density(log, &found.nominal.held_out);
-    let sets = found.singles.iter().chain(&found.pairs).map(|c| (c, density(log, &c.held_out)));
-    let sets: Vec<(&Candidate, f64)> = sets.collect();
-    let merit = |&(c, d): &(&Candidate, f64)| d + PER_EFFECT * c.names.len() as f64;
-    let best = sets.iter().min_by(|a, b| merit(a).total_cmp(&merit(b)));
-    let (best, least) = best.map_or((&found.nominal, nominal), |&(c, d)| (c, d));
-    let predictable = predictable_rate_deg_s(log, &best.held_out).min(PREDICTABLE_MAX_DEG_S);
-    let of_set = |&(c, density): &(&'a Candidate, f64)| {
-        let effects = c.names.len();
-        let free = (c.fitted.theta.len() - NOMINAL).min(PARAMETERS_MAX * effects);
-        let gain = found.nominal.held_out.gain(&c.held_out).max(1e-3);
-        let claim = (gain / CLAIM_DEG).ln().min(0.0);
-        let features = Features::from([-density, effects as f64 - 1.0, free as f64, claim, c.unusual, 0.0, 0.0, 0.0, 0.0, 0.0]);
-        Statement { set: Some(c), features }
+    let nominal = &found.nominal;
+    let sets = || found.singles.iter().chain(&found.pairs);
+    let [long, short] = [0, 1].map(|k| move |c: &Candidate| mean(log, &c.held_out.density[k]));
+    let merit = |c: &&Candidate| long(c) + short(c) + 2.0 * PER_EFFECT * c.names.len() as f64;
+    let best = sets().min_by(|a, b| merit(a).total_cmp(&merit(b))).unwrap_or(nominal);
+    let density = |c: &Candidate| [-short(c), if log.has[Quantity::Gyro] { -c.held_out.density[1][Quantity::Gyro] } else { 0.0 }];
+    let of_set = |c: &'a Candidate| {
+        let claim = |before: &Candidate| (before.held_out.gain(&c.held_out).max(1e-3) / CLAIM_DEG).ln().min(0.0);
+        let further = c.names.len() as f64 - 1.0;
+        let lesser = c.names.iter().filter_map(|n| found.single(n)).map(claim).fold(0.0, f64::min);
+        let information = (c.fitted.information - nominal.fitted.information) / 10.0;
+        let own = [further, information, claim(nominal), if further > 0.0 { lesser } else { 0.0 }, c.unusual];
+        (Some(c), features(density(c), own, 0.0, [0.0; 4]))
     };
-    let worst = worst_deg(log, &found.nominal.held_out).ln();
-    let none = Features::from([-nominal, 0.0, 0.0, 0.0, 0.0, worst, 0.0, 0.0, 0.0, 0.0]);
-    let unknown = Features::from([-least, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, least, nominal, predictable]);
-    let rest = [Statement { set: Some(&found.nominal), features: none }, Statement { set: None, features: unknown }];
-    sets.iter().map(of_set).chain(rest).collect()
+    let none = features(density(nominal), [0.0; 5], worst_deg(log, &nominal.held_out).ln(), [0.0; 4]);
+    let predictable = predictable_rate_deg_s(log, &best.held_out).min(PREDICTABLE_MAX_DEG_S);
+    let unknown = features(density(best), [0.0; 5], 0.0, [worst_deg(log, &best.held_out).ln(), long(best), short(nominal), predictable]);
+    let all = sets().map(of_set).chain([(Some(nominal), none), (None, unknown)]);
+    all.map(|(set, features)| Statement { set, features }).collect()
+}
+
+/// Features of a statement: the densities, those of a set, of `none`, and of `unknown`.
+fn features(density: [f64; 2], set: [f64; 5], none: f64, unknown: [f64; 4]) -> Features {
+    Features::from_iterator(density.into_iter().chain(set).chain([none]).chain(unknown))
+}
+
+/// Mean over the sensors of a log.
+fn mean(log: &Observed, density: &PerQuantity<f64>) -> f64 {
+    log.quantities().map(|q| density[q]).sum::<f64>() / log.quantities().count() as f64
 }
 
 /// Probabilities of statements with these features.
@@ -177,22 +182,6 @@ impl<'a> Posterior<'a> {
 fn worst_deg(log: &Observed, h: &HeldOut) -> f64 {
     let above = |q| (h.rmse_deg[q].powi(2) - 3.0 * log.noise_deg[q].powi(2)).max(0.0).sqrt();
     log.quantities().map(above).fold(0.05, f64::max)
-}
-
-/// Mean over sensors and blocks of the logarithm of the mean square of the left-out residuals, in units of their variances.
-fn density(log: &Observed, h: &HeldOut) -> f64 {
-    let of = |q| sensor_density(log, h, q);
-    log.quantities().map(of).sum::<f64>() / log.quantities().count() as f64
-}
-
-fn sensor_density(log: &Observed, h: &HeldOut, q: Quantity) -> f64 {
-    let mut blocks: BTreeMap<usize, (f64, f64)> = BTreeMap::new();
-    let scored = log.bins.iter().zip(&h.residual[q]).filter(|(b, r)| b.weight[q] > 0.0 && **r != Vector3::zeros());
-    for (bin, r) in scored {
-        let sum = blocks.entry(((bin.t_s - log.start_s()) / BLOCK_S) as usize).or_default();
-        *sum = (sum.0 + bin.weight[q].powi(2) * r.norm_squared(), sum.1 + 3.0 * bin.lasting_s / BIN_S);
-    }
-    blocks.values().map(|(square, n)| (square / n + FLOOR).ln()).sum::<f64>() / blocks.len().max(1) as f64
 }
 
 #[cfg(test)]

@@ -95,13 +95,12 @@ pub fn search(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3]) 
     let mut singles: Vec<Candidate> = catalogue.par_iter().map(|e| single(e.as_ref())).collect();
     sort_by_energy(&mut singles);
     let mut pairs = Vec::new();
-    if singles.first().is_some_and(|s| can_gain(log, &s.held_out)) {
-        for (seed, grown) in singles.iter().zip(GROWN) {
-            let known: Vec<Vec<&str>> = pairs.iter().map(|p: &Candidate| p.names.clone()).collect();
-            pairs.extend(grow(log, catalogue, seed, grown, &known));
-        }
-        sort_by_energy(&mut pairs);
+    let wanted = singles.first().map_or([0; 3], |best| grown(log, &nominal.held_out, &best.held_out));
+    for (seed, wanted) in singles.iter().zip(wanted).filter(|(_, wanted)| *wanted > 0) {
+        let known: Vec<Vec<&str>> = pairs.iter().map(|p: &Candidate| p.names.clone()).collect();
+        pairs.extend(grow(log, catalogue, seed, wanted, &known));
     }
+    sort_by_energy(&mut pairs);
     Candidates { nominal, singles, pairs }
 }
 
@@ -110,9 +109,16 @@ pub fn recalibrated(log: &Observed, lines: &[Line; 3]) -> Candidate {
     settle(Problem::new(log, Model::new(&[])), &nominal_theta(lines, log.rig.prior_lag_s)).0
 }
 
-/// Whether another effect could gain enough to be claimed.
-fn can_gain(log: &Observed, h: &HeldOut) -> bool {
-    log.quantities().any(|q| h.rmse_deg[q] - 3f64.sqrt() * log.noise_deg[q] > CLAIM_DEG)
+/// How many pairs are grown from each of the best singles: none where no two effects could be claimed, and half as many where the
+/// best single leaves less than can be claimed, because a single that is not in the log can stand for two that are.
+fn grown(log: &Observed, nominal: &HeldOut, best: &HeldOut) -> [usize; 3] {
+    let leaves = |h: &HeldOut| log.quantities().map(|q| h.rmse_deg[q] - 3f64.sqrt() * log.noise_deg[q]).fold(0.0, f64::max);
+    match leaves(best) {
+        _ if leaves(nominal) < CLAIM_DEG => [0; 3],
+        left if left > CLAIM_DEG => GROWN,
+        left if left > CLAIM_DEG / 2.0 => GROWN.map(|n| n.div_ceil(2)),
+        _ => [0; 3],
+    }
 }
 
 fn sort_by_energy(list: &mut [Candidate]) {
@@ -134,7 +140,7 @@ fn settle<'a>(problem: Problem<'a>, start: &[f64]) -> (Candidate, BaseFit<'a>) {
 }
 
 /// The most promising pairs of a single with another effect by Schwarz's criterion, except the `known` ones.
-fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, grown: usize, known: &[Vec<&str>]) -> Vec<Candidate> {
+fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, wanted: usize, known: &[Vec<&str>]) -> Vec<Candidate> {
     let (_, base) = settle(Problem::new(log, Model::named(catalogue, &seed.names)), &seed.fitted.theta);
     let pair = |e: &dyn Effect| Problem::new(log, Model::named(catalogue, &[seed.names[0], e.name()]));
     let fresh = |e: &dyn Effect| {
@@ -149,6 +155,6 @@ fn grow(log: &Observed, catalogue: &[Box<dyn Effect>], seed: &Candidate, grown: 
     let independent = log.duration_s() / CORRELATED_S * 3.0 * log.quantities().count() as f64;
     let criterion = |e: &dyn Effect, s: &Start| independent * s.predicted.ln() + e.params().len() as f64 * independent.ln();
     promising.sort_by(|a, b| criterion(a.0.as_ref(), &a.1).total_cmp(&criterion(b.0.as_ref(), &b.1)));
-    promising.truncate(grown);
+    promising.truncate(wanted);
     promising.par_iter().map(|(e, s)| settle(pair(e.as_ref()), &s.theta).0).collect()
 }

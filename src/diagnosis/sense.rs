@@ -231,7 +231,7 @@ impl Late<'_> {
 }
 
 /// Rotation vector of the small rotation from `a` to `b`: half of the antisymmetric part of `aᵀ b`.
-fn between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Vector3<f64> {
+pub fn between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Vector3<f64> {
     let (a, b) = (a.as_slice(), b.as_slice());
     let dot = |i: usize, j: usize| a[3 * i] * b[3 * j] + a[3 * i + 1] * b[3 * j + 1] + a[3 * i + 2] * b[3 * j + 2];
     Vector3::new(dot(2, 1) - dot(1, 2), dot(0, 2) - dot(2, 0), dot(1, 0) - dot(0, 1)) / 2.0

@@ -1,10 +1,14 @@
 //! Questions of an exam: a unit with zero, one or two effects, drawn from a seed, and its logs.
 //!
 //! Units differ in gains, play, lag, attitude and field, and all have the small imperfections of real units. The
-//! calibration is a few percent off. The size of an effect is drawn; one that changes no signal by `VISIBLE_DEG` is
-//! drawn again.
+//! calibration is a few percent off. The size of an effect is drawn; one that is too small to be claimed is drawn again.
 
 use crate::diagnosis::exam::record::{PERIOD_S, record};
+use crate::diagnosis::holdout::CLAIM_DEG;
+use crate::diagnosis::observe::Observed;
+use crate::diagnosis::quantity::Quantity;
+use crate::diagnosis::rig::Rig;
+use crate::diagnosis::search::recalibrated;
 use crate::log::bend_log::BendLog;
 use crate::model::Line;
 use crate::simulation::plant::config::BaseConfig;
@@ -109,8 +113,7 @@ impl Question {
                 let severity = if draw + 1 == DRAWS { 1.0 } else { rng.random_range(0.0..1.0) };
                 let with = make.clone().with_effect(name, severity, &mut rng)?;
                 let log_with = of(&with, first, true)?;
-                let enough = difference_deg(&log, &log_with) > VISIBLE_DEG;
-                if enough || draw + 1 == DRAWS {
+                if draw + 1 == DRAWS || !is_hidden(&log, &log_with, &lines, self.lab) {
                     (make, log) = (with, log_with);
                     break;
                 }
@@ -151,6 +154,18 @@ fn unit(rng: &mut StdRng) -> PlantConfig {
         ..PlantConfig::default()
     };
     make.drawn(rng.next_u64()).background(rng)
+}
+
+/// Whether an effect is too small to be asked for: no signal changes by [`VISIBLE_DEG`], or what a recalibrated model leaves of a sensor
+/// does not grow by what a diagnosis claims, so that the right verdict does not name it.
+pub fn is_hidden(without: &BendLog, with: &BendLog, lines: &[Line; 3], lab: bool) -> bool {
+    if difference_deg(without, with) < VISIBLE_DEG {
+        return true;
+    }
+    let left = |log: &BendLog| Observed::new(log, &Rig::default()).map(|o| recalibrated(&o, lines).held_out.rmse_deg).ok();
+    let (Some(before), Some(after)) = (left(without), left(with)) else { return true };
+    let seen = |q: &Quantity| lab || *q != Quantity::Reference;
+    Quantity::ALL.into_iter().filter(seen).all(|q| after[q] - before[q] < CLAIM_DEG)
 }
 
 /// Largest RMS difference of a signal between two logs, degrees (°/s for the gyroscope).

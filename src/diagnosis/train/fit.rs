@@ -83,6 +83,7 @@ fn slopes(cases: &[(&Case, usize)], w: &Features) -> (Features, SMatrix<f64, FEA
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::posterior::conformal_set;
     use crate::diagnosis::train::case::Said;
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};
@@ -104,11 +105,16 @@ mod tests {
             let said = features.into_iter().enumerate().map(|(k, features)| Said { names: name(k), features }).collect();
             Case { seed, truth: name(right.unwrap_or(5)), said }
         };
-        let cases: Vec<Case> = (0..6000).map(&mut case).collect();
+        let cases: Vec<Case> = (0..12_000).map(&mut case).collect();
         let trained = fit(&cases);
         let found = trained.weights.vector();
         assert!((found - truth).amax() < 0.15, "{found}");
-        assert!((0.9..1.0).contains(&trained.weights.conformal), "{found}");
-        assert_eq!(trained.logs, [3000, 3000, 0]);
+        let fresh: Vec<Case> = (12_000..15_000).map(&mut case).collect();
+        let holds = |c: &&Case| {
+            c.right().is_some_and(|r| conformal_set(&probabilities(c.features(), &found), trained.weights.conformal).contains(&r))
+        };
+        let held = fresh.iter().filter(holds).count();
+        assert!((2790..=2910).contains(&held), "95 % of 3,000: {held}");
+        assert_eq!(trained.logs, [6000, 6000, 0]);
     }
 }

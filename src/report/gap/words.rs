@@ -97,6 +97,13 @@ pub fn limits(d: &Diagnosis) -> Vec<String> {
     if d.verdict.kind != VerdictKind::None && d.unknown.probability > 0.05 {
         let (percent, rest) = (100.0 * d.unknown.probability, d.unknown.rmse_deg);
         out.push(format!("The probability of a cause outside the catalogue is {percent:.0} % ({rest:.2}° remain above the noise)."));
+        if let Some(first) = d.unknown.goes_with.first() {
+            out.push(format!(
+                "What remains goes with the {}, which predicts {:.0} % of it in one sensor.",
+                first.name,
+                100.0 * first.share
+            ));
+        }
     }
     if d.verdict.conformal.len() > 1 {
         let one = |s: &StatementEntry| match s.kind {
