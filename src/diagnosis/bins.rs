@@ -137,7 +137,7 @@ pub fn compared(bins: Vec<Bin>) -> Vec<Bin> {
     if every < 2 {
         return bins;
     }
-    let kept = |b: &Bin| ((b.t_s - first.t_s) / STRETCH_S) as usize % every == 0;
+    let kept = |b: &Bin| (((b.t_s - first.t_s) / STRETCH_S) as usize).is_multiple_of(every);
     let mut out: Vec<Bin> = bins.into_iter().filter(kept).collect();
     for k in 1..out.len() {
         if out[k].rows.0 > out[k - 1].rows.1 {
