@@ -130,7 +130,7 @@ pub fn thinned(log: &BendLog) -> Cow<'_, BendLog> {
 }
 
 /// The bins of a long log that are compared with the model: a stretch of every few, so that the fits of an hour take no longer than those
-/// of [`COMPARED_S`]. The model runs through the whole log.
+/// of ten minutes. The model runs through the whole log.
 pub fn compared(bins: Vec<Bin>) -> Vec<Bin> {
     let (Some(first), Some(last)) = (bins.first().copied(), bins.last()) else { return bins };
     let every = ((last.t_s - first.t_s) / COMPARED_S).round() as usize;
