@@ -53,7 +53,8 @@ pub struct Depends {
 
 /// How far the residuals depend on each of [`Dependence::ALL`].
 pub fn dependences(log: &Observed, residual: &Residuals) -> [Depends; Dependence::ALL.len()] {
-    let before = mean_density(log, residual);
+    let mean_density = |r: &Residuals| log.mean(&density(log, r, BLOCKS_S[0]));
+    let before = mean_density(residual);
     let motion = Motion::new(log);
     let of = |on: Dependence| {
         let mut left = residual.clone();
@@ -64,14 +65,9 @@ pub fn dependences(log: &Observed, residual: &Residuals) -> [Depends; Dependence
             left[q] = after;
             share = share.max(predicted);
         }
-        Depends { on, gain: before - mean_density(log, &left), share }
+        Depends { on, gain: before - mean_density(&left), share }
     };
     Dependence::ALL.map(of)
-}
-
-fn mean_density(log: &Observed, residual: &Residuals) -> f64 {
-    let d = density(log, residual, BLOCKS_S[0]);
-    log.quantities().map(|q| d[q]).sum::<f64>() / log.quantities().count() as f64
 }
 
 /// Residual of a sensor less what the inputs predict on blocks outside the regression, and the part of its energy that they predict.

@@ -28,9 +28,9 @@ const ANGLE_MOTION: f64 = 0.006;
 /// Turning rate per piston speed, rad/mm, where no gyroscope measures it.
 const TURN_PER_MM: f64 = 0.1;
 
-/// Time between two instants where nothing is compared, and time before a bin in which every row is an instant again, s: the longest
-/// latency and dead time.
+/// Time between two instants where nothing is compared, s.
 const SPARSE_S: f64 = 0.2;
+/// Time before a bin in which every row is an instant again, s: a slow line forgets the longer steps.
 const AHEAD_S: f64 = 1.0;
 
 /// Residuals are correlated over about this long, s: one independent observation per stretch.
@@ -220,6 +220,11 @@ impl Observed {
         Quantity::ALL.into_iter().filter(move |&q| has[q])
     }
 
+    /// Mean of a value over the logged quantities.
+    pub fn mean(&self, of: &PerQuantity<f64>) -> f64 {
+        self.quantities().map(|q| of[q]).sum::<f64>() / self.quantities().count() as f64
+    }
+
     /// RMS over the logged quantities of an energy (deg²) summed over them, degrees.
     pub fn rms_deg(&self, energy: f64) -> f64 {
         (energy / self.quantities().count() as f64).sqrt()
@@ -238,5 +243,63 @@ impl Observed {
     /// Time of the first row, s.
     pub fn start_s(&self) -> f64 {
         self.rows.t_s.first().copied().unwrap_or(0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::chain::{Model, run};
+    use crate::model::effects::catalogue;
+    use crate::model::{Line, nominal_theta};
+    use rand::rngs::StdRng;
+    use rand::{RngExt, SeedableRng};
+
+    /// Half an hour of random moves and holds at 50 Hz with the bins that `keep` leaves.
+    fn long_log(keep: impl Fn(Vec<Bin>) -> Vec<Bin>) -> Observed {
+        let mut rng = StdRng::seed_from_u64(3);
+        let (mut log, mut at, mut target) = (BendLog::default(), Vector3::zeros(), Vector3::zeros());
+        let mut hold = 200;
+        for k in 0..90_000 {
+            let to_go: Vector3<f64> = target - at;
+            if to_go.amax() > 1e-9 {
+                at += to_go.map(|d| d.clamp(-0.2, 0.2));
+            } else if hold > 0 {
+                hold -= 1;
+            } else {
+                (target, hold) = (Vector3::from_fn(|_, _| rng.random_range(-12.0..12.0)), rng.random_range(10..100));
+            }
+            log.t_s.push(f64::from(k) * 0.02);
+            log.piston_mm.push(at);
+        }
+        let rows = Rows::new(&log);
+        let mut o = Observed { bins: keep(bins(&log, &rows)), rows, ..Observed::default() };
+        o.place_instants();
+        let (rows, instants, bins) = (0..o.rows.t_s.len(), 0..o.t_s.len(), 0..o.bins.len());
+        let (up_base, field_base_ut) = (Vector3::z(), Vector3::x());
+        o.segments.push(Segment { file: String::new(), start_s: 0.0, rows, instants, bins, up_base, field_base_ut });
+        o
+    }
+
+    /// Where nothing is compared, the model may take longer steps: it arrives at the compared bins in the same state, also with a memory.
+    #[test]
+    fn the_model_runs_through_what_is_not_compared() {
+        let (part, whole, all) = (long_log(compared), long_log(|bins| bins), catalogue());
+        assert!(part.t_s.len() < whole.t_s.len() / 2, "{} of {}", part.t_s.len(), whole.t_s.len());
+        let nominal = nominal_theta(&[Line { k_epsilon: 2.2, k_lambda_mm: 0.8 }; 3], 0.02);
+        // laws with a rate of their own integrate it in steps as long as those between instants, which are shorter before a stretch
+        for (names, bound_deg) in [(&[][..], 1e-6), (&["hysteresis"], 1e-6), (&["leak"], 0.05), (&["creep"], 0.05), (&["line_lag"], 0.15)] {
+            let model = Model::named(&all, names);
+            let fresh = |e: &dyn crate::model::effects::Effect| {
+                e.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect::<Vec<f64>>()
+            };
+            let theta = model.extended(&Model::new(&[]), &nominal, fresh);
+            let (of_part, of_whole) = (run(&part, &model, &theta), run(&whole, &model, &theta));
+            let same = |a: &&Bin| part.bins.binary_search_by(|b| b.t_s.total_cmp(&a.t_s)).ok().map(|k| part.bins[k].at);
+            let apart = |a: &Bin| same(&a).map(|at| (of_part[at] - of_whole[a.at]).amax().to_degrees());
+            let apart: Vec<f64> = whole.bins.iter().filter_map(apart).collect();
+            let furthest = apart.iter().copied().fold(0.0, f64::max);
+            assert!(apart.len() == part.bins.len() && furthest < bound_deg, "{names:?}: {furthest}°");
+        }
     }
 }

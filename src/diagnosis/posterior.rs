@@ -8,7 +8,7 @@
 use crate::diagnosis::holdout::{CLAIM_DEG, HeldOut};
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::predictable::predictable_rate_deg_s;
-use crate::diagnosis::quantity::{PerQuantity, Quantity};
+use crate::diagnosis::quantity::Quantity;
 use crate::diagnosis::search::{Candidate, Candidates};
 use nalgebra::SVector;
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,6 @@ use std::sync::LazyLock;
 
 /// Surcharge per effect when the best set is chosen, in the unit of a density.
 const PER_EFFECT: f64 = 0.15;
-
 /// Largest predictable rate that counts, °/s.
 const PREDICTABLE_MAX_DEG_S: f64 = 2.0;
 
@@ -92,7 +91,7 @@ pub struct Statement<'a> {
 pub fn statements<'a>(log: &Observed, found: &'a Candidates) -> Vec<Statement<'a>> {
     let nominal = &found.nominal;
     let sets = || found.singles.iter().chain(&found.pairs);
-    let [long, short] = [0, 1].map(|k| move |c: &Candidate| mean(log, &c.held_out.density[k]));
+    let [long, short] = [0, 1].map(|k| move |c: &Candidate| log.mean(&c.held_out.density[k]));
     let merit = |c: &&Candidate| long(c) + short(c) + 2.0 * PER_EFFECT * c.names.len() as f64;
     let best = sets().min_by(|a, b| merit(a).total_cmp(&merit(b))).unwrap_or(nominal);
     let density = |c: &Candidate| [-short(c), if log.has[Quantity::Gyro] { -c.held_out.density[1][Quantity::Gyro] } else { 0.0 }];
@@ -114,11 +113,6 @@ pub fn statements<'a>(log: &Observed, found: &'a Candidates) -> Vec<Statement<'a
 /// Features of a statement: the densities, those of a set, of `none`, and of `unknown`.
 fn features(density: [f64; 2], set: [f64; 5], none: f64, unknown: [f64; 4]) -> Features {
     Features::from_iterator(density.into_iter().chain(set).chain([none]).chain(unknown))
-}
-
-/// Mean over the sensors of a log.
-fn mean(log: &Observed, density: &PerQuantity<f64>) -> f64 {
-    log.quantities().map(|q| density[q]).sum::<f64>() / log.quantities().count() as f64
 }
 
 /// Probabilities of statements with these features.

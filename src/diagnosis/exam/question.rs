@@ -1,7 +1,8 @@
 //! Questions of an exam: a unit with zero, one or two effects, drawn from a seed, and its logs.
 //!
 //! Units differ in gains, play, lag, attitude and field, and all have the small imperfections of real units. The
-//! calibration is a few percent off. The size of an effect is drawn; one that is too small to be claimed is drawn again.
+//! calibration is a few percent off. The size of an effect is drawn; one that is too small to be claimed is drawn again, and
+//! the largest is asked for in any case.
 
 use crate::diagnosis::exam::record::{PERIOD_S, record};
 use crate::diagnosis::holdout::CLAIM_DEG;

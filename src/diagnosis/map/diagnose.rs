@@ -21,8 +21,8 @@ const MEMBERS: usize = 3;
 const WORTH: f64 = 0.08;
 /// Sets whose closed parts differ by less are equivalent on this log.
 const SAME: f64 = 0.04;
-/// A remainder above this part of the gap, more than what the set explains, is unexplained if it also exceeds [`ABOVE_NOISE`]. Less is the
-/// form of the effect, which differs from rig to rig.
+/// A remainder above this part of the gap, more than what the set explains, is unexplained if it also exceeds [`ABOVE_NOISE`]. Less may be
+/// the form of the effect, which differs from rig to rig.
 const LEFT: f64 = 0.5;
 /// Multiple of the noise above which a remainder is unexplained.
 const ABOVE_NOISE: f64 = 2.0;
