@@ -250,7 +250,7 @@ impl Observed {
 mod tests {
     use super::*;
     use crate::diagnosis::chain::{Model, run};
-    use crate::model::effects::catalogue;
+    use crate::model::effects::{Effect, catalogue};
     use crate::model::{Line, nominal_theta};
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};
@@ -287,12 +287,10 @@ mod tests {
         let (part, whole, all) = (long_log(compared), long_log(|bins| bins), catalogue());
         assert!(part.t_s.len() < whole.t_s.len() / 2, "{} of {}", part.t_s.len(), whole.t_s.len());
         let nominal = nominal_theta(&[Line { k_epsilon: 2.2, k_lambda_mm: 0.8 }; 3], 0.02);
-        // laws with a rate of their own integrate it in steps as long as those between instants, which are shorter before a stretch
+        // a law with a rate of its own integrates it from instant to instant, so its state depends a little on how far apart they are
         for (names, bound_deg) in [(&[][..], 1e-6), (&["hysteresis"], 1e-6), (&["leak"], 0.05), (&["creep"], 0.05), (&["line_lag"], 0.15)] {
             let model = Model::named(&all, names);
-            let fresh = |e: &dyn crate::model::effects::Effect| {
-                e.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect::<Vec<f64>>()
-            };
+            let fresh = |e: &dyn Effect| e.params().iter().map(|p| (p.start + 0.5 * p.scale).clamp(p.low, p.high)).collect::<Vec<f64>>();
             let theta = model.extended(&Model::new(&[]), &nominal, fresh);
             let (of_part, of_whole) = (run(&part, &model, &theta), run(&whole, &model, &theta));
             let same = |a: &&Bin| part.bins.binary_search_by(|b| b.t_s.total_cmp(&a.t_s)).ok().map(|k| part.bins[k].at);
