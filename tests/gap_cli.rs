@@ -254,7 +254,7 @@ fn real_recordings_are_diagnosed_through_their_maps() {
         ("stepper_screw_periodic/sweep.csv.gz", "periodic_position", Some("periodic_time")),
         ("pressure_chamber_leak/Ultimaker_015.csv.gz", "leak", None),
         ("friction_damper_backlash/0p25Hz_1in.csv.gz", "bouc_wen", None),
-        ("endoscope_probe_axis1/run1.csv.gz", "play", None),
+        ("endoscope_probe_axis1/run1.csv.gz", "hysteresis", None),
     ] {
         let folder = TempDir::new().unwrap();
         let json = folder.path().join("r.json");

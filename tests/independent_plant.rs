@@ -15,7 +15,7 @@ use retroflex::config::assemble;
 use retroflex::config::calib::Calibration;
 use retroflex::config::gains::Gains;
 use retroflex::config::source;
-use retroflex::diagnosis::exam::question::{Content, Logs, Question, is_hidden, questions};
+use retroflex::diagnosis::exam::question::{Content, Logs, Question, Recorded, questions};
 use retroflex::diagnosis::exam::record::record;
 use retroflex::diagnosis::exam::run::run as answer_all;
 use retroflex::diagnosis::exam::score::{Row, score};
@@ -287,19 +287,23 @@ fn drawn(plant: &str, q: &Question) -> Result<Logs, MachineError> {
     // an effect that is hardly visible is made larger, a wall comes nearer
     let hidden = |n: usize, size: f64| {
         let rest: Vec<&str> = names.iter().enumerate().filter(|(k, _)| *k != n).map(|(_, name)| *name).collect();
-        Ok::<_, MachineError>(is_hidden(&log(&rest, size, first)?, &log(&names, size, first)?, &lines, q.lab))
+        let [without, with] = [rest.as_slice(), names.as_slice()].map(|names| log(names, size, first).map(|l| Recorded::new(l, &lines)));
+        Ok::<_, MachineError>(without?.hides(&with?, q.lab))
     };
-    let mut size = 1.0;
+    let (mut size, mut too_small) = (1.0, false);
     for n in 0..names.len() {
-        while (0.5..3.0).contains(&size) && hidden(n, size)? {
+        let mut hides = hidden(n, size)?;
+        while hides && (0.5..3.0).contains(&size) {
             size *= if names.contains(&"contact") { 0.8 } else { 1.4 };
+            hides = hidden(n, size)?;
         }
+        too_small |= hides;
     }
     let (mut asked, mut fresh) = (log(&names, size, first)?, log(&names, size, second)?);
     if !q.lab {
         (asked.reference, fresh.reference) = (None, None);
     }
-    Ok(Logs { log: asked, fresh, lines })
+    Ok(Logs { log: asked, fresh, lines, hidden: too_small })
 }
 
 /// A number from the environment.

@@ -1,11 +1,12 @@
 //! Shares of the gap by effect and by stage.
 //!
-//! A single effect is credited with what it closes on held-out blocks. Each of two effects is credited with the mean of
-//! what it closes when added first and when added last (Shapley 1953), because two effects together do not close the sum
-//! of what each closes alone. What the verdict leaves is attributed to the stages in proportion to the probabilities of
+//! A single effect is credited with what it closes on held-out blocks. Each of several effects is credited with the mean of
+//! what it closes when added first and when added last (of two effects that is Shapley's value, 1953), because effects together do not
+//! close the sum of what each closes alone. What the verdict leaves is attributed to the stages in proportion to the probabilities of
 //! their effects.
 
-use crate::diagnosis::search::{Candidate, Candidates};
+use crate::diagnosis::candidate::Candidate;
+use crate::diagnosis::candidates::{Candidates, Scored};
 use crate::model::effects::{Effect, Stage};
 use serde::Serialize;
 
@@ -19,14 +20,11 @@ pub struct StageShare {
 }
 
 /// Part of the gap (deg²) that each effect of the set closes.
-pub fn credits(found: &Candidates, chosen: &Candidate, gap: f64) -> Vec<(&'static str, f64)> {
+pub fn credits(found: &Candidates<Candidate>, chosen: &Candidate, gap: f64) -> Vec<(&'static str, f64)> {
     let (nominal, all) = (found.nominal.energy(), chosen.energy());
-    let alone = |name: &str| found.single(name).map_or(nominal, Candidate::energy);
+    let energy = |c: Option<&Candidate>| c.map_or(nominal, Candidate::energy);
     let share = |name: &&'static str| {
-        let closed = match chosen.names.iter().find(|n| *n != name) {
-            None => nominal - all,
-            Some(other) => 0.5 * ((nominal - alone(name)) + (alone(other) - all)),
-        };
+        let closed = 0.5 * ((nominal - energy(found.single(name))) + (energy(found.without(chosen, name)) - all));
         (*name, (closed / gap).clamp(0.0, 1.0))
     };
     chosen.names.iter().map(share).collect()

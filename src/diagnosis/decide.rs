@@ -1,11 +1,9 @@
 //! Turns the posterior into a verdict: `none`, a minimal set of effects, or `unknown`.
 //!
 //! The verdict is the most probable of the three. An effect is reported only if it reduces the held-out RMSE of at least one quantity by
-//! 0.3° (0.3 °/s for the gyroscope), the published bar ([`CLAIM_DEG`]); what is below the bar counts as `none`.
+//! 0.3° (0.3 °/s for the gyroscope), the published bar ([`crate::diagnosis::holdout::CLAIM_DEG`]); what is below the bar counts as `none`.
 
-use crate::diagnosis::holdout::CLAIM_DEG;
 use crate::diagnosis::posterior::Posterior;
-use crate::diagnosis::search::{Candidate, Candidates};
 use crate::named;
 use serde::Serialize;
 
@@ -52,49 +50,62 @@ pub struct Verdict {
     pub equivalent: Vec<Vec<&'static str>>,
 }
 
-/// Decides, and returns the chosen candidate with the verdict.
-pub fn decide<'a>(found: &'a Candidates, posterior: &Posterior<'a>) -> (Verdict, &'a Candidate) {
-    let mut sets: Vec<(&Candidate, f64)> = Vec::new();
-    for (c, p) in posterior.ranked.iter().filter_map(|(s, p)| s.map(|c| (claimable(found, c), p))) {
-        match sets.iter_mut().find(|(known, _)| known.names == c.names) {
+/// Decides; `claimable` is the part of a set that may be claimed.
+pub fn decide(posterior: &Posterior, claimable: impl Fn(&[&'static str]) -> Vec<&'static str>) -> Verdict {
+    let mut sets: Vec<(Vec<&'static str>, f64)> = Vec::new();
+    for (names, p) in posterior.ranked.iter().filter_map(|(s, p)| s.as_deref().map(|names| (claimable(names), p))) {
+        match sets.iter_mut().find(|(known, _)| *known == names) {
             Some((_, sum)) => *sum += p,
-            None => sets.push((c, *p)),
+            None => sets.push((names, *p)),
         }
     }
     let doubt = posterior.unknown();
-    let none = sets.iter().filter(|(c, _)| c.names.is_empty()).map(|s| s.1).sum::<f64>();
+    let none = sets.iter().filter(|(names, _)| names.is_empty()).map(|s| s.1).sum::<f64>();
     let effects = 1.0 - doubt - none;
-    let best = sets.iter().filter(|(c, _)| !c.names.is_empty()).max_by(|a, b| a.1.total_cmp(&b.1));
+    let best = sets.into_iter().filter(|(names, _)| !names.is_empty()).max_by(|a, b| a.1.total_cmp(&b.1));
     // of an unknown cause, a part may be explained
-    let chosen = best.filter(|_| effects > none).map_or(&found.nominal, |best| best.0);
-    let kind = VerdictKind::new(chosen.names.is_empty(), doubt > effects.max(none));
-    let equivalent = if kind == VerdictKind::Effects { groups(posterior, chosen) } else { vec![] };
-    (Verdict { kind, names: chosen.names.clone(), doubt, equivalent }, chosen)
-}
-
-/// The part of a set that may be claimed: each of its effects reduces the error of a quantity enough.
-fn claimable<'a>(found: &'a Candidates, c: &'a Candidate) -> &'a Candidate {
-    let enough = |before: &Candidate| before.held_out.gain(&c.held_out) >= CLAIM_DEG;
-    let alone = || c.names.iter().filter_map(|n| found.single(n)).min_by(|a, b| a.energy().total_cmp(&b.energy()));
-    match c.names.as_slice() {
-        [] => c,
-        [_] if enough(&found.nominal) => c,
-        [_] => &found.nominal,
-        several if several.iter().filter_map(|n| found.single(n)).all(enough) => c,
-        _ => alone().map_or(&found.nominal, |single| claimable(found, single)),
-    }
+    let names = best.filter(|_| effects > none).map_or(vec![], |best| best.0);
+    let kind = VerdictKind::new(names.is_empty(), doubt > effects.max(none));
+    let equivalent = if kind == VerdictKind::Effects { groups(posterior, &names) } else { vec![] };
+    Verdict { kind, names, doubt, equivalent }
 }
 
 /// For each effect of the chosen set, it and those that could stand in its place.
-fn groups(posterior: &Posterior<'_>, chosen: &Candidate) -> Vec<Vec<&'static str>> {
-    let p = |names: &[&str]| posterior.sum(|s| s.is_some_and(|c| c.names == names));
-    let least = p(&chosen.names) / UNDECIDED;
+fn groups(posterior: &Posterior, chosen: &[&'static str]) -> Vec<Vec<&'static str>> {
+    let least = posterior.set(chosen) / UNDECIDED;
     let of = |name: &&'static str| {
-        let rest = |c: &Candidate| chosen.names.iter().filter(|n| *n != name).all(|n| c.names.contains(n));
-        let others = posterior.ranked.iter().filter_map(|(s, p)| s.filter(|_| *p >= least));
-        let others = others.filter(|c| c.names.len() == chosen.names.len() && !c.names.contains(name) && rest(c));
-        let stand_in = others.flat_map(|c| c.names.iter().copied().filter(|n| !chosen.names.contains(n)));
+        let rest = |names: &[&str]| chosen.iter().filter(|n| *n != name).all(|n| names.contains(n));
+        let others = posterior.ranked.iter().filter(|(_, p)| *p >= least).filter_map(|(s, _)| s.as_deref());
+        let others = others.filter(|names| names.len() == chosen.len() && !names.contains(name) && rest(names));
+        let stand_in = others.flat_map(|names| names.iter().copied().filter(|n| !chosen.contains(n)));
         std::iter::once(*name).chain(stand_in).collect::<Vec<_>>()
     };
-    chosen.names.iter().map(of).filter(|group| group.len() > 1).collect()
+    chosen.iter().map(of).filter(|group| group.len() > 1).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn verdict(ranked: &[(Option<&[&'static str]>, f64)]) -> Verdict {
+        let ranked = ranked.iter().map(|(s, p)| (s.map(<[_]>::to_vec), *p)).collect();
+        // "faint" is below the bar
+        decide(&Posterior { ranked, conformal: 1 }, |names| names.iter().copied().filter(|n| *n != "faint").collect())
+    }
+
+    #[test]
+    fn the_most_probable_kind_is_the_verdict_and_what_is_below_the_bar_counts_as_none() {
+        let v = verdict(&[(Some(&["faint"]), 0.5), (None, 0.3), (Some(&["leak"]), 0.2)]);
+        assert_eq!((v.kind, v.names.len()), (VerdictKind::None, 0));
+        let v = verdict(&[(None, 0.5), (Some(&["leak"]), 0.4), (Some(&[]), 0.1)]);
+        assert_eq!((v.kind, v.names, v.equivalent.len()), (VerdictKind::Unknown, vec!["leak"], 0), "a part is explained");
+        let v = verdict(&[(Some(&["leak", "faint"]), 0.4), (None, 0.35), (Some(&["leak"]), 0.25)]);
+        assert_eq!((v.kind, v.names), (VerdictKind::Effects, vec!["leak"]), "both say the same of what may be claimed");
+    }
+
+    #[test]
+    fn what_could_stand_in_the_place_of_an_effect_is_in_its_group() {
+        let v = verdict(&[(Some(&["leak", "creep"]), 0.4), (Some(&["play", "creep"]), 0.3), (Some(&["leak", "lag"]), 0.1), (None, 0.2)]);
+        assert_eq!(v.equivalent, [vec!["leak", "play"]]);
+    }
 }

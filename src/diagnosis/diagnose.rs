@@ -1,18 +1,21 @@
 //! Puts a diagnosis together: size of the gap, location, effects, verdict.
 
+use crate::diagnosis::candidate::Candidate;
+use crate::diagnosis::candidates::{Candidates, Scored};
 use crate::diagnosis::chain::{Model, run};
 use crate::diagnosis::credit::{credits, stages};
-use crate::diagnosis::decide::{Verdict, VerdictKind, decide};
+use crate::diagnosis::decide::{Verdict, decide};
 use crate::diagnosis::dependence::dependences;
 use crate::diagnosis::document::{
     DependenceEntry, Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue, Rival, StatementEntry, UnknownEntry, VerdictEntry,
 };
+use crate::diagnosis::features::{head, statements};
 use crate::diagnosis::holdout::{HeldOut, score};
 use crate::diagnosis::interval::{Compared, closed_ci95};
 use crate::diagnosis::location::BeforeAfter;
 use crate::diagnosis::observe::{CORRELATED_S, Observed, Segment};
 use crate::diagnosis::posterior::Posterior;
-use crate::diagnosis::search::{Candidate, Candidates, search};
+use crate::diagnosis::search::search;
 use crate::diagnosis::sense::{every_bin, sense};
 use crate::model::effects::Effect;
 use crate::model::{Line, lines, nominal_theta};
@@ -20,7 +23,7 @@ use nalgebra::Vector3;
 
 /// Least part of a remainder that a dependence must predict to be told.
 const TOLD: f64 = 0.1;
-/// Compared sets of each size in the document.
+/// Compared single effects, and larger sets, in the document.
 const RIVALS: usize = 12;
 
 /// A diagnosis and what it was made from.
@@ -28,7 +31,7 @@ pub struct Diagnosed {
     /// The document.
     pub document: Diagnosis,
     /// All candidates.
-    pub found: Candidates,
+    pub found: Candidates<Candidate>,
     /// The verdict's candidate.
     pub chosen: Candidate,
 }
@@ -37,23 +40,16 @@ pub struct Diagnosed {
 /// bootstrap.
 pub fn diagnose(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], seed: u64) -> Diagnosed {
     let found = search(log, catalogue, lines);
-    let posterior = Posterior::new(log, &found);
-    let (verdict, chosen) = decide(&found, &posterior);
+    let posterior = Posterior::new(head(), statements(log, &found));
+    let set = |names: &[&str]| found.set(names).unwrap_or(&found.nominal);
+    let verdict = decide(&posterior, |names| found.claimable(set(names)).names.clone());
+    let chosen = set(&verdict.names);
     let probabilities: Vec<_> = found.singles.iter().map(|s| (s.names[0], posterior.effect(s.names[0]))).collect();
-    let conformal = conformal(&posterior);
+    let conformal = StatementEntry::conformal(&posterior);
     let assembly = Assembly { log, catalogue, found: &found, chosen, probabilities: &probabilities, conformal, seed };
     let document = assembly.document(verdict, lines);
     let chosen = chosen.clone();
     Diagnosed { document, found, chosen }
-}
-
-/// The statements of which one is true with 95 %.
-fn conformal(posterior: &Posterior<'_>) -> Vec<StatementEntry> {
-    let entry = |&(set, probability): &(Option<&Candidate>, f64)| {
-        let kind = set.map_or(VerdictKind::Unknown, |c| VerdictKind::new(c.names.is_empty(), false));
-        StatementEntry { kind, names: set.map_or(vec![], |c| c.names.clone()), probability }
-    };
-    posterior.ranked.iter().take(posterior.conformal).map(entry).collect()
 }
 
 /// What the remainder depends on.
@@ -68,7 +64,7 @@ fn goes_with(log: &Observed, left: &HeldOut) -> Vec<DependenceEntry> {
 struct Assembly<'a> {
     log: &'a Observed,
     catalogue: &'a [Box<dyn Effect>],
-    found: &'a Candidates,
+    found: &'a Candidates<Candidate>,
     chosen: &'a Candidate,
     probabilities: &'a [(&'static str, f64)],
     conformal: Vec<StatementEntry>,
@@ -90,7 +86,7 @@ impl Assembly<'_> {
                 noise_floor_deg: log.rms_deg(log.noise_energy()),
             },
             location: Location {
-                stages: stages(self.catalogue, &credits(found, chosen, found.gap(log)), self.probabilities),
+                stages: stages(self.catalogue, &credits(found, chosen, gap(log, found)), self.probabilities),
                 merged: self.merged(&verdict.equivalent),
                 regions: place.regions(),
                 when: place.when(),
@@ -132,15 +128,14 @@ impl Assembly<'_> {
     fn entry(&self, e: &dyn Effect) -> EffectEntry {
         let (log, found, chosen) = (self.log, self.found, self.chosen);
         let nominal = &found.nominal;
-        // a member of a pair is credited with what returns when it is taken out
-        let (before, after) = if chosen.names.contains(&e.name()) && chosen.names.len() > 1 {
-            let rest = found.singles.iter().find(|s| chosen.names.contains(&s.names[0]) && s.names[0] != e.name());
-            (rest.unwrap_or(nominal), Some(chosen))
+        // one of several effects is credited with what returns when it is taken out
+        let (before, after) = if chosen.names.contains(&e.name()) {
+            (found.without(chosen, e.name()).unwrap_or(nominal), Some(chosen))
         } else {
             (nominal, found.single(e.name()))
         };
         let with = after.unwrap_or(nominal);
-        let closed = ((before.energy() - with.energy()) / found.gap(log)).clamp(-1.0, 1.0);
+        let closed = ((before.energy() - with.energy()) / gap(log, found)).clamp(-1.0, 1.0);
         let compared = Compared { before: &before.held_out, after: &with.held_out, nominal: &nominal.held_out, floor: log.noise_energy() };
         EffectEntry {
             name: e.name(),
@@ -191,9 +186,14 @@ impl Assembly<'_> {
     }
 }
 
-fn rivals(found: &Candidates) -> Vec<Rival> {
+/// The gap that recalibration leaves above noise, deg².
+fn gap(log: &Observed, found: &Candidates<Candidate>) -> f64 {
+    (found.nominal.energy() - log.noise_energy()).max(1e-9)
+}
+
+fn rivals(found: &Candidates<Candidate>) -> Vec<Rival> {
     let of = |c: &Candidate| Rival { names: c.names.clone(), energy_deg2: c.energy(), rmse_deg: c.held_out.rmse_deg, cost: c.fitted.cost };
-    let shown = found.singles.iter().take(RIVALS).chain(found.pairs.iter().take(RIVALS)).chain([&found.nominal]);
+    let shown = found.singles.iter().take(RIVALS).chain(found.larger.iter().take(RIVALS)).chain([&found.nominal]);
     let mut out: Vec<Rival> = shown.map(of).collect();
     out.sort_by(|a, b| a.energy_deg2.total_cmp(&b.energy_deg2));
     out

@@ -2,6 +2,7 @@
 
 use crate::diagnosis::credit::StageShare;
 use crate::diagnosis::decide::VerdictKind;
+use crate::diagnosis::posterior::Posterior;
 use crate::diagnosis::quantity::PerQuantity;
 use serde::Serialize;
 
@@ -107,7 +108,7 @@ pub struct EffectEntry {
 }
 
 /// The verdict.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct VerdictEntry {
     /// Kind.
     pub kind: VerdictKind,
@@ -128,6 +129,18 @@ pub struct StatementEntry {
     pub names: Vec<&'static str>,
     /// Its probability.
     pub probability: f64,
+}
+
+impl StatementEntry {
+    /// The statements of which one is true with 95 %.
+    pub fn conformal(posterior: &Posterior) -> Vec<Self> {
+        let entry = |(names, probability): &(Option<Vec<&'static str>>, f64)| Self {
+            kind: names.as_ref().map_or(VerdictKind::Unknown, |names| VerdictKind::new(names.is_empty(), false)),
+            names: names.clone().unwrap_or_default(),
+            probability: *probability,
+        };
+        posterior.ranked.iter().take(posterior.conformal).map(entry).collect()
+    }
 }
 
 /// The unexplained remainder.

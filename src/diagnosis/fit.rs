@@ -54,7 +54,7 @@ pub fn fit(problem: &Problem<'_>, start: &[f64], rounds: usize) -> (Point, Tange
         let mut sums = tangent.sums(problem, &point);
         let Some(mut next) = downhill(problem, &point, &sums, &mut damping) else { return (point, tangent) };
         if next.total() < (1.0 - SECOND_STEP) * point.total() {
-            sums.gradient = tangent.gradient(problem, &next);
+            sums.gradient = tangent.gradient(problem, &next.theta, &next.residual);
             let further = step(&next.theta, &problem.bounds, &sums, damping).map(|theta| problem.at(theta));
             next = further.filter(|f| f.total() < next.total()).unwrap_or(next);
         }

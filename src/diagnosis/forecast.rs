@@ -6,11 +6,12 @@
 //! nominal model, the verdict's set, the whole and the reduced set, the one that leaves the least on blocks that the fit has not
 //! seen is returned.
 
+use crate::diagnosis::candidate::Candidate;
+use crate::diagnosis::candidates::Scored;
 use crate::diagnosis::chain::Model;
 use crate::diagnosis::fit::fit;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::Problem;
-use crate::diagnosis::search::Candidate;
 use crate::diagnosis::start::{Start, best_start, vanishing};
 use crate::diagnosis::tangent::{BaseFit, Tangent};
 use crate::model::effects::{Effect, Stage};

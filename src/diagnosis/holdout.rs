@@ -2,14 +2,14 @@
 //!
 //! Contiguous blocks are left out in turn. The model runs through the whole log from the pistons alone, and the
 //! left-out blocks are scored. Scores for two block lengths are averaged: long blocks, which a slow effect cannot
-//! bridge, and short ones, which can date an event. A fit without a block is one step from the full fit along the
-//! tangent; its prediction is a full run.
+//! bridge, and short ones, which can date an event. A fit without a block starts at the full fit and descends along the tangent there
+//! until a step gains next to nothing; its prediction is a full run.
 
 use crate::diagnosis::bins::BIN_S;
-use crate::diagnosis::chain::run;
+use crate::diagnosis::chain::{Motion, run};
 use crate::diagnosis::fit::step;
 use crate::diagnosis::observe::Observed;
-use crate::diagnosis::problem::{Point, Problem};
+use crate::diagnosis::problem::{Point, Problem, weighted};
 use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::diagnosis::sense::{Residuals, sense};
 use crate::diagnosis::start::dates;
@@ -25,9 +25,13 @@ pub const BLOCKS_S: [f64; 2] = [12.0, 1.5];
 const FLOOR: f64 = 0.03;
 /// Margin at either end of a block that is neither fitted nor scored, s.
 const MARGIN_S: f64 = 0.3;
-/// Damping of the step to a fit without a block.
+/// Damping of the steps to a fit without a block.
 const DAMPING: f64 = 1e-4;
-/// Times that step is shortened, by [`SHORTER`] each, before the full fit is kept.
+/// Most of these steps.
+const STEPS: usize = 5;
+/// Relative gain of a step below which it is the last.
+const CONVERGED: f64 = 1e-3;
+/// Times a step is shortened, by [`SHORTER`] each, before it is given up.
 const ATTEMPTS: usize = 3;
 /// Factor by which a step that raises the cost is shortened.
 const SHORTER: f64 = 0.3;
@@ -92,7 +96,7 @@ fn predicted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, folds: &[O
     for fold in 0..2 {
         let mut sums = parts[1 - fold].clone();
         sums.add_prior(problem, point);
-        let refitted = refitted(problem, point, &sums, &|k| folds[k] == Some(1 - fold));
+        let refitted = refitted(problem, point, tangent, sums, &|k| folds[k] == Some(1 - fold));
         for (k, _) in folds.iter().enumerate().filter(|(_, f)| **f == Some(fold)) {
             for (all, these) in residual.0.iter_mut().zip(&refitted.0) {
                 all[k] = these[k];
@@ -102,30 +106,59 @@ fn predicted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, folds: &[O
     residual
 }
 
-/// Residuals of the fit without a fold: the step along the tangent, shortened until it lowers the cost. Nothing but the bins around
-/// an event tells its time, so the dates of the whole log are kept.
-fn refitted(problem: &Problem<'_>, point: &Point, sums: &Sums, mask: &impl Fn(usize) -> bool) -> Residuals {
+/// Residuals of the fit without a fold, which starts at `point` with `sums` over the other fold. Nothing but the bins around an event
+/// tells its time, so the dates of the whole log are kept.
+fn refitted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, mut sums: Sums, mask: &impl Fn(usize) -> bool) -> Residuals {
     let log = problem.log;
-    let cost = |residual: &Residuals, theta: &[f64]| {
-        let used = || log.bins.iter().enumerate().filter(|(k, _)| mask(*k));
-        let of = |q| used().map(|(k, b)| residual[q][k].norm_squared() * b.weight[q].powi(2)).sum::<f64>();
-        log.quantities().map(of).sum::<f64>() + problem.prior(theta)
-    };
-    let unchanged = sense(log, &problem.model, &point.theta, &point.motion, mask);
-    let before = cost(&unchanged, &point.theta);
     let mut bounds = problem.bounds.clone();
     for i in dates(problem) {
         (bounds[i].low, bounds[i].high) = (point.theta[i], point.theta[i]);
     }
-    let Some(mut theta) = step(&point.theta, &bounds, sums, DAMPING) else { return unchanged };
-    for _ in 0..ATTEMPTS {
-        let residual = sense(log, &problem.model, &theta, &run(log, &problem.model, &theta), mask);
-        if cost(&residual, &theta) <= before {
-            return residual;
+    let at = |theta: Vec<f64>, motion: &Motion| Refit::new(problem, theta, motion, mask);
+    let mut here = at(point.theta.clone(), &point.motion);
+    for _ in 0..STEPS {
+        let Some(mut theta) = step(&here.theta, &bounds, &sums, DAMPING) else { break };
+        let mut next = None;
+        for _ in 0..ATTEMPTS {
+            let motion = run(log, &problem.model, &theta);
+            next = Some(at(theta.clone(), &motion)).filter(|n| n.cost <= here.cost);
+            if next.is_some() {
+                break;
+            }
+            theta.iter_mut().zip(&here.theta).for_each(|(t, p)| *t = p + (*t - p) * SHORTER);
         }
-        theta.iter_mut().zip(&point.theta).for_each(|(t, p)| *t = p + (*t - p) * SHORTER);
+        let Some(next) = next else { break };
+        let gained = 1.0 - next.cost / here.cost;
+        here = next;
+        if gained < CONVERGED {
+            break;
+        }
+        sums.gradient = tangent.gradient(problem, &here.theta, &here.fitted);
     }
-    unchanged
+    here.residual
+}
+
+/// A point of the fit without a fold.
+struct Refit {
+    theta: Vec<f64>,
+    /// Residuals of all bins.
+    residual: Residuals,
+    /// Weighted residuals of the bins that are fitted; 0 for the others.
+    fitted: Vec<f64>,
+    /// Sum of their squares and of those of the priors.
+    cost: f64,
+}
+
+impl Refit {
+    fn new(problem: &Problem<'_>, theta: Vec<f64>, motion: &Motion, mask: &impl Fn(usize) -> bool) -> Self {
+        let log = problem.log;
+        let residual = sense(log, &problem.model, &theta, motion, mask);
+        let mut fitted = weighted(log, &residual);
+        let rows = 3 * log.quantities().count();
+        fitted.chunks_exact_mut(rows).enumerate().filter(|(k, _)| !mask(*k)).for_each(|(_, r)| r.fill(0.0));
+        let cost = fitted.iter().map(|r| r * r).sum::<f64>() + problem.prior(&theta);
+        Self { theta, residual, fitted, cost }
+    }
 }
 
 /// Mean over the blocks of the logarithm of the mean square of each quantity's left-out residuals, in units of their variances: the

@@ -113,7 +113,8 @@ impl<'a> Problem<'a> {
     }
 }
 
-fn weighted(log: &Observed, residual: &Residuals) -> Vec<f64> {
+/// Weighted residuals, bin by bin, the logged quantities, three components each.
+pub fn weighted(log: &Observed, residual: &Residuals) -> Vec<f64> {
     let mut r = Vec::with_capacity(log.bins.len() * log.quantities().count() * 3);
     for (i, bin) in log.bins.iter().enumerate() {
         for q in log.quantities() {

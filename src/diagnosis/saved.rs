@@ -1,12 +1,12 @@
 //! A diagnosis saved as TOML, and its check on a fresh log of the same unit.
 
+use crate::diagnosis::candidate::Candidate;
 use crate::diagnosis::chain::{LAG_MAX_S, Model, run};
 use crate::diagnosis::confusion::confused_with;
 use crate::diagnosis::diagnose::Diagnosed;
 use crate::diagnosis::forecast::best_predicting;
 use crate::diagnosis::holdout::score;
 use crate::diagnosis::observe::Observed;
-use crate::diagnosis::search::Candidate;
 use crate::diagnosis::sense::{every_bin, sense};
 use crate::model::effects::{Effect, Param, catalogue};
 use crate::model::{DescribedMachine, Geometry, Line, RestReadings, lines, nominal_theta};

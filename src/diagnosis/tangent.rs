@@ -1,7 +1,7 @@
 //! Tangent of the residuals with respect to the parameters, and sums over it.
 //!
 //! Forward differences; the motion is run again only for parameters that change it. A tangent serves the steps of a
-//! fit, and the fits without a block, which are close enough to the full fit for one step along the tangent.
+//! fit, the fits without a block, which are close to the full fit, and the choice of the pairs of effects that are worth a fit.
 
 use crate::diagnosis::chain::run;
 use crate::diagnosis::problem::{PRIOR_SLOPE, Point, Problem};
@@ -83,6 +83,17 @@ impl Tangent {
         self.columns.extend(other.columns.into_iter().skip(from));
     }
 
+    /// The columns from `from` on.
+    #[must_use]
+    pub fn after(self, from: usize) -> Self {
+        Self { columns: self.columns.into_iter().skip(from).collect() }
+    }
+
+    /// Appends a column.
+    pub fn push(&mut self, column: Vec<f32>) {
+        self.columns.push(column);
+    }
+
     /// Sums over all bins, including the priors.
     pub fn sums(&self, problem: &Problem<'_>, point: &Point) -> Sums {
         let mut sums = self.parts(point, problem.log.bins.len(), 1, |_| Some(0)).swap_remove(0);
@@ -90,11 +101,11 @@ impl Tangent {
         sums
     }
 
-    /// `Jᵀr` with the residuals of another point, including the priors.
-    pub fn gradient(&self, problem: &Problem<'_>, point: &Point) -> DVector<f64> {
-        let residual: Vec<f32> = point.residual.iter().map(|r| *r as f32).collect();
+    /// `Jᵀr` with the residuals of other parameters, including the priors.
+    pub fn gradient(&self, problem: &Problem<'_>, theta: &[f64], residual: &[f64]) -> DVector<f64> {
+        let residual: Vec<f32> = residual.iter().map(|r| *r as f32).collect();
         let mut gradient = DVector::from_iterator(self.columns.len(), self.columns.iter().map(|c| dot(c, &residual)));
-        add_prior_gradient(&mut gradient, problem, point);
+        add_prior_gradient(&mut gradient, problem, theta);
         gradient
     }
 
@@ -133,12 +144,12 @@ impl Sums {
         for i in 0..problem.bounds.len() {
             self.normal[(i, i)] += PRIOR_SLOPE * PRIOR_SLOPE;
         }
-        add_prior_gradient(&mut self.gradient, problem, point);
+        add_prior_gradient(&mut self.gradient, problem, &point.theta);
     }
 }
 
-fn add_prior_gradient(gradient: &mut DVector<f64>, problem: &Problem<'_>, point: &Point) {
-    for (i, (t, b)) in point.theta.iter().zip(&problem.bounds).enumerate() {
+fn add_prior_gradient(gradient: &mut DVector<f64>, problem: &Problem<'_>, theta: &[f64]) {
+    for (i, (t, b)) in theta.iter().zip(&problem.bounds).enumerate() {
         gradient[i] += PRIOR_SLOPE * PRIOR_SLOPE * (t - b.start) / b.scale;
     }
 }

@@ -20,7 +20,7 @@ pub struct Args {
     /// Seed of units, schedules, effects and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Questions per effect; one round is about 130 logs and takes some four minutes on two cores.
+    /// Questions per effect; one round is about 140 logs and takes some four minutes on two cores.
     #[arg(long, default_value_t = 1)]
     rounds: usize,
     /// Ask only every n-th question: 4 takes a fourth of the time and doubles the uncertainty.
@@ -108,8 +108,10 @@ fn own(s: &ExamScore) -> comfy_table::Table {
         row("single effect named", &s.diagnosis.single),
         row("stage with the largest share", &s.stage),
         row("both of two named, nothing else", &s.diagnosis.pair),
+        row("three of three named, nothing else", &s.diagnosis.triple),
         row("effect-free logs with a claim", &s.diagnosis.alarm),
         row("outside the catalogue: unknown", &s.outside),
+        row("of them, not too small to be claimed", &s.outside_visible),
         row("removed from the catalogue: unknown", &s.left_out),
         row("95 % sets of statements that hold", &s.conformal),
         row("stated intervals that hold", &s.coverage),

@@ -31,6 +31,7 @@ fn summary(d: &Document) -> String {
         let params: Vec<String> = e.params.iter().map(|p| format!("{} {:.4}", p.name, p.value)).collect();
         [
             e.name.clone(),
+            format!("{:.2}", e.probability),
             format!("{:.4}", e.rmse_before),
             format!("{:.4}", e.rmse_after),
             format!("{:.0} %", e.closed * 100.0),
@@ -39,7 +40,11 @@ fn summary(d: &Document) -> String {
         ]
     };
     let sets = d.set.iter().filter(|s| s.name.contains('+'));
-    let table = output::table(&["effect", "before", "after", "closed", "95 %", ""], 1..5, sets.chain(d.effects.iter().take(6)).map(row));
+    let table = output::table(
+        &["effect", "probability", "before", "after", "closed", "95 %", ""],
+        1..6,
+        sets.chain(d.effects.iter().take(6)).map(row),
+    );
     let names = if d.verdict.names.is_empty() { String::new() } else { format!(": {}", d.verdict.names.join(" and ")) };
     let mut out = vec![
         format!("verdict {}{names}", d.verdict.kind.name()),
@@ -52,6 +57,7 @@ fn summary(d: &Document) -> String {
         let [low, high] = s.closed_ci95.map(|c| c * 100.0);
         format!("closed {:.0} % of the gap (95 %: {low:.0} to {high:.0} %)", s.closed * 100.0)
     }));
+    out.push(format!("unknown {:.2}, {:.4} {} above the noise", d.unknown.probability, d.unknown.rmse, d.unit));
     out.extend(d.verdict.equivalent.iter().map(|g| group(g)));
     out.extend(d.notes.iter().map(|n| format!("note: {n}")));
     out.extend(d.fresh.iter().map(|f| format!("on {}, without a new fit: {:.4} before, {:.4} after", f.log, f.before, f.after)));

@@ -4,6 +4,7 @@ use crate::cli::{CommandOutcome, output};
 use crate::diagnosis::train::case::Case;
 use crate::diagnosis::train::fit::fit;
 use crate::diagnosis::train::unit;
+use crate::diagnosis::{features, map};
 use miette::{IntoDiagnostic, Result, miette};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -18,10 +19,13 @@ pub struct Args {
     /// File that keeps every finished log; a run that was stopped goes on from it.
     #[arg(long)]
     cases: PathBuf,
-    /// Write the weights (TOML); the program has them as `src/diagnosis/posterior.toml`.
+    /// Write the weights (TOML); the program has them as `src/diagnosis/posterior.toml` and `src/diagnosis/map/posterior.toml`.
     #[arg(long)]
     out: PathBuf,
-    /// Number of logs; 2000 take about 45 minutes on two cores.
+    /// Random rigs for `gap diagnose --map` in place of tips.
+    #[arg(long)]
+    map: bool,
+    /// Number of logs; 2000 of tips take about 45 minutes on two cores.
     #[arg(long, default_value_t = 2000)]
     logs: u64,
     /// Seed of the first unit; the others follow.
@@ -45,8 +49,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     let file = Mutex::new(file);
     let bar = output::bar(missing.len() as u64, "{pos} of {len} logs, {eta} left,");
     let one = |seed: &u64| {
-        let unit = unit::draw(*seed).into_diagnostic()?;
-        let case = Case::new(*seed, &unit).into_diagnostic()?;
+        let case =
+            if args.map { Case::of_rig(*seed) } else { Case::of_tip(*seed, &unit::draw(*seed).into_diagnostic()?).into_diagnostic()? };
         let line = serde_json::to_string(&case).into_diagnostic()? + "\n";
         let mut file = file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         file.write_all(line.as_bytes()).map_err(named)?;
@@ -56,16 +60,17 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     cases.extend(missing.par_iter().map(one).collect::<Result<Vec<Case>>>()?);
     bar.finish_and_clear();
     cases.sort_by_key(|c| c.seed);
-    let trained = fit(&cases);
+    let trained = fit(&cases, if args.map { map::features::names() } else { features::names() });
     let [fitted, check, lost] = trained.logs;
     let head = format!(
-        "# Weights of the posterior (src/diagnosis/posterior.rs), made by\n# retroflex gap train --logs {} --seed {}\n\
+        "# Weights of the posterior (src/diagnosis/posterior.rs), made by\n# retroflex gap train{} --logs {} --seed {}\n\
          # {fitted} logs fitted; {check} others checked: the truth has {:.2} on the geometric mean; {lost} logs whose true set the search misses.\n",
+        if args.map { " --map" } else { "" },
         args.logs,
         args.seed,
         (-trained.loss).exp()
     );
-    let text = head + &toml::to_string(&trained.weights).into_diagnostic()?;
+    let text = head + &trained.head.text().into_diagnostic()?;
     output::write(&args.out, text.as_bytes())?;
     eprint!("{text}");
     Ok(CommandOutcome::Good)

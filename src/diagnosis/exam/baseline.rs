@@ -7,11 +7,12 @@
 //!   rest solved again until every share exceeds a threshold.
 //! * **Nearest signature**: the effect whose tangent makes the smallest angle with the nominal residual.
 
+use crate::diagnosis::candidate::Candidate;
+use crate::diagnosis::candidates::Candidates;
 use crate::diagnosis::chain::Model;
 use crate::diagnosis::fit::fit;
 use crate::diagnosis::observe::Observed;
 use crate::diagnosis::problem::Problem;
-use crate::diagnosis::search::{Candidate, Candidates};
 use crate::diagnosis::tangent::{BaseFit, Tangent};
 use crate::model::effects::Effect;
 use crate::model::{Line, NOMINAL, nominal_theta};
@@ -30,16 +31,16 @@ const ROUNDS: usize = 6;
 pub type Answers = [Vec<&'static str>; 3];
 
 /// The verdicts of all three methods.
-pub fn answer(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], found: &Candidates) -> Answers {
+pub fn answer(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], found: &Candidates<Candidate>) -> Answers {
     let library = Library::new(log, catalogue, lines);
     [bic(log, found), library.sparse(), library.nearest()]
 }
 
-fn bic(log: &Observed, found: &Candidates) -> Vec<&'static str> {
+fn bic(log: &Observed, found: &Candidates<Candidate>) -> Vec<&'static str> {
     let n = log.duration_s() / CORRELATED_S * 3.0 * log.quantities().count() as f64;
     let rows = log.bins.len() as f64 * n / (log.duration_s() / CORRELATED_S).max(1.0);
     let value = |c: &Candidate| n * (c.fitted.cost / rows).ln() + c.fitted.theta.len() as f64 * n.ln();
-    found.all().min_by(|a, b| value(a).total_cmp(&value(b))).map_or(vec![], |c| c.names.clone())
+    found.sets().chain([&found.nominal]).min_by(|a, b| value(a).total_cmp(&value(b))).map_or(vec![], |c| c.names.clone())
 }
 
 /// Sums over the tangents of the whole catalogue at the nominal fit, with the nominal parameters eliminated.

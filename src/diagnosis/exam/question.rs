@@ -7,7 +7,7 @@
 use crate::diagnosis::exam::record::{PERIOD_S, record};
 use crate::diagnosis::holdout::CLAIM_DEG;
 use crate::diagnosis::observe::Observed;
-use crate::diagnosis::quantity::Quantity;
+use crate::diagnosis::quantity::{PerQuantity, Quantity};
 use crate::diagnosis::rig::Rig;
 use crate::diagnosis::search::recalibrated;
 use crate::log::bend_log::BendLog;
@@ -20,13 +20,15 @@ use crate::simulation::sim::Sim;
 use crate::supervisor::MachineError;
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
-use rand::seq::SliceRandom;
+use rand::seq::{IndexedRandom, SliceRandom};
 use rand::{Rng, RngExt, SeedableRng};
 
 /// Least RMS change of some signal by an effect, degrees (°/s for the gyroscope).
 pub const VISIBLE_DEG: f64 = 0.8;
 /// Draws of the size of an effect; the last is the largest size.
 const DRAWS: usize = 6;
+/// Sets of three effects in a round.
+const TRIPLES: usize = 9;
 
 /// Effects in a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,6 +39,8 @@ pub enum Content {
     Single,
     /// Two effects of the catalogue.
     Pair,
+    /// Three effects of the catalogue.
+    Triple,
     /// One effect outside the catalogue.
     Outside,
 }
@@ -63,10 +67,12 @@ pub struct Logs {
     pub fresh: BendLog,
     /// Calibration that both are driven with.
     pub lines: [Line; 3],
+    /// Whether an effect is too small to be asked for even at its largest size, [`Recorded::hides`].
+    pub hidden: bool,
 }
 
 /// Questions of an exam, in random order: every effect of the catalogue and outside it `rounds` times with and without a
-/// tracker, and one pair and one effect-free log per catalogue effect and round.
+/// tracker, one pair and one effect-free log per catalogue effect and round, and [`TRIPLES`].
 pub fn questions(seed: u64, rounds: usize) -> Vec<Question> {
     let mut rng = StdRng::seed_from_u64(seed);
     let (inside, outside): (Vec<&EffectName>, Vec<&EffectName>) = effect_names().partition(|e| e.in_catalogue);
@@ -80,6 +86,10 @@ pub fn questions(seed: u64, rounds: usize) -> Vec<Question> {
             let lab = (n + round) % 2 == 0;
             out.push(Question { content: Content::Pair, names: vec![e.name, other.name], lab, seed: rng.next_u64() });
             out.push(Question { content: Content::None, names: vec![], lab, seed: rng.next_u64() });
+        }
+        for n in 0..TRIPLES {
+            let names = inside.sample(&mut rng, 3).map(|e| e.name).collect();
+            out.push(Question { content: Content::Triple, names, lab: (n + round) % 2 == 0, seed: rng.next_u64() });
         }
         for e in &outside {
             for lab in [true, false] {
@@ -106,24 +116,25 @@ impl Question {
         });
         let (first, second) = (rng.next_u64(), rng.next_u64());
         let of = |make: &PlantConfig, seed, lab| record(|noise| Ok(Sim::new(make, 0, noise, PERIOD_S)?), &lines, seed, lab);
-        let without = of(&bare, first, true)?;
-        let mut make = bare;
-        let mut log = without.clone();
+        let mut recorded = Recorded::new(of(&bare, first, true)?, &lines);
+        let (mut make, mut hidden) = (bare, false);
         for name in &self.names {
             for draw in 0..DRAWS {
                 let severity = if draw + 1 == DRAWS { 1.0 } else { rng.random_range(0.0..1.0) };
                 let with = make.clone().with_effect(name, severity, &mut rng)?;
-                let log_with = of(&with, first, true)?;
-                if draw + 1 == DRAWS || !is_hidden(&log, &log_with, &lines, self.lab) {
-                    (make, log) = (with, log_with);
+                let recorded_with = Recorded::new(of(&with, first, true)?, &lines);
+                let hides = recorded.hides(&recorded_with, self.lab);
+                if draw + 1 == DRAWS || !hides {
+                    (make, recorded, hidden) = (with, recorded_with, hidden || hides);
                     break;
                 }
             }
         }
+        let mut log = recorded.log;
         if !self.lab {
             log.reference = None;
         }
-        Ok(Logs { log, fresh: of(&make, second, self.lab)?, lines })
+        Ok(Logs { log, fresh: of(&make, second, self.lab)?, lines, hidden })
     }
 }
 
@@ -157,16 +168,30 @@ fn unit(rng: &mut StdRng) -> PlantConfig {
     make.drawn(rng.next_u64()).background(rng)
 }
 
-/// Whether an effect is too small to be asked for: no signal changes by [`VISIBLE_DEG`], or what a recalibrated model leaves of a sensor
-/// does not grow by what a diagnosis claims, so that the right verdict does not name it.
-pub fn is_hidden(without: &BendLog, with: &BendLog, lines: &[Line; 3], lab: bool) -> bool {
-    if difference_deg(without, with) < VISIBLE_DEG {
-        return true;
+/// A log, and what a recalibrated model leaves of it.
+pub struct Recorded {
+    /// The log.
+    pub log: BendLog,
+    /// RMSE of each sensor, degrees or °/s; `None` for a log that cannot be diagnosed.
+    left_deg: Option<PerQuantity<f64>>,
+}
+
+impl Recorded {
+    /// Recalibrates the model of a log that was driven with the calibration `lines`.
+    pub fn new(log: BendLog, lines: &[Line; 3]) -> Self {
+        let left_deg = Observed::new(&log, &Rig::default()).map(|o| recalibrated(&o, lines).held_out.rmse_deg).ok();
+        Self { log, left_deg }
     }
-    let left = |log: &BendLog| Observed::new(log, &Rig::default()).map(|o| recalibrated(&o, lines).held_out.rmse_deg).ok();
-    let (Some(before), Some(after)) = (left(without), left(with)) else { return true };
-    let seen = |q: &Quantity| lab || *q != Quantity::Reference;
-    Quantity::ALL.into_iter().filter(seen).all(|q| after[q] - before[q] < CLAIM_DEG)
+
+    /// Whether an effect in the log `with` is too small to be asked for: no signal changes by [`VISIBLE_DEG`], or what a recalibrated model
+    /// leaves of a sensor does not grow by what a diagnosis claims, so that the right verdict does not name it. Without `lab` the tracker
+    /// does not count.
+    pub fn hides(&self, with: &Self, lab: bool) -> bool {
+        let (Some(before), Some(after)) = (&self.left_deg, &with.left_deg) else { return true };
+        let seen = |q: &Quantity| lab || *q != Quantity::Reference;
+        difference_deg(&self.log, &with.log) < VISIBLE_DEG
+            || Quantity::ALL.into_iter().filter(seen).all(|q| after[q] - before[q] < CLAIM_DEG)
+    }
 }
 
 /// Largest RMS difference of a signal between two logs, degrees (°/s for the gyroscope).

@@ -33,6 +33,8 @@ pub enum ExamError {
 pub struct Answer {
     /// The diagnosis.
     pub diagnosis: Diagnosis,
+    /// Whether an effect is too small to be asked for even at its largest size.
+    pub hidden: bool,
     /// Part of the gap that the saved model closes on the fresh log.
     pub fresh_closed: f64,
     /// Verdict without the catalogue entry of the true effect, if asked for.
@@ -75,5 +77,5 @@ fn answer(n: usize, logs: &Logs, catalogue: &[Box<dyn Effect>], left_out: Option
         diagnose(&log, &rest, &logs.lines, n as u64).document.verdict.kind
     });
     let others = baseline::answer(&log, catalogue, &logs.lines, &done.found);
-    Ok(Answer { diagnosis: done.document, fresh_closed, left_out, others })
+    Ok(Answer { diagnosis: done.document, hidden: logs.hidden, fresh_closed, left_out, others })
 }

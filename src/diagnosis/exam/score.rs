@@ -47,6 +47,8 @@ pub struct Method {
     pub single: Row,
     /// Both effects of a pair named, and nothing else.
     pub pair: Row,
+    /// All effects of three named, and nothing else.
+    pub triple: Row,
     /// Effect-free logs with a claim (`right` counts the claims).
     pub alarm: Row,
     /// Mean F1 over all effects, `none` and `unknown`.
@@ -108,6 +110,8 @@ pub struct ExamScore {
     pub stage: Row,
     /// `unknown` for effects outside the catalogue.
     pub outside: Row,
+    /// The same for those of them that are not too small to be claimed.
+    pub outside_visible: Row,
     /// `unknown` for effects whose entry was removed from the catalogue.
     pub left_out: Row,
     /// Probabilities of effects, on all logs.
@@ -179,7 +183,7 @@ fn truth(q: &Question) -> String {
     match q.content {
         Content::None => VerdictKind::None.name().to_owned(),
         Content::Outside => VerdictKind::Unknown.name().to_owned(),
-        Content::Single | Content::Pair => joined(&q.names),
+        Content::Single | Content::Pair | Content::Triple => joined(&q.names),
     }
 }
 
@@ -199,13 +203,14 @@ pub fn score(seed: u64, questions: &[Question], answers: &[Answer]) -> ExamScore
     };
     let singles = |lab: bool| all.iter().filter(move |(q, _)| q.content == Content::Single && q.lab == lab);
     let left_out = |lab| Count::of(singles(lab).filter_map(|(_, a)| a.left_out).map(|kind| kind == VerdictKind::Unknown));
-    let known = all.iter().filter(|(q, _)| matches!(q.content, Content::Single | Content::Pair));
+    let known = all.iter().filter(|(q, _)| !matches!(q.content, Content::None | Content::Outside));
     ExamScore {
         seed,
         logs: all.len(),
         diagnosis: method(&all, Report::own),
         stage: row(&all, Content::Single, stage),
-        outside: row(&all, Content::Outside, |_, a| a.diagnosis.verdict.kind == VerdictKind::Unknown),
+        outside: outside(&all),
+        outside_visible: outside(&all.iter().copied().filter(|(_, a)| !a.hidden).collect::<Vec<_>>()),
         left_out: Row { lab: left_out(true), field: left_out(false) },
         effects: Reliability::of(all.iter().flat_map(|(q, a)| {
             let said = a.diagnosis.effects.iter().filter(|e| e.probability > PROBABLE);
@@ -230,10 +235,15 @@ fn row(all: &[Answered<'_>], content: Content, right: impl Fn(&Question, &Answer
     Row { lab: count(true), field: count(false) }
 }
 
+fn outside(all: &[Answered<'_>]) -> Row {
+    row(all, Content::Outside, |_, a| a.diagnosis.verdict.kind == VerdictKind::Unknown)
+}
+
 fn method(all: &[Answered<'_>], report: impl Fn(&Answer) -> Report) -> Method {
     Method {
         single: row(all, Content::Single, |q, a| report(a).names_all(&q.names)),
         pair: row(all, Content::Pair, |q, a| report(a).names_all(&q.names)),
+        triple: row(all, Content::Triple, |q, a| report(a).names_all(&q.names)),
         alarm: row(all, Content::None, |_, a| report(a).kind != VerdictKind::None),
         macro_f1: macro_f1(all, |a| report(a).class()),
     }
@@ -250,7 +260,8 @@ fn confusion(all: &[Answered<'_>]) -> BTreeMap<String, BTreeMap<String, usize>> 
 
 /// Mean F1 over the classes of single effects, effect-free logs and outside effects.
 fn macro_f1(all: &[Answered<'_>], answer: impl Fn(&Answer) -> String) -> f64 {
-    let asked: Vec<(String, String)> = all.iter().filter(|(q, _)| q.content != Content::Pair).map(|(q, a)| (truth(q), answer(a))).collect();
+    let asked: Vec<(String, String)> =
+        all.iter().filter(|(q, _)| !matches!(q.content, Content::Pair | Content::Triple)).map(|(q, a)| (truth(q), answer(a))).collect();
     let mut classes: Vec<&String> = asked.iter().map(|(t, _)| t).collect();
     classes.sort();
     classes.dedup();

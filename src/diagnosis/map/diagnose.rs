@@ -1,33 +1,24 @@
 //! Diagnosis of a mapped rig.
 //!
-//! The nominal model is identified on the log; every operator ([`crate::diagnosis::map::operators`]) is fitted jointly with
-//! it and scored on blocks that the fit has not seen ([`crate::diagnosis::map::regress`]). The smallest set that explains
-//! the log is grown forward and reduced backward. Operators that do as well in place of a member are reported as
-//! equivalent on this log.
+//! The nominal model is identified on the log, every operator ([`crate::diagnosis::map::operators`]) is fitted jointly with it, and sets of
+//! them are searched ([`crate::diagnosis::map::search`]) and judged as those of a tip are: by a posterior, whose weights are fitted to random
+//! rigs ([`crate::diagnosis::train::rig`]).
 
-use crate::diagnosis::decide::VerdictKind;
-use crate::diagnosis::map::document::{Document, Entry, Figures, Fresh, MapVerdict, Parameter};
+use crate::diagnosis::candidates::{Candidates, Scored};
+use crate::diagnosis::decide::decide;
+use crate::diagnosis::document::{StatementEntry, VerdictEntry};
+use crate::diagnosis::map::document::{Document, Entry, Figures, Fresh, Left, Parameter};
+use crate::diagnosis::map::features::{head, statements};
 use crate::diagnosis::map::file::{MapFile, Nominal};
-use crate::diagnosis::map::model::{MapBase, Member, RESONANT};
+use crate::diagnosis::map::model::{MapBase, RESONANT};
 use crate::diagnosis::map::operators::{DRIVEN, Operator, STILL};
-use crate::diagnosis::map::regress::{Regressed, Task};
+use crate::diagnosis::map::regress::Regressed;
+use crate::diagnosis::map::search::{Bench, Set};
 use crate::diagnosis::map::table::Signals;
+use crate::diagnosis::posterior::{Posterior, Statement};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
-/// Largest set.
-const MEMBERS: usize = 3;
-/// Part of the gap that a member must close.
-const WORTH: f64 = 0.08;
-/// Sets whose closed parts differ by less are equivalent on this log.
-const SAME: f64 = 0.04;
-/// A remainder above this part of the gap, more than what the set explains, is unexplained if it also exceeds [`ABOVE_NOISE`]. Less may be
-/// the form of the effect, which differs from rig to rig.
-const LEFT: f64 = 0.5;
-/// Multiple of the noise above which a remainder is unexplained.
-const ABOVE_NOISE: f64 = 2.0;
-/// Values of η tried between the neighbours of the best grid point.
-const REFINED: u32 = 12;
 /// Draws of the bootstrap.
 const DRAWS: usize = 1000;
 /// Orders of differences from which the noise is estimated.
@@ -37,56 +28,59 @@ const ONE_SPEED: f64 = 1.3;
 /// Samples from which the speeds are estimated.
 const SPEEDS: usize = 400;
 
-/// A set of operators with its scores.
-#[derive(Clone)]
-struct Set {
-    members: Vec<Member>,
-    scores: Regressed,
+/// A log with its searched sets.
+pub struct Searched<'a> {
+    bench: Bench<'a>,
+    found: Candidates<Set>,
+    /// White noise of a row, 1 σ.
+    noise: f64,
+    /// What can be said of the log.
+    pub statements: Vec<Statement>,
 }
 
-/// A log with everything that its sets are scored against.
-struct Bench<'a> {
-    base: MapBase,
-    task: Task<'a>,
-    catalogue: Vec<Operator>,
-    nominal: Set,
-    /// Mean square that the nominal model leaves above the noise.
-    gap: f64,
-    seed: u64,
+/// Searches a log; `None` if its inputs do not determine the nominal model.
+pub fn search<'a>(map: &MapFile, log: &'a Signals) -> Option<Searched<'a>> {
+    let noise = noise(&log.output);
+    let (bench, nominal) = Bench::new(MapBase::new(map, log), &log.output, catalogue(map, log), noise * noise)?;
+    let found = bench.search(nominal);
+    let mean = log.output.iter().sum::<f64>() / log.output.len() as f64;
+    let variance = log.output.iter().map(|y| (y - mean).powi(2)).sum::<f64>() / log.output.len() as f64;
+    let statements = statements(&found, noise * noise, variance);
+    Some(Searched { bench, found, noise, statements })
 }
 
 /// Diagnoses a log; `fresh` are other logs of the rig, on which the fitted model is evaluated.
 pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed: u64) -> Document {
-    let (base, task) = (MapBase::new(map, log), Task::new(&log.output));
-    let Some(scores) = base.scored(&task, &[], 0) else { return Document::empty(map) };
-    let noise = noise(&log.output);
-    let floor = noise * noise;
-    let gap = (scores.energy() - floor).max(1e-300);
-    let bench = Bench { catalogue: catalogue(map, log), base, task, nominal: Set { members: vec![], scores }, gap, seed };
-    let chosen = bench.reduced(bench.grown());
-    let mut effects: Vec<Entry> = bench.catalogue.iter().filter_map(|o| bench.best(&[], o)).map(|s| bench.entry(&s)).collect();
-    effects.sort_by(|a, b| b.closed.total_cmp(&a.closed));
+    let Some(Searched { bench, found, noise, statements }) = search(map, log) else { return Document::empty(map) };
+    let posterior = Posterior::new(head(), statements);
+    let set = |names: &[&str]| found.set(names).unwrap_or(&found.nominal);
+    let verdict = decide(&posterior, |names| found.claimable(set(names)).names.clone());
+    let chosen = set(&verdict.names);
+    let judged = Judged { bench: &bench, nominal: &found.nominal, posterior: &posterior, seed };
+    let mut effects: Vec<Entry> = found.singles.iter().map(|s| judged.entry(s)).collect();
+    effects.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(b.closed.total_cmp(&a.closed)));
     let mut notes = notes(log);
     let mut evaluated = Vec::new();
     for (name, other) in fresh {
-        match bench.on_fresh(&chosen, name, other) {
+        match judged.on_fresh(chosen, name, other) {
             Some(f) => evaluated.push(f),
             None => notes.push(format!("{name} is far outside the fitted range and was not evaluated: record both over one range")),
         }
     }
-    let left = (chosen.scores.energy() - floor) / gap;
-    let unexplained = left > LEFT && chosen.scores.energy().sqrt() > ABOVE_NOISE * noise;
+    let left = (chosen.energy() - noise * noise).max(0.0).sqrt();
     Document {
         schema: 1,
         rig: "map",
         unit: map.output_unit.clone(),
-        gap: Figures { recalibrated: bench.nominal.scores.energy().sqrt(), explained: chosen.scores.energy().sqrt(), noise_floor: noise },
-        set: (!chosen.members.is_empty()).then(|| bench.entry(&chosen)).into_iter().collect(),
+        gap: Figures { recalibrated: found.nominal.energy().sqrt(), explained: chosen.energy().sqrt(), noise_floor: noise },
+        set: (!chosen.names.is_empty()).then(|| judged.entry(chosen)).into_iter().collect(),
         effects,
-        verdict: MapVerdict {
-            kind: VerdictKind::new(chosen.members.is_empty(), unexplained),
-            names: chosen.members.iter().map(|m| m.operator.name).collect(),
-            equivalent: bench.equivalent(&chosen),
+        unknown: Left { probability: verdict.doubt, rmse: left },
+        verdict: VerdictEntry {
+            kind: verdict.kind,
+            names: verdict.names,
+            equivalent: verdict.equivalent,
+            conformal: StatementEntry::conformal(&posterior),
         },
         notes,
         fresh: evaluated,
@@ -102,83 +96,26 @@ fn catalogue(map: &MapFile, log: &Signals) -> Vec<Operator> {
     }
 }
 
-impl Bench<'_> {
-    /// `members` and the operator, at the η with the least cost.
-    fn best(&self, members: &[Member], operator: &Operator) -> Option<Set> {
-        let at = |eta: f64| {
-            let member = Member { operator: *operator, eta, columns: (operator.columns)(&self.base.drive, eta) };
-            let members: Vec<Member> = members.iter().cloned().chain([member]).collect();
-            self.base.scored(&self.task, &members, operator.sign).map(|scores| Set { members, scores })
-        };
-        let grid = (operator.grid)(&self.base.drive);
-        let sets = grid.iter().enumerate().filter_map(|(k, &eta)| at(eta).map(|s| (k, s)));
-        let (k, set) = sets.min_by(|a, b| a.1.scores.cost.total_cmp(&b.1.scores.cost))?;
-        let (low, high) = (grid[k.saturating_sub(1)], grid[(k + 1).min(grid.len() - 1)]);
-        let between = |i: u32| low + (high - low) * f64::from(i) / f64::from(REFINED);
-        let near = (1..REFINED).map(between).filter(|_| high > low).filter_map(at);
-        near.chain([set]).min_by(|a, b| a.scores.cost.total_cmp(&b.scores.cost))
-    }
+/// What the entries of a document are made from.
+struct Judged<'a> {
+    bench: &'a Bench<'a>,
+    nominal: &'a Set,
+    posterior: &'a Posterior,
+    seed: u64,
+}
 
-    /// Operators that are not in a set.
-    fn others(&self, set: &Set) -> impl Iterator<Item = &Operator> {
-        let names: Vec<&str> = set.members.iter().map(|m| m.operator.name).collect();
-        self.catalogue.iter().filter(move |o| !names.contains(&o.name))
-    }
-
-    /// Forward: adds the operator that closes most, while it pays.
-    fn grown(&self) -> Set {
-        let mut set = self.nominal.clone();
-        while set.members.len() < MEMBERS {
-            let larger = self.others(&set).filter_map(|o| self.best(&set.members, o));
-            let next = larger.min_by(|a, b| a.scores.energy().total_cmp(&b.scores.energy()));
-            match next.filter(|n| self.pays(&set, n)) {
-                Some(next) => set = next,
-                None => break,
-            }
-        }
-        set
-    }
-
-    /// Whether a larger set closes enough more, and certainly something.
-    fn pays(&self, from: &Set, to: &Set) -> bool {
-        from.scores.energy() - to.scores.energy() > WORTH * self.gap && interval(&from.scores, &to.scores, 0.0, 0)[0] > 0.0
-    }
-
-    /// Backward: removes members that the others have made unnecessary.
-    fn reduced(&self, mut set: Set) -> Set {
-        while set.members.len() > 1 {
-            let smaller = (0..set.members.len()).filter_map(|k| {
-                let members = without(&set, k);
-                self.base.scored(&self.task, &members, 0).map(|scores| Set { members, scores })
-            });
-            let least = smaller.min_by(|a, b| a.scores.energy().total_cmp(&b.scores.energy()));
-            match least.filter(|l| !self.pays(l, &set)) {
-                Some(less) => set = less,
-                None => break,
-            }
-        }
-        set
-    }
-
-    /// For each member the operators that do as well in its place.
-    fn equivalent(&self, chosen: &Set) -> Vec<Vec<&'static str>> {
-        let group = |k: usize| {
-            let rest = without(chosen, k);
-            let as_good = |o: &&Operator| self.best(&rest, o).is_some_and(|s| s.scores.energy() - chosen.scores.energy() < SAME * self.gap);
-            let others = self.others(chosen).filter(as_good).map(|o| o.name);
-            [chosen.members[k].operator.name].into_iter().chain(others).collect::<Vec<_>>()
-        };
-        (0..chosen.members.len()).map(group).filter(|g| g.len() > 1).collect()
-    }
-
+impl Judged<'_> {
     fn entry(&self, set: &Set) -> Entry {
-        let (before, after) = (self.nominal.scores.energy(), set.scores.energy());
-        let closed = ((before - after) / self.gap).clamp(-1.0, 1.0);
-        let ci = interval(&self.nominal.scores, &set.scores, before - self.gap, self.seed);
-        let names: Vec<&str> = set.members.iter().map(|m| m.operator.name).collect();
+        let (before, after) = (self.nominal.energy(), set.energy());
+        let closed = ((before - after) / self.bench.gap).clamp(-1.0, 1.0);
+        let ci = interval(&self.nominal.scores, &set.scores, before - self.bench.gap, self.seed);
         let params = set.members.iter().filter(|m| !m.operator.eta.is_empty());
         Entry {
-            name: names.join(" + "),
+            name: set.names.join(" + "),
+            probability: match set.names.as_slice() {
+                [one] => self.posterior.effect(one),
+                several => self.posterior.set(several),
+            },
             rmse_before: before.sqrt(),
             rmse_after: after.sqrt(),
             closed,
@@ -189,30 +126,26 @@ impl Bench<'_> {
 
     /// The fitted models on a fresh log; only the offset is set again.
     fn on_fresh(&self, chosen: &Set, name: &str, other: &Signals) -> Option<Fresh> {
-        let rmse = |set: &Set| self.base.rmse_on(other, &set.members, &set.scores.coefficients);
-        Some(Fresh { log: name.to_owned(), before: rmse(&self.nominal)?, after: rmse(chosen)? })
+        let rmse = |set: &Set| self.bench.base.rmse_on(other, &set.members, &set.scores.coefficients);
+        Some(Fresh { log: name.to_owned(), before: rmse(self.nominal)?, after: rmse(chosen)? })
     }
-}
-
-/// The members of a set without the `k`-th.
-fn without(set: &Set, k: usize) -> Vec<Member> {
-    let mut members = set.members.clone();
-    members.remove(k);
-    members
 }
 
 /// 95 % interval of the closed part from blocks drawn with replacement; `floor` is the mean square of the noise.
 fn interval(from: &Regressed, to: &Regressed, floor: f64, seed: u64) -> [f64; 2] {
     let mut rng = StdRng::seed_from_u64(seed);
-    let n = from.blocks.len();
+    // the blocks in which the set leaves more
+    let which = usize::from(to.worse().len() == to.blocks[1].len());
+    let (from, to) = (&from.blocks[which], &to.blocks[which]);
+    let n = from.len();
     let mut draws: Vec<f64> = (0..DRAWS)
         .map(|_| {
             let (mut before, mut after, mut rows) = (0.0, 0.0, 0.0);
             for _ in 0..n {
                 let i = rng.random_range(0..n);
-                before += from.blocks[i].0;
-                after += to.blocks[i].0;
-                rows += from.blocks[i].1;
+                before += from[i].0;
+                after += to[i].0;
+                rows += from[i].1;
             }
             ((before - after) / (before - floor * rows).max(1e-300)).clamp(-1.0, 1.0)
         })
@@ -256,6 +189,7 @@ fn notes(log: &Signals) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnosis::decide::VerdictKind;
     use crate::diagnosis::map::operators::play;
 
     const MAP: &str = "input = \"u\"\noutput = \"y\"\ntime = \"t\"\n";

@@ -1,6 +1,6 @@
 //! The diagnosis of a mapped rig as a document.
 
-use crate::diagnosis::decide::VerdictKind;
+use crate::diagnosis::document::VerdictEntry;
 use crate::diagnosis::map::file::MapFile;
 use serde::Serialize;
 
@@ -31,6 +31,8 @@ pub struct Parameter {
 pub struct Entry {
     /// Name.
     pub name: String,
+    /// Probability that the effect is present; for a set, that its effects are present and no others.
+    pub probability: f64,
     /// RMSE without it.
     pub rmse_before: f64,
     /// RMSE with it.
@@ -43,15 +45,13 @@ pub struct Entry {
     pub params: Vec<Parameter>,
 }
 
-/// The verdict.
+/// The unexplained remainder.
 #[derive(Debug, Clone, Serialize, Default)]
-pub struct MapVerdict {
-    /// Kind.
-    pub kind: VerdictKind,
-    /// Names.
-    pub names: Vec<&'static str>,
-    /// Groups of effects that this log cannot separate.
-    pub equivalent: Vec<Vec<&'static str>>,
+pub struct Left {
+    /// Probability that a cause that the operators lack is present.
+    pub probability: f64,
+    /// RMSE left above the noise.
+    pub rmse: f64,
 }
 
 /// The fitted model on another log of the rig.
@@ -78,10 +78,12 @@ pub struct Document {
     pub gap: Figures,
     /// The verdict's set as a whole; empty for a verdict without effects.
     pub set: Vec<Entry>,
-    /// Every single effect, most closed first.
+    /// Every single effect, most probable first.
     pub effects: Vec<Entry>,
+    /// Unexplained remainder.
+    pub unknown: Left,
     /// The verdict.
-    pub verdict: MapVerdict,
+    pub verdict: VerdictEntry,
     /// What this log cannot show, regardless of the scores.
     pub notes: Vec<String>,
     /// The fitted model on other logs.

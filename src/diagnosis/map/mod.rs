@@ -2,8 +2,10 @@
 
 pub mod diagnose;
 pub mod document;
+pub mod features;
 pub mod file;
 pub mod model;
 pub mod operators;
 pub mod regress;
+pub mod search;
 pub mod table;

@@ -2,7 +2,7 @@
 
 use crate::diagnosis::map::file::{MapFile, Nominal};
 use crate::diagnosis::map::operators::{Drive, Operator, none, oscillator};
-use crate::diagnosis::map::regress::{Regressed, Task};
+use crate::diagnosis::map::regress::{Columns, Regressed, Task};
 use crate::diagnosis::map::table::Signals;
 
 /// An operator at one value of η.
@@ -61,8 +61,8 @@ impl MapBase {
         let swing = (map.nominal == Nominal::Resonance).then(|| resonance(log));
         let inputs = driven(log, swing);
         let base: Vec<Vec<f64>> = [vec![1.0; log.output.len()]].into_iter().chain(inputs.clone()).collect();
-        let columns: Vec<&[f64]> = base.iter().map(Vec::as_slice).collect();
-        let weights = Task::new(&log.output).regress(&columns, 0, 0).map_or(vec![1.0; inputs.len()], |r| r.coefficients[1..].to_vec());
+        let columns = Columns { of: base.iter().map(Vec::as_slice).collect(), signs: vec![] };
+        let weights = Task::new(&log.output).regress(&columns).map_or(vec![1.0; inputs.len()], |r| r.coefficients[1..].to_vec());
         let mut scale = Scale { weights, middle: 0.0, half: 1.0, m_low: 0.0, m_range: 1.0, swing };
         let (low, high) = range(&combined(&inputs, &scale.weights, log.output.len()));
         (scale.middle, scale.half) = ((low + high) / 2.0, ((high - low) / 2.0).max(1e-12));
@@ -73,12 +73,24 @@ impl MapBase {
         Self { scale, drive, base }
     }
 
-    /// Scores a set; `None` if the first coefficient of the last member does not have `sign` (0: either).
-    pub fn scored(&self, task: &Task<'_>, members: &[Member], sign: i8) -> Option<Regressed> {
-        let own = members.iter().flat_map(|m| m.columns.iter().map(Vec::as_slice));
-        let columns: Vec<&[f64]> = self.base.iter().map(Vec::as_slice).chain(own).collect();
-        let last = members.last().map_or(0, |m| m.columns.len());
-        task.regress(&columns, (columns.len() - last).min(columns.len() - 1), sign)
+    /// Columns of a set.
+    fn columns<'a>(&'a self, members: &'a [Member]) -> Columns<'a> {
+        let (mut of, mut signs): (Vec<&[f64]>, _) = (self.base.iter().map(Vec::as_slice).collect(), vec![]);
+        for m in members {
+            signs.push((of.len(), m.operator.sign));
+            of.extend(m.columns.iter().map(Vec::as_slice));
+        }
+        Columns { of, signs }
+    }
+
+    /// Sum of squares that a fit of a set leaves; `None` if a first coefficient does not have its sign.
+    pub fn cost(&self, task: &Task<'_>, members: &[Member]) -> Option<f64> {
+        task.cost(&self.columns(members))
+    }
+
+    /// Scores a set; `None` if a first coefficient does not have its sign.
+    pub fn scored(&self, task: &Task<'_>, members: &[Member]) -> Option<Regressed> {
+        task.regress(&self.columns(members))
     }
 
     /// RMSE of a fitted set on another log of the rig; only the offset is set again. `None` if that log is too far
@@ -134,7 +146,7 @@ fn resonance(log: &Signals) -> (f64, f64) {
     let task = Task::new(&log.output);
     let cost = |wh: f64, zeta: f64| {
         let column = oscillator(&log.inputs[0], wh, zeta);
-        task.regress(&[&ones, &column], 0, 0).map_or(f64::INFINITY, |r| r.cost)
+        task.cost(&Columns { of: vec![&ones, &column], signs: vec![] }).unwrap_or(f64::INFINITY)
     };
     let mut best = (f64::INFINITY, 0.5, 0.05);
     for k in 0..40 {

@@ -213,15 +213,19 @@ fn since(t: &[f64]) -> Vec<f64> {
 
 /// A linear oscillator `ÿ + 2ζω ẏ + ω² y = ω² u` by the bilinear transform, `wh = 2 tan(ω h / 2)`.
 pub fn oscillator(u: &[f64], wh: f64, zeta: f64) -> Vec<f64> {
-    let (k, w2) = (4.0 * zeta * wh, wh * wh);
-    let (a0, a1, a2) = (4.0 + k + w2, 2.0 * w2 - 8.0, 4.0 - k + w2);
     let (mut u1, mut u2, mut y1, mut y2) = (u[0], u[0], u[0], u[0]);
     let one = |&x: &f64| {
-        let y = (w2 * (x + 2.0 * u1 + u2) - a1 * y1 - a2 * y2) / a0;
+        let y = oscillator_step([u2, u1, x], [y2, y1], wh, zeta);
         (u2, u1, y2, y1) = (u1, x, y1, y);
         y
     };
     u.iter().map(one).collect()
+}
+
+/// The next output from the last two inputs and the new one, and the last two outputs.
+pub fn oscillator_step(u: [f64; 3], y: [f64; 2], wh: f64, zeta: f64) -> f64 {
+    let (k, w2) = (4.0 * zeta * wh, wh * wh);
+    (w2 * (u[2] + 2.0 * u[1] + u[0]) - (2.0 * w2 - 8.0) * y[1] - (4.0 - k + w2) * y[0]) / (4.0 + k + w2)
 }
 
 #[cfg(test)]

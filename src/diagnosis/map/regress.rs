@@ -1,10 +1,14 @@
 //! Linear regression with held-out blocks: contiguous blocks alternate between two folds, and each fold is predicted by
-//! a fit to the other.
+//! a fit to the other. Blocks of two lengths are scored: long ones, which a drift cannot bridge, and short ones.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Blocks of a log.
-const BLOCKS: usize = 12;
+/// Long blocks of a log.
+const LONG: usize = 12;
+/// Most short blocks.
+const SHORT: usize = 96;
+/// Least rows of a block.
+const ROWS: usize = 5;
 /// Margin at either end of a block that is neither fitted nor scored, as a part of the block.
 const MARGIN: f64 = 0.03;
 
@@ -12,8 +16,34 @@ const MARGIN: f64 = 0.03;
 pub struct Task<'a> {
     /// The signal.
     pub y: &'a [f64],
-    /// Block of each row; `None` in a margin.
-    pub block: Vec<Option<usize>>,
+    /// Long and short blocks.
+    blocks: [Blocks; 2],
+}
+
+/// Block of each row; `None` in a margin.
+struct Blocks {
+    of: Vec<Option<usize>>,
+    count: usize,
+}
+
+impl Blocks {
+    fn new(rows: usize, count: usize) -> Self {
+        let length = rows as f64 / count as f64;
+        let of = |k: usize| {
+            let at = (k as f64 + 0.5) / length;
+            (MARGIN..1.0 - MARGIN).contains(&at.fract()).then_some((at as usize).min(count - 1))
+        };
+        Self { of: (0..rows).map(of).collect(), count }
+    }
+}
+
+/// Columns of a regression, and the signs that some coefficients must have: index and ±1.
+#[derive(Clone)]
+pub struct Columns<'a> {
+    /// The columns.
+    pub of: Vec<&'a [f64]>,
+    /// The signs.
+    pub signs: Vec<(usize, i8)>,
 }
 
 /// Sums of one fold.
@@ -23,85 +53,108 @@ struct Normal {
     square: f64,
 }
 
+impl Normal {
+    fn new(y: &[f64], columns: &[&[f64]], used: impl Fn(usize) -> bool) -> Self {
+        let n = columns.len();
+        let (mut gram, mut right, mut square) = (DMatrix::zeros(n, n), DVector::zeros(n), 0.0);
+        for k in (0..y.len()).filter(|&k| used(k)) {
+            for i in 0..n {
+                let x = columns[i][k];
+                right[i] += x * y[k];
+                for j in 0..=i {
+                    gram[(i, j)] += x * columns[j][k];
+                }
+            }
+            square += y[k] * y[k];
+        }
+        gram.fill_upper_triangle_with_lower_triangle();
+        Self { gram, right, square }
+    }
+
+    /// Coefficients with the least squares, scaled to a unit diagonal, with a ridge that matters only for nearly equal columns; `None` if
+    /// there are none, or if one does not have its sign.
+    fn solve(&self, signs: &[(usize, i8)]) -> Option<DVector<f64>> {
+        let size = self.gram.diagonal().map(|d| d.max(1e-300).sqrt());
+        let n = self.gram.nrows();
+        let scaled = DMatrix::from_fn(n, n, |i, j| self.gram[(i, j)] / (size[i] * size[j]) + if i == j { 1e-9 } else { 0.0 });
+        let c = scaled.cholesky()?.solve(&self.right.component_div(&size)).component_div(&size);
+        let right = c.iter().all(|x| x.is_finite()) && signs.iter().all(|&(i, sign)| sign == 0 || c[i] * f64::from(sign) >= 0.0);
+        right.then_some(c)
+    }
+}
+
 /// Scores on held-out blocks, and the fit to all rows.
 #[derive(Debug, Clone)]
 pub struct Regressed {
-    /// Sum of squares that the two fits leave in sample.
-    pub cost: f64,
-    /// Sum of squares and number of rows of each block, predicted by the fit to the other fold.
-    pub blocks: Vec<(f64, f64)>,
+    /// Sum of squares and number of rows of each long and each short block, predicted by the fit to the other fold.
+    pub blocks: [Vec<(f64, f64)>; 2],
     /// Coefficients of the fit to all rows.
     pub coefficients: Vec<f64>,
 }
 
 impl Regressed {
-    /// Mean square over the held-out blocks.
-    pub fn energy(&self) -> f64 {
-        let (s, n) = self.blocks.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
-        s / n.max(1.0)
+    /// The blocks, long or short, in which more is left.
+    pub fn worse(&self) -> &[(f64, f64)] {
+        let [long, short] = [0, 1].map(|k| self.blocks[k].as_slice());
+        if mean_square(long) >= mean_square(short) { long } else { short }
     }
+
+    /// Mean square over the held-out blocks, long or short, in which more is left.
+    pub fn energy(&self) -> f64 {
+        mean_square(self.worse())
+    }
+
+    /// Mean over the long and over the short blocks of the logarithm of the mean square: the negative predictive density of residuals
+    /// whose variance is unknown.
+    pub fn density(&self) -> [f64; 2] {
+        let of = |blocks: &Vec<(f64, f64)>| {
+            let logs: Vec<f64> = blocks.iter().filter(|b| b.1 > 0.0).map(|(s, n)| (s / n).max(f64::MIN_POSITIVE).ln()).collect();
+            logs.iter().sum::<f64>() / logs.len().max(1) as f64
+        };
+        [0, 1].map(|k| of(&self.blocks[k]))
+    }
+}
+
+fn mean_square(blocks: &[(f64, f64)]) -> f64 {
+    let (s, n) = blocks.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+    s / f64::max(n, 1.0)
 }
 
 impl<'a> Task<'a> {
     /// Divides the rows of a signal into blocks.
     pub fn new(y: &'a [f64]) -> Self {
-        let length = y.len() as f64 / BLOCKS as f64;
-        let of = |k: usize| {
-            let at = (k as f64 + 0.5) / length;
-            (MARGIN..1.0 - MARGIN).contains(&at.fract()).then_some((at as usize).min(BLOCKS - 1))
-        };
-        Self { block: (0..y.len()).map(of).collect(), y }
+        let short = (y.len() / ROWS).clamp(LONG, SHORT);
+        Self { y, blocks: [LONG, short].map(|count| Blocks::new(y.len(), count)) }
     }
 
-    /// Regresses on `columns`; `None` if the columns do not determine the coefficients, or if coefficient `first` does not
-    /// have `sign` (0: either).
-    pub fn regress(&self, columns: &[&[f64]], first: usize, sign: i8) -> Option<Regressed> {
-        let normals = [self.normal(columns, 0), self.normal(columns, 1)];
-        let right_sign = |c: &DVector<f64>| sign == 0 || c[first] * f64::from(sign) >= 0.0;
-        let mut blocks = vec![(0.0, 0.0); BLOCKS];
-        let mut cost = 0.0;
+    /// Sum of squares that a fit to all rows leaves; `None` if the columns do not determine the coefficients, or one does not have its
+    /// sign.
+    pub fn cost(&self, columns: &Columns<'_>) -> Option<f64> {
+        let all = Normal::new(self.y, &columns.of, |_| true);
+        let c = all.solve(&columns.signs)?;
+        Some(all.square - 2.0 * c.dot(&all.right) + c.dot(&(&all.gram * &c)))
+    }
+
+    /// Regresses on the columns; `None` as for [`Task::cost`].
+    pub fn regress(&self, columns: &Columns<'_>) -> Option<Regressed> {
+        let all = Normal::new(self.y, &columns.of, |_| true).solve(&columns.signs)?;
+        let blocks = [self.held_out(columns, &self.blocks[0])?, self.held_out(columns, &self.blocks[1])?];
+        Some(Regressed { blocks, coefficients: all.iter().copied().collect() })
+    }
+
+    fn held_out(&self, columns: &Columns<'_>, blocks: &Blocks) -> Option<Vec<(f64, f64)>> {
+        let mut out = vec![(0.0, 0.0); blocks.count];
         for fold in 0..2 {
-            let fitted = &normals[1 - fold];
-            let c = solve(&fitted.gram, &fitted.right).filter(right_sign)?;
-            cost += fitted.square - 2.0 * c.dot(&fitted.right) + c.dot(&(&fitted.gram * &c));
-            for (k, block) in self.block.iter().enumerate() {
+            let c = Normal::new(self.y, &columns.of, |k| blocks.of[k].is_some_and(|b| b % 2 != fold)).solve(&columns.signs)?;
+            for (k, block) in blocks.of.iter().enumerate() {
                 if let Some(b) = block.filter(|b| b % 2 == fold) {
-                    let left = self.y[k] - columns.iter().zip(c.iter()).map(|(x, c)| x[k] * c).sum::<f64>();
-                    blocks[b] = (blocks[b].0 + left * left, blocks[b].1 + 1.0);
+                    let left = self.y[k] - columns.of.iter().zip(c.iter()).map(|(x, c)| x[k] * c).sum::<f64>();
+                    out[b] = (out[b].0 + left * left, out[b].1 + 1.0);
                 }
             }
         }
-        let all = solve(&(&normals[0].gram + &normals[1].gram), &(&normals[0].right + &normals[1].right)).filter(right_sign)?;
-        Some(Regressed { cost, blocks, coefficients: all.iter().copied().collect() })
+        Some(out)
     }
-
-    fn normal(&self, columns: &[&[f64]], fold: usize) -> Normal {
-        let n = columns.len();
-        let (mut gram, mut right, mut square) = (DMatrix::zeros(n, n), DVector::zeros(n), 0.0);
-        for (k, block) in self.block.iter().enumerate() {
-            if block.is_some_and(|b| b % 2 == fold) {
-                for i in 0..n {
-                    let x = columns[i][k];
-                    right[i] += x * self.y[k];
-                    for j in 0..=i {
-                        gram[(i, j)] += x * columns[j][k];
-                    }
-                }
-                square += self.y[k] * self.y[k];
-            }
-        }
-        gram.fill_upper_triangle_with_lower_triangle();
-        Normal { gram, right, square }
-    }
-}
-
-/// Solves the normal equations scaled to a unit diagonal, with a ridge that matters only for nearly equal columns.
-fn solve(gram: &DMatrix<f64>, right: &DVector<f64>) -> Option<DVector<f64>> {
-    let size = gram.diagonal().map(|d| d.max(1e-300).sqrt());
-    let n = gram.nrows();
-    let scaled = DMatrix::from_fn(n, n, |i, j| gram[(i, j)] / (size[i] * size[j]) + if i == j { 1e-9 } else { 0.0 });
-    let c = scaled.cholesky()?.solve(&right.component_div(&size));
-    Some(c.component_div(&size)).filter(|c| c.iter().all(|x| x.is_finite()))
 }
 
 #[cfg(test)]
@@ -110,12 +163,15 @@ mod tests {
 
     #[test]
     fn each_block_is_predicted_by_a_fit_to_the_other_fold() {
-        // the slope differs between the folds, so the held-out error is large and the in-sample error is zero
+        // the slope differs between the long folds, so their held-out error is large
         let x: Vec<f64> = (0..1200).map(|k| (f64::from(k) * 0.1).sin()).collect();
         let y: Vec<f64> = x.iter().enumerate().map(|(k, x)| x * if (k / 100) % 2 == 0 { 1.0 } else { 3.0 }).collect();
-        let r = Task::new(&y).regress(&[&x], 0, 0).unwrap();
+        let task = Task::new(&y);
+        let columns = |sign| Columns { of: vec![x.as_slice()], signs: vec![(0, sign)] };
+        let r = task.regress(&columns(0)).unwrap();
         assert!((r.coefficients[0] - 2.0).abs() < 0.05, "{:?}", r.coefficients);
-        assert!(r.cost < 1e-9 && (r.energy() - 2.0).abs() < 0.1, "{} {}", r.cost, r.energy());
-        assert!(Task::new(&y).regress(&[&x], 0, -1).is_none());
+        assert!((r.energy() - 2.0).abs() < 0.1 && r.worse().len() == LONG, "{}", r.energy());
+        assert!((task.cost(&columns(0)).unwrap() / 1200.0 - 0.5).abs() < 0.05, "a fit to all rows leaves a quarter of that");
+        assert!(task.regress(&columns(-1)).is_none());
     }
 }

@@ -1,11 +1,13 @@
 //! What training keeps of a log: the true statement and the features of all.
 
-use crate::diagnosis::exam::question::Content;
+use crate::diagnosis::features::statements;
+use crate::diagnosis::map;
 use crate::diagnosis::observe::Observed;
-use crate::diagnosis::posterior::{FEATURES, Features, statements};
+use crate::diagnosis::posterior::Statement;
 use crate::diagnosis::refuse::ObserveError;
 use crate::diagnosis::rig::Rig;
 use crate::diagnosis::search::search;
+use crate::diagnosis::train::rig;
 use crate::diagnosis::train::unit::Unit;
 use crate::model::effects::catalogue;
 use serde::{Deserialize, Serialize};
@@ -16,33 +18,43 @@ pub struct Said {
     /// Names of the set, or `None` for `unknown`.
     pub names: Option<Vec<String>>,
     /// Its features.
-    pub features: [f64; FEATURES],
+    pub features: Vec<f64>,
 }
 
-/// The log of one unit.
+/// A log of training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Case {
-    /// Seed of the unit.
+    /// Seed of the machine.
     pub seed: u64,
-    /// Names of the true effects, or `None` for one that the catalogue lacks.
+    /// Names of the true effects, or `None` with one that the catalogue lacks.
     pub truth: Option<Vec<String>>,
     /// All statements.
     pub said: Vec<Said>,
 }
 
 impl Case {
+    /// The case of a machine with these effects and the statements about its log.
+    pub fn new(seed: u64, truth: Option<&[&str]>, statements: &[Statement]) -> Self {
+        let owned = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<String>>();
+        let said = |s: &Statement| Said { names: s.names.as_deref().map(owned), features: s.features.clone() };
+        Self { seed, truth: truth.map(owned), said: statements.iter().map(said).collect() }
+    }
+
     /// Searches the log of a unit.
     ///
     /// # Errors
     /// [`ObserveError`] for a log that cannot be diagnosed.
-    pub fn new(seed: u64, unit: &Unit) -> Result<Self, ObserveError> {
+    pub fn of_tip(seed: u64, unit: &Unit) -> Result<Self, ObserveError> {
         let log = Observed::new(&unit.log, &Rig::default())?;
         let found = search(&log, &catalogue(), &unit.lines);
-        let owned = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<String>>();
-        let said =
-            |s: &crate::diagnosis::posterior::Statement<'_>| Said { names: s.set.map(|c| owned(&c.names)), features: s.features.into() };
-        let truth = (unit.content != Content::Outside).then(|| owned(&unit.names));
-        Ok(Self { seed, truth, said: statements(&log, &found).iter().map(said).collect() })
+        Ok(Self::new(seed, unit.names.as_deref(), &statements(&log, &found)))
+    }
+
+    /// Searches the log of a random rig.
+    pub fn of_rig(seed: u64) -> Self {
+        let rig = rig::draw(seed);
+        let searched = map::diagnose::search(&rig.map, &rig.signals);
+        Self::new(seed, rig.truth.as_deref(), &searched.map_or(vec![], |s| s.statements))
     }
 
     /// Index of the true statement; `None` if the search has not fitted the true set.
@@ -58,7 +70,7 @@ impl Case {
     }
 
     /// Features of all statements.
-    pub fn features(&self) -> impl Iterator<Item = Features> + '_ {
-        self.said.iter().map(|s| Features::from(s.features))
+    pub fn features(&self) -> impl Iterator<Item = &[f64]> {
+        self.said.iter().map(|s| s.features.as_slice())
     }
 }

@@ -11,29 +11,37 @@ use std::f64::consts::TAU;
 const TRAVEL_MM: f64 = 8.0;
 /// Time of about one radian of a form, s.
 const TIME_S: f64 = 60.0;
+/// Factors by which the travel and the time of a wave may be shorter.
+const SHORTER: [f64; 2] = [4.0, 10.0];
+/// Standard deviation of the waves' amplitudes in a law that the catalogue lacks.
+pub const FOREIGN_DEPTH: f64 = 0.8;
 
-/// A smooth random function of the pistons and the time with values around 1.
+/// A smooth random function of the pistons and the time with values around 1, or around 0.
 #[derive(Debug, Clone)]
-struct Form {
+pub struct Form {
     /// Amplitude, factors of the three pistons and of the time, and phase of each wave.
     waves: [(f64, Vector3<f64>, f64, f64); 3],
+    /// Mean: 1, or 0 if the sign changes.
+    mean: f64,
 }
 
 impl Form {
-    /// A form whose waves have amplitudes of the standard deviation `depth`.
-    fn draw(rng: &mut StdRng, depth: f64) -> Self {
+    /// A form around `mean` whose waves have amplitudes of the standard deviation `depth`.
+    pub fn draw(rng: &mut StdRng, mean: f64, depth: f64) -> Self {
         let waves = [(); 3].map(|()| {
-            let travel = normal(rng) / TRAVEL_MM;
-            let [size, time] = [(); 2].map(|()| rng.sample::<f64, _>(StandardNormal));
-            (depth * size, travel, time / TIME_S, rng.random_range(0.0..TAU))
+            let [travel, time] = SHORTER.map(|most| most.powf(rng.random()));
+            let travel = normal(rng) * travel / TRAVEL_MM;
+            let [size, rate] = [(); 2].map(|()| rng.sample::<f64, _>(StandardNormal));
+            (depth * size, travel, rate * time / TIME_S, rng.random_range(0.0..TAU))
         });
-        Self { waves }
+        Self { waves, mean }
     }
 
-    fn at(&self, at: &Moment) -> f64 {
-        let wave =
-            |(size, travel, time, phase): &(f64, Vector3<f64>, f64, f64)| size * (travel.dot(&at.counted_mm) + time * at.t_s + phase).sin();
-        (1.0 + self.waves.iter().map(wave).sum::<f64>()).max(0.0)
+    /// The function at these pistons, mm, and this time, s.
+    pub fn at(&self, pistons_mm: &Vector3<f64>, t_s: f64) -> f64 {
+        let wave = |(size, travel, time, phase): &(f64, Vector3<f64>, f64, f64)| size * (travel.dot(pistons_mm) + time * t_s + phase).sin();
+        let factor = self.mean + self.waves.iter().map(wave).sum::<f64>();
+        if self.mean > 0.0 { factor.max(0.0) } else { factor }
     }
 }
 
@@ -52,13 +60,18 @@ pub struct Deformed {
 impl Deformed {
     /// The effect with a form drawn to this depth.
     pub fn new(effect: Box<dyn Effect>, rng: &mut StdRng, depth: f64) -> Self {
-        Self { effect, form: Form::draw(rng, depth) }
+        Self { effect, form: Form::draw(rng, 1.0, depth) }
+    }
+
+    /// A law that the catalogue lacks: the effect with a factor whose sign changes.
+    pub fn foreign(effect: Box<dyn Effect>, rng: &mut StdRng) -> Self {
+        Self { effect, form: Form::draw(rng, 0.0, FOREIGN_DEPTH) }
     }
 
     fn change(&self, at: &Moment, signal: &mut Vector3<f64>, law: impl FnOnce(&mut Vector3<f64>)) {
         let before = *signal;
         law(signal);
-        *signal = before + (*signal - before) * self.form.at(at);
+        *signal = before + (*signal - before) * self.form.at(&at.counted_mm, at.t_s);
     }
 }
 
@@ -78,13 +91,13 @@ impl Effect for Deformed {
     fn shape(&self, p: &[f64], m: &mut Memory, at: &Moment, pose: &mut Pose) {
         let before = *pose;
         self.effect.shape(p, m, at, pose);
-        let g = self.form.at(at);
+        let g = self.form.at(&at.counted_mm, at.t_s);
         pose.bend = before.bend + (pose.bend - before.bend) * g;
         pose.twist = before.twist + (pose.twist - before.twist) * g;
     }
     fn base(&self, p: &[f64], at: &Moment) -> Option<UnitQuaternion<f64>> {
         let turn = self.effect.base(p, at)?;
-        Some(UnitQuaternion::from_scaled_axis(turn.scaled_axis() * self.form.at(at)))
+        Some(UnitQuaternion::from_scaled_axis(turn.scaled_axis() * self.form.at(&at.counted_mm, at.t_s)))
     }
     fn mount(&self, p: &[f64]) -> Option<UnitQuaternion<f64>> {
         self.effect.mount(p)
@@ -92,7 +105,7 @@ impl Effect for Deformed {
     fn sensor(&self, p: &[f64], m: &mut Memory, at: &Moment, reading: &mut ImuPrediction) {
         let before = *reading;
         self.effect.sensor(p, m, at, reading);
-        let g = self.form.at(at);
+        let g = self.form.at(&at.counted_mm, at.t_s);
         reading.acc_m_s2 = before.acc_m_s2 + (reading.acc_m_s2 - before.acc_m_s2) * g;
         reading.gyro_rad_s = before.gyro_rad_s + (reading.gyro_rad_s - before.gyro_rad_s) * g;
         reading.mag_ut = before.mag_ut + (reading.mag_ut - before.mag_ut) * g;
@@ -147,13 +160,14 @@ impl Outside {
     /// A law of this size; 1 is typical.
     pub fn draw(rng: &mut StdRng, size: f64) -> Self {
         let two = |rng: &mut StdRng, s: f64| normal(rng).xy() * s * size;
-        match rng.random_range(0..7) {
+        match rng.random_range(0..8) {
             0 => Self::Ripple(normal(rng) * 0.5 * size, normal(rng) * 0.8, rng.random_range(0.0..TAU)),
             1 => Self::Swing(two(rng, 0.05), TAU / rng.random_range(1.5..9.0)),
             2 => Self::Reading(rng.random_range(0..3), Matrix3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal) * 0.06 * size)),
             3 => Self::Product(normal(rng) * 0.03 * size),
             4 => Self::Wear(normal(rng) * 0.15 * size),
             5 => Self::Jump(rng.random_range(0..3), rng.random_range(-8.0..8.0), rng.random_range(0.05..8.0), two(rng, 0.08)),
+            // twice as often as the others
             _ => Self::Curl(two(rng, 0.1), rng.random_range(0.5..8.0)),
         }
     }

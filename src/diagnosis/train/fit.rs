@@ -1,8 +1,8 @@
-//! The weights of the posterior: maximum likelihood with a ridge, by Newton's method. The likelihood is concave.
+//! The weights of a [`Head`]: maximum likelihood with a ridge, by Newton's method. The likelihood is concave.
 
-use crate::diagnosis::posterior::{FEATURES, Features, Weights, probabilities};
+use crate::diagnosis::posterior::{Head, probabilities};
 use crate::diagnosis::train::case::Case;
-use nalgebra::SMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Ridge per log.
 const RIDGE: f64 = 1e-4;
@@ -17,35 +17,35 @@ const COVERED: f64 = 0.95;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trained {
     /// The weights.
-    pub weights: Weights,
+    pub head: Head,
     /// Logs that the weights were fitted to, logs of the check, and logs whose true set was not fitted by the search.
     pub logs: [usize; 3],
     /// Mean negative logarithm of the probability of the truth, on the logs of the check.
     pub loss: f64,
 }
 
-/// Fits the weights to the cases with an even seed and checks them on those with an odd one, which also give the level of the
-/// conformal sets.
-pub fn fit(cases: &[Case]) -> Trained {
+/// Fits the weights of the named features to the cases with an even seed and checks them on those with an odd one, which also give the
+/// level of the conformal sets.
+pub fn fit(cases: &[Case], names: Vec<String>) -> Trained {
     let of = |odd: u64| cases.iter().filter(move |c| c.seed % 2 == odd).filter_map(|c| Some((c, c.right()?)));
     let (fitted, check): (Vec<_>, Vec<_>) = (of(0).collect(), of(1).collect());
-    let mut w = Features::zeros();
+    let mut w = DVector::zeros(names.len());
     let mut value = likelihood(&fitted, &w);
     for _ in 0..STEPS {
         let (gradient, curvature) = slopes(&fitted, &w);
         let Some(step) = curvature.cholesky().map(|c| c.solve(&gradient)) else { break };
-        let tried = (0..20).map(|k| w + step * 0.5f64.powi(k)).map(|next| (next, likelihood(&fitted, &next)));
-        let Some((next, better)) = tried.into_iter().find(|(_, v)| *v > value) else { break };
+        let tried = (0..20).map(|k| &w + &step * 0.5f64.powi(k)).map(|next| (likelihood(&fitted, &next), next));
+        let Some((better, next)) = tried.into_iter().find(|(v, _)| *v > value) else { break };
         let gained = better - value;
         (w, value) = (next, better);
         if gained < CONVERGED {
             break;
         }
     }
-    let p: Vec<(Vec<f64>, usize)> = check.iter().map(|(c, right)| (probabilities(c.features(), &w), *right)).collect();
+    let p: Vec<(Vec<f64>, usize)> = check.iter().map(|(c, right)| (probabilities(c.features(), w.as_slice()), *right)).collect();
     let loss = -p.iter().map(|(p, right)| p[*right].max(f64::MIN_POSITIVE).ln()).sum::<f64>() / p.len().max(1) as f64;
     let logs = [fitted.len(), check.len(), cases.len() - fitted.len() - check.len()];
-    Trained { weights: Weights::new(&w, level(&p)), logs, loss }
+    Trained { head: Head { names, weights: w.as_slice().to_vec(), conformal: level(&p) }, logs, loss }
 }
 
 /// The least level at which the sets contain the truth often enough.
@@ -59,22 +59,24 @@ fn level(p: &[(Vec<f64>, usize)]) -> f64 {
 }
 
 /// Mean log-likelihood with the ridge.
-fn likelihood(cases: &[(&Case, usize)], w: &Features) -> f64 {
-    let of = |(c, right): &(&Case, usize)| probabilities(c.features(), w)[*right].max(f64::MIN_POSITIVE).ln();
+fn likelihood(cases: &[(&Case, usize)], w: &DVector<f64>) -> f64 {
+    let of = |(c, right): &(&Case, usize)| probabilities(c.features(), w.as_slice())[*right].max(f64::MIN_POSITIVE).ln();
     cases.iter().map(of).sum::<f64>() / cases.len().max(1) as f64 - RIDGE * w.norm_squared()
 }
 
 /// Gradient and negative curvature of the same.
-fn slopes(cases: &[(&Case, usize)], w: &Features) -> (Features, SMatrix<f64, FEATURES, FEATURES>) {
-    let n = cases.len().max(1) as f64;
+fn slopes(cases: &[(&Case, usize)], w: &DVector<f64>) -> (DVector<f64>, DMatrix<f64>) {
+    let (n, size) = (cases.len().max(1) as f64, w.len());
     let mut gradient = -w * (2.0 * RIDGE);
-    let mut curvature = SMatrix::identity() * (2.0 * RIDGE);
+    let mut curvature = DMatrix::identity(size, size) * (2.0 * RIDGE);
     for (c, right) in cases {
-        let p = probabilities(c.features(), w);
-        let mean: Features = c.features().zip(&p).map(|(x, p)| x * *p).sum();
-        gradient += (Features::from(c.said[*right].features) - mean) / n;
+        let p = probabilities(c.features(), w.as_slice());
+        let mut mean = DVector::zeros(size);
+        c.features().zip(&p).for_each(|(x, p)| mean.axpy(*p, &DVector::from_column_slice(x), 1.0));
+        gradient += (DVector::from_column_slice(&c.said[*right].features) - &mean) / n;
         for (x, p) in c.features().zip(&p) {
-            curvature += (x - mean) * (x - mean).transpose() * (p / n);
+            let apart = DVector::from_column_slice(x) - &mean;
+            curvature.ger(p / n, &apart, &apart, 1.0);
         }
     }
     (gradient, curvature)
@@ -92,10 +94,10 @@ mod tests {
     #[test]
     fn a_fit_recovers_the_weights_that_made_the_cases() {
         let mut rng = StdRng::seed_from_u64(1);
-        let truth = Features::from_fn(|i, _| if i % 2 == 0 { 1.0 } else { -0.5 });
+        let truth: Vec<f64> = (0..12).map(|i| [1.0, -0.5, 0.0][i % 3]).collect();
         let mut case = |seed: u64| {
-            let features: Vec<[f64; FEATURES]> = (0..6).map(|_| std::array::from_fn(|_| rng.random_range(-2.0..2.0))).collect();
-            let p = probabilities(features.iter().map(|x| Features::from(*x)), &truth);
+            let features: Vec<Vec<f64>> = (0..6).map(|_| truth.iter().map(|_| rng.random_range(-2.0..2.0)).collect()).collect();
+            let p = probabilities(features.iter().map(Vec::as_slice), &truth);
             let mut drawn: f64 = rng.random();
             let right = p.iter().position(|p| {
                 drawn -= p;
@@ -106,13 +108,12 @@ mod tests {
             Case { seed, truth: name(right.unwrap_or(5)), said }
         };
         let cases: Vec<Case> = (0..12_000).map(&mut case).collect();
-        let trained = fit(&cases);
-        let found = trained.weights.vector();
-        assert!((found - truth).amax() < 0.15, "{found}");
+        let trained = fit(&cases, truth.iter().map(f64::to_string).collect());
+        let found = &trained.head.weights;
+        assert!(found.iter().zip(&truth).all(|(f, t)| (f - t).abs() < 0.15), "{found:?}");
         let fresh: Vec<Case> = (12_000..15_000).map(&mut case).collect();
-        let holds = |c: &&Case| {
-            c.right().is_some_and(|r| conformal_set(&probabilities(c.features(), &found), trained.weights.conformal).contains(&r))
-        };
+        let holds =
+            |c: &&Case| c.right().is_some_and(|r| conformal_set(&probabilities(c.features(), found), trained.head.conformal).contains(&r));
         let held = fresh.iter().filter(holds).count();
         assert!((2790..=2910).contains(&held), "95 % of 3,000: {held}");
         assert_eq!(trained.logs, [6000, 6000, 0]);

@@ -1,10 +1,11 @@
-//! Training units: machines with none, one or two deformed effects, or one that the catalogue lacks.
+//! Training units: machines with up to three deformed effects, or with a law that the catalogue lacks, alone or beside an effect.
 
-use crate::diagnosis::exam::question::{Content, VISIBLE_DEG, difference_deg};
+use crate::diagnosis::exam::question::{Recorded, difference_deg};
 use crate::diagnosis::exam::record::record;
+use crate::diagnosis::train::contents;
 use crate::diagnosis::train::deform::{Deformed, Outside};
 use crate::log::bend_log::BendLog;
-use crate::model::effects::{Effect, Param, catalogue};
+use crate::model::effects::{Effect, Param, by_name, catalogue};
 use crate::model::{DescribedMachine, Geometry, Line, RestReadings, nominal_theta};
 use crate::simulation::described::Described;
 use crate::supervisor::MachineError;
@@ -17,9 +18,11 @@ use rand_distr::StandardNormal;
 /// Microstep, mm.
 const STEP_MM: f64 = 0.01;
 /// Largest depth of the change of form of an effect.
-const DEPTH: f64 = 0.16;
+const DEPTH: f64 = 0.25;
 /// Draws of the size of an effect; the last is the largest size.
 const DRAWS: usize = 6;
+/// The largest size.
+const LARGEST: f64 = 1.6;
 /// Number of small effects that every unit has.
 const IMPERFECT: usize = 4;
 /// Size at which their change of the signals is measured.
@@ -32,13 +35,15 @@ const ARM_M: std::ops::Range<f64> = 0.0..0.015;
 const UNUSUAL: f64 = 0.1;
 /// When an event may happen, s.
 const EVENT_S: std::ops::Range<f64> = 15.0..235.0;
+/// Share of the laws outside the catalogue that are a law of it with a factor that changes its sign.
+const FOREIGN: f64 = 0.3;
+/// Effects that are a constant mount or delay, which has no form.
+const KEEP_THEIR_FORM: [&str; 3] = ["mount_misalignment", "transport_delay", "sensor_latency"];
 
 /// A training log.
 pub struct Unit {
-    /// Effects in the log.
-    pub content: Content,
-    /// Their names.
-    pub names: Vec<&'static str>,
+    /// Names of the effects that can be claimed of the log; `None` with a law that the catalogue lacks.
+    pub names: Option<Vec<&'static str>>,
     /// Whether a tracker recorded it.
     pub lab: bool,
     /// The log.
@@ -50,26 +55,14 @@ pub struct Unit {
 /// An effect with its parameters.
 type Cause = (Box<dyn Effect>, Vec<f64>);
 
-/// Draws the unit of a seed and records it. The contents are as frequent as in an exam.
+/// Draws the unit of a seed and records it.
 ///
 /// # Errors
 /// [`MachineError`] for a machine that cannot run.
 pub fn draw(seed: u64) -> Result<Unit, MachineError> {
     let mut rng = StdRng::seed_from_u64(seed);
-    let content = [Content::Single, Content::Pair, Content::None, Content::Outside][match rng.random_range(0..30) {
-        0..13 => 0,
-        13..20 => 1,
-        20..26 => 2,
-        _ => 3,
-    }];
+    let wanted = contents(catalogue(), &mut rng);
     let lab = rng.random_bool(0.5);
-    let mut all = catalogue();
-    all.shuffle(&mut rng);
-    let names: Vec<&'static str> = match content {
-        Content::Single => vec![all[0].name()],
-        Content::Pair => vec![all[0].name(), all[1].name()],
-        Content::None | Content::Outside => vec![],
-    };
     let bare = Bare::draw(&mut rng);
     let lines = bare
         .lines
@@ -78,32 +71,39 @@ pub fn draw(seed: u64) -> Result<Unit, MachineError> {
     let record_of = |causes| record(|noise| Ok(Described::new(bare.machine(causes), STEP_MM, noise)), &lines, schedule, true);
     let trial_deg = difference_deg(&record_of(vec![])?, &record_of(imperfections(background, TRIAL))?);
     let small = TRIAL * rng.random_range(0.0..IMPERFECT_DEG) / trial_deg.max(0.1);
-    let record_with = |added: &[u64], size: &[f64]| {
+    let record_with = |added: &[Added]| {
         let mut causes = imperfections(background, small);
-        causes.extend(added.iter().zip(size).enumerate().map(|(n, (&seed, &size))| cause(names.get(n), seed, size)));
-        record_of(causes)
+        causes.extend(added.iter().map(|a| cause(a.name, a.seed, a.size)));
+        record_of(causes).map(|log| Recorded::new(log, &lines))
     };
-    let wanted = if content == Content::Outside { 1 } else { names.len() };
-    let (mut added, mut size) = (Vec::new(), Vec::new());
-    let mut log = record_with(&added, &size)?;
-    for _ in 0..wanted {
-        added.push(0);
-        size.push(0.0);
+    let mut added: Vec<Added> = Vec::new();
+    let mut recorded = record_with(&added)?;
+    for name in wanted.iter().map(|w| w.as_ref().map(|e| e.name())) {
         for draw in 0..DRAWS {
-            let last = added.len() - 1;
-            added[last] = rng.next_u64();
-            size[last] = if draw + 1 == DRAWS { 1.6 } else { rng.random_range(0.15..1.2) };
-            let with = record_with(&added, &size)?;
-            if difference_deg(&log, &with) > VISIBLE_DEG || draw + 1 == DRAWS {
-                log = with;
+            let size = if draw + 1 == DRAWS { LARGEST } else { rng.random_range(0.15..1.2) };
+            added.push(Added { name, seed: rng.next_u64(), size });
+            let with = record_with(&added)?;
+            if !recorded.hides(&with, lab) {
+                recorded = with;
                 break;
             }
+            // what is hidden at its largest size is left out, so that the log has what its label says
+            added.pop();
         }
     }
+    let names = added.iter().map(|a| a.name).collect();
+    let mut log = recorded.log;
     if !lab {
         log.reference = None;
     }
-    Ok(Unit { content, names, lab, log, lines })
+    Ok(Unit { names, lab, log, lines })
+}
+
+/// An effect of a unit, or a law that the catalogue lacks.
+struct Added {
+    name: Option<&'static str>,
+    seed: u64,
+    size: f64,
 }
 
 /// A unit without effects.
@@ -149,22 +149,42 @@ fn imperfections(seed: u64, size: f64) -> Vec<Cause> {
 }
 
 /// The effect of that name, or one that the catalogue lacks.
-fn cause(name: Option<&&'static str>, seed: u64, size: f64) -> Cause {
+fn cause(name: Option<&'static str>, seed: u64, size: f64) -> Cause {
     let mut rng = StdRng::seed_from_u64(seed);
-    match catalogue().into_iter().find(|e| Some(&e.name()) == name) {
+    match name.and_then(by_name) {
         Some(e) => drawn(e, &mut rng, size),
-        None => (Box::new(Outside::draw(&mut rng, size)), vec![]),
+        None => outside(&mut rng, size),
     }
+}
+
+/// A law that the catalogue lacks: a random one, or one of the catalogue's with a factor that changes its sign along the pistons and in
+/// time.
+fn outside(rng: &mut StdRng, size: f64) -> Cause {
+    if !rng.random_bool(FOREIGN) {
+        return (Box::new(Outside::draw(rng, size)), vec![]);
+    }
+    let mut all = catalogue();
+    // a constant mount or delay keeps its form
+    all.retain(|e| !KEEP_THEIR_FORM.contains(&e.name()) && !e.info().is_event());
+    let e = all.swap_remove(rng.random_range(0..all.len()));
+    let p = usual_parameters(e.as_ref(), rng, size);
+    (Box::new(Deformed::foreign(e, rng)), p)
 }
 
 /// An effect with parameters drawn from `size` times its prior, and a form of its own.
 fn drawn(e: Box<dyn Effect>, rng: &mut StdRng, size: f64) -> Cause {
-    let mut p = parameters(e.as_ref(), rng, size);
-    while e.unusual(&p) > UNUSUAL {
-        p = parameters(e.as_ref(), rng, size);
-    }
+    let p = usual_parameters(e.as_ref(), rng, size);
     let depth = rng.random_range(0.0..DEPTH);
     (Box::new(Deformed::new(e, rng, depth)), p)
+}
+
+fn usual_parameters(e: &dyn Effect, rng: &mut StdRng, size: f64) -> Vec<f64> {
+    loop {
+        let p = parameters(e, rng, size);
+        if e.unusual(&p) <= UNUSUAL {
+            return p;
+        }
+    }
 }
 
 fn parameters(e: &dyn Effect, rng: &mut StdRng, size: f64) -> Vec<f64> {
@@ -201,7 +221,6 @@ fn parameters(e: &dyn Effect, rng: &mut StdRng, size: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::effects::by_name;
 
     #[test]
     fn a_seed_gives_a_unit_and_another_gives_another() {
@@ -215,7 +234,7 @@ mod tests {
     fn laws_are_deformed() {
         let mut rng = StdRng::seed_from_u64(5);
         let lines = [Line { k_epsilon: 2.2, k_lambda_mm: 0.8 }; 3];
-        for e in catalogue().into_iter().filter(|e| !["mount_misalignment", "transport_delay", "sensor_latency"].contains(&e.name())) {
+        for e in catalogue().into_iter().filter(|e| !KEEP_THEIR_FORM.contains(&e.name())) {
             let name = e.name();
             let p: Vec<f64> =
                 e.params().iter().enumerate().map(|(i, x)| (x.start + [0.5, 0.2][i % 2] * x.scale).clamp(x.low, x.high)).collect();

@@ -1,0 +1,74 @@
+//! The sets of effects that were fitted to a log, and the part of each that may be claimed.
+
+/// Gain below which all gains are alike.
+const ALIKE: f64 = 1.0 / 300.0;
+
+/// A set of effects that was fitted and scored.
+pub trait Scored {
+    /// Names, in catalogue order.
+    fn names(&self) -> &[&'static str];
+    /// Mean square that it leaves on parts of the log that the fit has not seen.
+    fn energy(&self) -> f64;
+    /// What it explains beyond another set, in units of the least that is claimed.
+    fn gain(&self, beyond: &Self) -> f64;
+}
+
+/// All sets of a search.
+#[derive(Debug, Clone)]
+pub struct Candidates<C> {
+    /// The nominal model.
+    pub nominal: C,
+    /// Every single effect, best first.
+    pub singles: Vec<C>,
+    /// Fitted pairs and triples, best first.
+    pub larger: Vec<C>,
+}
+
+impl<C: Scored> Candidates<C> {
+    /// All sets of effects.
+    pub fn sets(&self) -> impl Iterator<Item = &C> {
+        self.singles.iter().chain(&self.larger)
+    }
+
+    /// The candidate of a single effect.
+    pub fn single(&self, name: &str) -> Option<&C> {
+        self.set(&[name])
+    }
+
+    /// The candidate of these effects, if it was fitted.
+    pub fn set(&self, names: &[&str]) -> Option<&C> {
+        self.sets().chain([&self.nominal]).find(|c| c.names() == names)
+    }
+
+    /// The candidate with all effects of a set but one, if it was fitted.
+    pub fn without(&self, c: &C, name: &str) -> Option<&C> {
+        let rest: Vec<&str> = c.names().iter().copied().filter(|n| *n != name).collect();
+        self.set(&rest)
+    }
+
+    /// The sets that lack one effect of a set.
+    pub fn parts<'a>(&'a self, c: &'a C) -> impl Iterator<Item = &'a C> {
+        c.names().iter().filter_map(|n| self.without(c, n))
+    }
+
+    /// The part of a set that may be claimed: each of its effects explains enough beyond the others.
+    pub fn claimable<'a>(&'a self, c: &'a C) -> &'a C {
+        if self.parts(c).all(|part| c.gain(part) >= 1.0) {
+            return c;
+        }
+        self.parts(c).min_by(|a, b| a.energy().total_cmp(&b.energy())).map_or(&self.nominal, |part| self.claimable(part))
+    }
+
+    /// Logarithms, where they are negative, of what a set explains beyond the nominal model, and of the least that one of several effects
+    /// explains beyond the others.
+    pub fn claims(&self, c: &C) -> [f64; 2] {
+        let claim = |part: &C| c.gain(part).max(ALIKE).ln().min(0.0);
+        let least = if c.names().len() > 1 { self.parts(c).map(claim).fold(0.0, f64::min) } else { 0.0 };
+        [claim(&self.nominal), least]
+    }
+}
+
+/// Sorts sets by what they leave, the best first.
+pub fn sort_by_energy<C: Scored>(list: &mut [C]) {
+    list.sort_by(|a, b| a.energy().total_cmp(&b.energy()));
+}
