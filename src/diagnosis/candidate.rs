@@ -14,7 +14,7 @@ pub struct Candidate {
     pub fitted: Fitted,
     /// Held-out scores.
     pub held_out: HeldOut,
-    /// Sum over the effects of [`Effect::unusual`].
+    /// Sum over the effects of [`crate::model::effects::Effect::unusual`].
     pub unusual: f64,
 }
 

@@ -72,7 +72,7 @@ pub struct Logs {
 }
 
 /// Questions of an exam, in random order: every effect of the catalogue and outside it `rounds` times with and without a
-/// tracker, one pair and one effect-free log per catalogue effect and round, and [`TRIPLES`].
+/// tracker, one pair and one effect-free log per catalogue effect and round, and nine triples a round.
 pub fn questions(seed: u64, rounds: usize) -> Vec<Question> {
     let mut rng = StdRng::seed_from_u64(seed);
     let (inside, outside): (Vec<&EffectName>, Vec<&EffectName>) = effect_names().partition(|e| e.in_catalogue);

@@ -97,6 +97,7 @@ impl Document {
             schema: 1,
             rig: "map",
             unit: map.output_unit.clone(),
+            unknown: Left { probability: 1.0, rmse: 0.0 },
             notes: vec![
                 "the inputs do not determine the nominal model: they move together or not at all. Record them one by one".to_owned(),
             ],

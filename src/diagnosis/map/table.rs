@@ -15,10 +15,16 @@ pub enum MapError {
     /// The log is too short to hold out a part of it.
     #[error("{0}: {1} rows remain; at least {2} are needed to hold some out: record longer, or lower `every` in the map")]
     Short(String, usize, usize),
+    /// A value is too large to be squared.
+    #[error("{0}, column {1}: {2:e} is beyond ±{MOST:e}; give the column another unit")]
+    Large(String, String, f64),
     /// A signal is constant.
     #[error("{0}, column {1}: is constant; record a log in which it changes")]
     Constant(String, String),
 }
+
+/// Largest value.
+const MOST: f64 = 1e100;
 
 /// Rows needed: five in each of the twelve blocks of [`crate::diagnosis::map::regress`].
 const ROWS_MIN: usize = 60;
@@ -59,6 +65,11 @@ fn signals(file: &str, table: &Table, map: &MapFile) -> Result<Signals, MapError
     let rows: Vec<usize> = (0..table.rows()).step_by(map.every).filter(|&k| columns.iter().all(|c| !c[k].is_nan())).collect();
     if rows.len() < ROWS_MIN {
         return Err(MapError::Short(file.to_owned(), rows.len(), ROWS_MIN));
+    }
+    for (name, column) in names(map).into_iter().zip(&columns) {
+        if let Some(&k) = rows.iter().find(|&&k| column[k].abs() > MOST) {
+            return Err(MapError::Large(file.to_owned(), name.to_owned(), column[k]));
+        }
     }
     let taken = |name: &str| table.required(name).map(|c| rows.iter().map(|&k| c[k]).collect::<Vec<f64>>());
     let all = |names: Vec<&str>| names.into_iter().map(taken).collect::<Result<Vec<_>, _>>();
@@ -110,6 +121,7 @@ mod tests {
         assert!(error(map, "t,u,y\n0,0,0\n").contains("1 rows remain; at least 60"));
         assert!(error(map, &rows(|k| format!("{},{k},{k}\n", k % 40))).contains("line 42, column t: 0 s does not come after 39 s"));
         assert!(error(map, &rows(|k| format!("{k},5,{k}\n"))).contains("column u: is constant"));
+        assert!(error(map, &rows(|k| format!("{k},{k},{k}e120\n"))).contains("column y: 1e120 is beyond ±1e100"));
     }
 
     #[test]
