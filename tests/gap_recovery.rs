@@ -70,7 +70,7 @@ fn an_imu_on_the_base_explains_the_motion_of_the_base() {
         let mut rng = StdRng::seed_from_u64(SEED + n as u64);
         let mut plant = PlantConfig::default();
         (plant.base.imu, plant.imu.period_s) = (true, 0.01);
-        // with 0.7, gyro_bias lowers the error of the gyroscope by 0.29 °/s, less than is claimed
+        // a smaller gyro_bias lowers the error of the gyroscope by less than is claimed
         let mut plant = plant.with_effect("base_motion", 0.5, &mut rng).unwrap().with_effect(name, 0.8, &mut rng).unwrap();
         let motion = plant.effects.base_motion.as_mut().unwrap();
         (motion.angle_deg, motion.sway_deg, motion.sway_period_s) = (20.0, 5.0, 6.0);

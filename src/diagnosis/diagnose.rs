@@ -9,7 +9,7 @@ use crate::diagnosis::dependence::dependences;
 use crate::diagnosis::document::{
     DependenceEntry, Diagnosis, EffectEntry, Gap, Location, LogEntry, ParamValue, Rival, StatementEntry, UnknownEntry, VerdictEntry,
 };
-use crate::diagnosis::features::{head, statements};
+use crate::diagnosis::features::{HEAD, statements};
 use crate::diagnosis::holdout::{HeldOut, score};
 use crate::diagnosis::interval::{Compared, closed_ci95};
 use crate::diagnosis::location::BeforeAfter;
@@ -40,7 +40,7 @@ pub struct Diagnosed {
 /// bootstrap.
 pub fn diagnose(log: &Observed, catalogue: &[Box<dyn Effect>], lines: &[Line; 3], seed: u64) -> Diagnosed {
     let found = search(log, catalogue, lines);
-    let posterior = Posterior::new(head(), statements(log, &found));
+    let posterior = Posterior::new(&HEAD, statements(log, &found));
     let set = |names: &[&str]| found.set(names).unwrap_or(&found.nominal);
     let verdict = decide(&posterior, |names| found.claimable(set(names)).names.clone());
     let chosen = set(&verdict.names);

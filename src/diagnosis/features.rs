@@ -44,18 +44,7 @@ const NAMES: [&str; 13] = [
 static LAYOUT: LazyLock<Layout> = LazyLock::new(|| Layout { common: &NAMES, effects: catalogue().iter().map(|e| e.name()).collect() });
 
 /// The weights that diagnoses use.
-#[expect(clippy::expect_used, reason = "the text is a part of the program, and a test reads it")]
-static HEAD: LazyLock<Head> = LazyLock::new(|| Head::read(include_str!("posterior.toml"), names()).expect("posterior.toml is tested"));
-
-/// The weights that diagnoses use.
-pub fn head() -> &'static Head {
-    &HEAD
-}
-
-/// Names of all features.
-pub fn names() -> Vec<String> {
-    LAYOUT.names()
-}
+pub static HEAD: LazyLock<Head> = LazyLock::new(|| Head::built_in(include_str!("posterior.toml"), &LAYOUT));
 
 /// All statements about a log: each set, the nominal model, `unknown`.
 pub fn statements(log: &Observed, found: &Candidates<Candidate>) -> Vec<Statement> {
@@ -96,7 +85,7 @@ mod tests {
 
     #[test]
     fn the_weights_in_the_program_can_be_read() {
-        let head = head();
+        let head = &*HEAD;
         assert!(head.weights[0] > 0.0 && (0.5..1.0).contains(&head.conformal), "{head:?}");
     }
 }

@@ -95,7 +95,7 @@ fn predicted(problem: &Problem<'_>, point: &Point, tangent: &Tangent, folds: &[O
     let mut residual = Residuals::from_fn(|_| vec![Vector3::zeros(); log.bins.len()]);
     for fold in 0..2 {
         let mut sums = parts[1 - fold].clone();
-        sums.add_prior(problem, point);
+        sums.add_prior(problem, &point.theta);
         let refitted = refitted(problem, point, tangent, sums, &|k| folds[k] == Some(1 - fold));
         for (k, _) in folds.iter().enumerate().filter(|(_, f)| **f == Some(fold)) {
             for (all, these) in residual.0.iter_mut().zip(&refitted.0) {

@@ -39,6 +39,15 @@ impl Head {
         }
     }
 
+    /// The weights that are a part of the program, of all features of a layout.
+    ///
+    /// # Panics
+    /// On a text that [`Head::read`] refuses; a test reads each.
+    #[expect(clippy::expect_used, reason = "the text is a part of the program, and a test reads it")]
+    pub fn built_in(text: &str, layout: &Layout) -> Self {
+        Self::read(text, layout.names()).expect("a test reads the weights of the program")
+    }
+
     /// The weights as TOML.
     ///
     /// # Errors

@@ -6,18 +6,13 @@
 
 use crate::diagnosis::candidate::Candidate;
 use crate::diagnosis::chain::Model;
-use crate::diagnosis::fit::step;
 use crate::diagnosis::observe::{CORRELATED_S, Observed};
-use crate::diagnosis::problem::{PRIOR_SLOPE, Problem};
+use crate::diagnosis::problem::Problem;
+use crate::diagnosis::start::{Start, stepped};
 use crate::diagnosis::tangent::{BaseFit, Sums, Tangent};
 use crate::model::NOMINAL;
 use crate::model::effects::Effect;
 use nalgebra::{DMatrix, DVector};
-
-/// Damping of the step.
-const DAMPING: f64 = 1e-3;
-/// Least part of the sum of squares that the step can be trusted to leave.
-const CREDIBLE: f64 = 0.02;
 
 /// The fit of one effect, and what the pairs with it need.
 pub struct Alone {
@@ -47,12 +42,12 @@ pub fn schwarz(log: &Observed, squares: f64, params: usize) -> f64 {
 /// All pairs, the most promising first, with parameters from where a fit starts.
 pub fn screen(nominal: &BaseFit<'_>, catalogue: &[Box<dyn Effect>], alone: &[Alone]) -> Vec<([&'static str; 2], Vec<f64>)> {
     let gram = Gram::new(nominal, alone);
-    let mut out: Vec<([&'static str; 2], Vec<f64>, f64)> = Vec::new();
+    let mut out: Vec<([&'static str; 2], f64, Start)> = Vec::new();
     for a in 0..alone.len() {
         out.extend((0..a).filter_map(|b| gram.pair(nominal, catalogue, alone, [a, b])));
     }
-    out.sort_by(|a, b| a.2.total_cmp(&b.2));
-    out.into_iter().map(|(names, theta, _)| (names, theta)).collect()
+    out.sort_by(|a, b| a.1.total_cmp(&b.1));
+    out.into_iter().map(|(names, _, start)| (names, start.theta)).collect()
 }
 
 /// Products of all columns with each other and with the residuals of the nominal model.
@@ -72,14 +67,14 @@ impl Gram {
         Self { sums: columns.parts(&nominal.point, nominal.problem.log.bins.len(), 1, |_| Some(0)).swap_remove(0), at }
     }
 
-    /// Names, parameters after one step, and [`schwarz`] of two singles.
+    /// Names, [`schwarz`], and the start of a fit of two singles.
     fn pair(
         &self,
         nominal: &BaseFit<'_>,
         catalogue: &[Box<dyn Effect>],
         alone: &[Alone],
         of: [usize; 2],
-    ) -> Option<([&'static str; 2], Vec<f64>, f64)> {
+    ) -> Option<([&'static str; 2], f64, Start)> {
         let log = nominal.problem.log;
         let problem = Problem::new(log, Model::named(catalogue, &of.map(|k| alone[k].candidate.names[0])));
         let names: [&'static str; 2] = problem.model.names().try_into().ok()?;
@@ -99,15 +94,11 @@ impl Gram {
             .collect();
         let n = used.len();
         let mut sums = Sums {
-            normal: DMatrix::from_fn(n, n, |a, b| normal[(used[a], used[b])] + if a == b { PRIOR_SLOPE * PRIOR_SLOPE } else { 0.0 }),
+            normal: DMatrix::from_fn(n, n, |a, b| normal[(used[a], used[b])]),
             gradient: DVector::from_fn(n, |a, _| along(used[a])),
         };
-        for (i, b) in problem.bounds.iter().enumerate() {
-            sums.gradient[i] += PRIOR_SLOPE * PRIOR_SLOPE * (theta[i] - b.start) / b.scale;
-        }
-        let stepped = step(&theta, &problem.bounds, &sums, DAMPING)?;
-        let way = DVector::from_fn(n, |i, _| (stepped[i] - theta[i]) / problem.bounds[i].scale);
-        let left = squares + problem.prior(&theta) + 2.0 * sums.gradient.dot(&way) + (&sums.normal * &way).dot(&way);
-        Some((names, stepped, schwarz(log, left.max(CREDIBLE * nominal.point.total()), n)))
+        sums.add_prior(&problem, &theta);
+        let start = stepped(&problem, &theta, squares + problem.prior(&theta), &sums, nominal)?;
+        Some((names, schwarz(log, start.predicted, n), start))
     }
 }

@@ -8,7 +8,7 @@ use crate::diagnosis::chain::Event;
 use crate::diagnosis::fit::step;
 use crate::diagnosis::observe::Segment;
 use crate::diagnosis::problem::{Point, Problem};
-use crate::diagnosis::tangent::{BaseFit, Tangent};
+use crate::diagnosis::tangent::{BaseFit, Sums, Tangent};
 use crate::model::effects::{Effect, Stage};
 use nalgebra::{DVector, Matrix3, Vector3};
 use std::ops::Range;
@@ -55,10 +55,16 @@ pub fn vanishing(effect: &dyn Effect) -> Vec<f64> {
 fn predict(base: &BaseFit<'_>, to: &Problem<'_>, fresh: &[f64]) -> Option<Start> {
     let point = to.at_clamped(&to.model.extended(&base.problem.model, &base.point.theta, |_| fresh.to_vec()));
     let sums = Tangent::grown(to, &point, base).sums(to, &point);
-    let theta = step(&point.theta, &to.bounds, &sums, DAMPING)?;
-    let way = DVector::from_iterator(theta.len(), (0..theta.len()).map(|i| (theta[i] - point.theta[i]) / to.bounds[i].scale));
-    let predicted = point.total() + 2.0 * sums.gradient.dot(&way) + (&sums.normal * &way).dot(&way);
-    Some(Start { theta, predicted: predicted.max(CREDIBLE * base.point.total()) })
+    stepped(to, &point.theta, point.total(), &sums, base)
+}
+
+/// One Gauss-Newton step from θ with this sum of squares, and the sum of squares that the tangent predicts; `base` bounds what can be
+/// trusted.
+pub fn stepped(to: &Problem<'_>, theta: &[f64], squares: f64, sums: &Sums, base: &BaseFit<'_>) -> Option<Start> {
+    let next = step(theta, &to.bounds, sums, DAMPING)?;
+    let way = DVector::from_iterator(theta.len(), (0..theta.len()).map(|i| (next[i] - theta[i]) / to.bounds[i].scale));
+    let predicted = squares + 2.0 * sums.gradient.dot(&way) + (&sums.normal * &way).dot(&way);
+    Some(Start { theta: next, predicted: predicted.max(CREDIBLE * base.point.total()) })
 }
 
 /// Finds the time of an event by what its offsets would change from the rest of a log on.

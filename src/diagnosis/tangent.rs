@@ -97,7 +97,7 @@ impl Tangent {
     /// Sums over all bins, including the priors.
     pub fn sums(&self, problem: &Problem<'_>, point: &Point) -> Sums {
         let mut sums = self.parts(point, problem.log.bins.len(), 1, |_| Some(0)).swap_remove(0);
-        sums.add_prior(problem, point);
+        sums.add_prior(problem, &point.theta);
         sums
     }
 
@@ -140,11 +140,11 @@ impl Tangent {
 
 impl Sums {
     /// Adds the priors.
-    pub fn add_prior(&mut self, problem: &Problem<'_>, point: &Point) {
+    pub fn add_prior(&mut self, problem: &Problem<'_>, theta: &[f64]) {
         for i in 0..problem.bounds.len() {
             self.normal[(i, i)] += PRIOR_SLOPE * PRIOR_SLOPE;
         }
-        add_prior_gradient(&mut self.gradient, problem, &point.theta);
+        add_prior_gradient(&mut self.gradient, problem, theta);
     }
 }
 

@@ -60,7 +60,8 @@ pub fn run(args: &Args) -> Result<CommandOutcome> {
     cases.extend(missing.par_iter().map(one).collect::<Result<Vec<Case>>>()?);
     bar.finish_and_clear();
     cases.sort_by_key(|c| c.seed);
-    let trained = fit(&cases, if args.map { map::features::names() } else { features::names() });
+    let head = if args.map { &map::features::HEAD } else { &features::HEAD };
+    let trained = fit(&cases, head.names.clone());
     let [fitted, check, lost] = trained.logs;
     let head = format!(
         "# Weights of the posterior (src/diagnosis/posterior.rs), made by\n# retroflex gap train{} --logs {} --seed {}\n\

@@ -8,17 +8,18 @@ use crate::diagnosis::candidates::{Candidates, Scored};
 use crate::diagnosis::decide::decide;
 use crate::diagnosis::document::{StatementEntry, VerdictEntry};
 use crate::diagnosis::map::document::{Document, Entry, Figures, Fresh, Left, Parameter};
-use crate::diagnosis::map::features::{head, statements};
-use crate::diagnosis::map::file::{MapFile, Nominal};
-use crate::diagnosis::map::model::{MapBase, RESONANT};
-use crate::diagnosis::map::operators::{DRIVEN, Operator, STILL};
-use crate::diagnosis::map::regress::Regressed;
+use crate::diagnosis::map::features::{HEAD, statements};
+use crate::diagnosis::map::file::MapFile;
+use crate::diagnosis::map::model::{MapBase, catalogue};
+use crate::diagnosis::map::regress::{Regressed, variance};
 use crate::diagnosis::map::search::{Bench, Set};
 use crate::diagnosis::map::table::Signals;
 use crate::diagnosis::posterior::{Posterior, Statement};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
+/// Rows below which the probabilities are not to be trusted; the weights are fitted to logs of 500 rows and more.
+const FEW: usize = 200;
 /// Draws of the bootstrap.
 const DRAWS: usize = 1000;
 /// Orders of differences from which the noise is estimated.
@@ -41,18 +42,16 @@ pub struct Searched<'a> {
 /// Searches a log; `None` if its inputs do not determine the nominal model.
 pub fn search<'a>(map: &MapFile, log: &'a Signals) -> Option<Searched<'a>> {
     let noise = noise(&log.output);
-    let (bench, nominal) = Bench::new(MapBase::new(map, log), &log.output, catalogue(map, log), noise * noise)?;
+    let (bench, nominal) = Bench::new(MapBase::new(map, log), &log.output, catalogue(map.nominal, log.clocked), noise * noise)?;
     let found = bench.search(nominal);
-    let mean = log.output.iter().sum::<f64>() / log.output.len() as f64;
-    let variance = log.output.iter().map(|y| (y - mean).powi(2)).sum::<f64>() / log.output.len() as f64;
-    let statements = statements(&found, noise * noise, variance);
+    let statements = statements(&found, noise * noise, variance(&log.output));
     Some(Searched { bench, found, noise, statements })
 }
 
 /// Diagnoses a log; `fresh` are other logs of the rig, on which the fitted model is evaluated.
 pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed: u64) -> Document {
     let Some(Searched { bench, found, noise, statements }) = search(map, log) else { return Document::empty(map) };
-    let posterior = Posterior::new(head(), statements);
+    let posterior = Posterior::new(&HEAD, statements);
     let set = |names: &[&str]| found.set(names).unwrap_or(&found.nominal);
     let verdict = decide(&posterior, |names| found.claimable(set(names)).names.clone());
     let chosen = set(&verdict.names);
@@ -84,15 +83,6 @@ pub fn diagnose(map: &MapFile, log: &Signals, fresh: &[(String, Signals)], seed:
         },
         notes,
         fresh: evaluated,
-    }
-}
-
-/// Operators that apply to this rig; a period in time needs a clock.
-fn catalogue(map: &MapFile, log: &Signals) -> Vec<Operator> {
-    match map.nominal {
-        Nominal::Still => STILL.to_vec(),
-        Nominal::Line => DRIVEN.iter().filter(|o| log.clocked || o.name != "periodic_time").copied().collect(),
-        Nominal::Resonance => RESONANT.to_vec(),
     }
 }
 
@@ -135,8 +125,8 @@ impl Judged<'_> {
 fn interval(from: &Regressed, to: &Regressed, floor: f64, seed: u64) -> [f64; 2] {
     let mut rng = StdRng::seed_from_u64(seed);
     // the blocks in which the set leaves more
-    let which = usize::from(to.worse().len() == to.blocks[1].len());
-    let (from, to) = (&from.blocks[which], &to.blocks[which]);
+    let worse = to.worse();
+    let (from, to) = (&from.blocks[worse], &to.blocks[worse]);
     let n = from.len();
     let mut draws: Vec<f64> = (0..DRAWS)
         .map(|_| {
@@ -170,6 +160,10 @@ fn noise(y: &[f64]) -> f64 {
 /// What this log cannot show, regardless of the scores.
 fn notes(log: &Signals) -> Vec<String> {
     let mut out = Vec::new();
+    if log.output.len() < FEW {
+        let rows = log.output.len();
+        out.push(format!("the log has {rows} rows; of fewer than {FEW}, noise is taken for an effect too often. Record a longer log"));
+    }
     if !log.clocked {
         out.push("the log has no clock: effects of time and effects of the path cannot be separated; times are in rows. Record a clock, and a second speed".to_owned());
     }
@@ -216,6 +210,21 @@ mod tests {
         assert_eq!(d.verdict.names, ["drift"]);
         let d = diagnosis(|u, _| u.iter().map(|u| u + 0.2 * u.powi(3)).collect());
         assert_eq!(d.verdict.names, ["cubic"]);
+    }
+
+    /// Lines with noise: nothing is claimed of a log that is long enough, and a short one has a note.
+    #[test]
+    fn noise_is_not_taken_for_an_effect() {
+        let mut rng = StdRng::seed_from_u64(4);
+        for (rows, seed) in [60, 200, 300, 500].into_iter().flat_map(|rows| (0..6).map(move |seed| (rows, seed))) {
+            let t: Vec<f64> = (0..rows).map(f64::from).collect();
+            let u: Vec<f64> = t.iter().map(|t| (t * f64::from(seed + 3) * 0.04).sin()).collect();
+            let output = u.iter().map(|u| 2.0 * u + 0.03 * rng.random_range(-1.0..1.0)).collect();
+            let signals = Signals { inputs: vec![u.clone()], output, motion: Some(u), t, clocked: true };
+            let d = diagnose(&toml::from_str(MAP).unwrap(), &signals, &[], 1);
+            let noted = d.notes.iter().any(|n| n.contains("Record a longer log"));
+            assert!(if rows < 200 { noted } else { !noted && d.verdict.kind == VerdictKind::None }, "{rows} {seed}: {:?}", d.verdict);
+        }
     }
 
     #[test]

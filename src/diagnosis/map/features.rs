@@ -51,18 +51,7 @@ static LAYOUT: LazyLock<Layout> = LazyLock::new(|| {
 });
 
 /// The weights that diagnoses use.
-#[expect(clippy::expect_used, reason = "the text is a part of the program, and a test reads it")]
-static HEAD: LazyLock<Head> = LazyLock::new(|| Head::read(include_str!("posterior.toml"), names()).expect("posterior.toml is tested"));
-
-/// The weights that diagnoses use.
-pub fn head() -> &'static Head {
-    &HEAD
-}
-
-/// Names of all features.
-pub fn names() -> Vec<String> {
-    LAYOUT.names()
-}
+pub static HEAD: LazyLock<Head> = LazyLock::new(|| Head::built_in(include_str!("posterior.toml"), &LAYOUT));
 
 /// All statements about a log whose noise has the variance `floor` and whose output has the variance `output`.
 pub fn statements(found: &Candidates<Set>, floor: f64, output: f64) -> Vec<Statement> {
@@ -106,7 +95,7 @@ mod tests {
 
     #[test]
     fn the_weights_in_the_program_can_be_read() {
-        let head = head();
+        let head = &*HEAD;
         assert!(head.weights[1] > 0.0 && (0.5..1.0).contains(&head.conformal), "{head:?}");
     }
 }

@@ -1,7 +1,7 @@
 //! The nominal model of a mapped rig with a set of operators.
 
 use crate::diagnosis::map::file::{MapFile, Nominal};
-use crate::diagnosis::map::operators::{Drive, Operator, none, oscillator};
+use crate::diagnosis::map::operators::{DRIVEN, Drive, Operator, STILL, none, oscillator};
 use crate::diagnosis::map::regress::{Columns, Regressed, Task};
 use crate::diagnosis::map::table::Signals;
 
@@ -46,6 +46,15 @@ pub const RESONANT: [Operator; 2] = [
     // Spring with a square: stiffer to one side. Separated by amplitudes to both sides.
     Operator::new("asymmetry", "", none, |d, _| spring(d, 2)),
 ];
+
+/// Operators that apply to a rig; a period in time needs a clock.
+pub fn catalogue(nominal: Nominal, clocked: bool) -> Vec<Operator> {
+    match nominal {
+        Nominal::Still => STILL.to_vec(),
+        Nominal::Line => DRIVEN.iter().filter(|o| clocked || o.name != "periodic_time").copied().collect(),
+        Nominal::Resonance => RESONANT.to_vec(),
+    }
+}
 
 fn spring(d: &Drive, power: i32) -> Vec<Vec<f64>> {
     // `Scale::drive` stores frequency and damping of the oscillator in the first two samples of `m`

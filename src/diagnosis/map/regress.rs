@@ -93,15 +93,14 @@ pub struct Regressed {
 }
 
 impl Regressed {
-    /// The blocks, long or short, in which more is left.
-    pub fn worse(&self) -> &[(f64, f64)] {
-        let [long, short] = [0, 1].map(|k| self.blocks[k].as_slice());
-        if mean_square(long) >= mean_square(short) { long } else { short }
+    /// Index of the blocks, long or short, in which more is left.
+    pub fn worse(&self) -> usize {
+        usize::from(mean_square(&self.blocks[1]) > mean_square(&self.blocks[0]))
     }
 
     /// Mean square over the held-out blocks, long or short, in which more is left.
     pub fn energy(&self) -> f64 {
-        mean_square(self.worse())
+        mean_square(&self.blocks[self.worse()])
     }
 
     /// Mean over the long and over the short blocks of the logarithm of the mean square: the negative predictive density of residuals
@@ -113,6 +112,12 @@ impl Regressed {
         };
         [0, 1].map(|k| of(&self.blocks[k]))
     }
+}
+
+/// Variance of a signal.
+pub fn variance(x: &[f64]) -> f64 {
+    let mean = x.iter().sum::<f64>() / x.len() as f64;
+    x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / x.len() as f64
 }
 
 fn mean_square(blocks: &[(f64, f64)]) -> f64 {
@@ -170,7 +175,7 @@ mod tests {
         let columns = |sign| Columns { of: vec![x.as_slice()], signs: vec![(0, sign)] };
         let r = task.regress(&columns(0)).unwrap();
         assert!((r.coefficients[0] - 2.0).abs() < 0.05, "{:?}", r.coefficients);
-        assert!((r.energy() - 2.0).abs() < 0.1 && r.worse().len() == LONG, "{}", r.energy());
+        assert!((r.energy() - 2.0).abs() < 0.1 && r.worse() == 0, "{}", r.energy());
         assert!((task.cost(&columns(0)).unwrap() / 1200.0 - 0.5).abs() < 0.05, "a fit to all rows leaves a quarter of that");
         assert!(task.regress(&columns(-1)).is_none());
     }

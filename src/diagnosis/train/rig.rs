@@ -2,13 +2,13 @@
 //! operator has.
 
 use crate::diagnosis::map::file::{Columns, MapFile, Nominal};
-use crate::diagnosis::map::model::RESONANT;
-use crate::diagnosis::map::operators::{DRIVEN, Drive, Operator, STILL};
-use crate::diagnosis::map::regress::{self, Task};
+use crate::diagnosis::map::model::{RESONANT, catalogue};
+use crate::diagnosis::map::operators::{DRIVEN, Drive, Operator};
+use crate::diagnosis::map::regress::{self, Task, variance};
 use crate::diagnosis::map::table::Signals;
 use crate::diagnosis::train::contents;
 use crate::diagnosis::train::deform::{FOREIGN_DEPTH, Form};
-use crate::diagnosis::train::signals::{input, log_uniform, normal, ringing, sum, variance, walk};
+use crate::diagnosis::train::signals::{input, log_uniform, normal, ringing, sum, walk};
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
@@ -69,7 +69,9 @@ pub fn draw(seed: u64) -> RandomRig {
     };
     let imperfect = noise * rng.random_range(0.0..IMPERFECT);
     sum(&mut made.deviation, &scaled(&outside(&drive, &mut rng), &inputs, imperfect));
-    for wanted in contents(catalogue(nominal, clocked), &mut rng) {
+    // the springs of an oscillator are drawn apart
+    let known = if nominal == Nominal::Resonance { vec![] } else { catalogue(nominal, clocked) };
+    for wanted in contents(known, &mut rng) {
         let law = match &wanted {
             Some(operator) => effect(operator, &drive, &inputs, &mut rng),
             None => outside(&drive, &mut rng),
@@ -140,15 +142,6 @@ fn number_of_inputs(nominal: Nominal, rng: &mut StdRng) -> usize {
         Nominal::Resonance => 1,
         Nominal::Line if rng.random_bool(0.8) => 1,
         Nominal::Line => rng.random_range(2..4),
-    }
-}
-
-/// Operators of a rig; the springs of an oscillator are drawn apart.
-fn catalogue(nominal: Nominal, clocked: bool) -> Vec<Operator> {
-    match nominal {
-        Nominal::Still => STILL.to_vec(),
-        Nominal::Line => DRIVEN.iter().filter(|o| clocked || o.name != "periodic_time").copied().collect(),
-        Nominal::Resonance => vec![],
     }
 }
 

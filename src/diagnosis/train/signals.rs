@@ -76,12 +76,6 @@ pub fn sum(to: &mut [f64], from: &[f64]) {
     to.iter_mut().zip(from).for_each(|(a, b)| *a += b);
 }
 
-/// Variance of a signal.
-pub fn variance(x: &[f64]) -> f64 {
-    let mean = x.iter().sum::<f64>() / x.len() as f64;
-    x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / x.len() as f64
-}
-
 /// A normal value.
 pub fn normal(rng: &mut StdRng) -> f64 {
     rng.sample(StandardNormal)
